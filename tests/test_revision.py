@@ -5,8 +5,14 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.paper import cylinder_inertia, natural_frequency_inertia, natural_period, squared_error, swing_period
-from hyperflex.paper import simplex as _simplex
+from hyperflex.paper import (
+    cylinder_inertia,
+    natural_frequency_inertia,
+    natural_period,
+    revision,
+    squared_error,
+    swing_period,
+)
 from tests.faults.interrupting import left_by
 
 T = np.arange(41) / 7.5
@@ -78,7 +84,7 @@ def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
         seen.append(squared_error(measured, rope, state))
         return seen[-1]
 
-    monkeypatch.setattr(_simplex, "squared_error", error)
+    monkeypatch.setattr(revision, "squared_error", error)
     found = left_by(lambda: hf.estimate_initial_state(recording, ROPE))
     assert found.status == "interrupted"
     assert found.error == min(seen) < seen[-1]
@@ -181,7 +187,7 @@ def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):
             raise KeyboardInterrupt
         return squared_error(measured, rope, state)
 
-    monkeypatch.setattr(_simplex, "squared_error", error)
+    monkeypatch.setattr(revision, "squared_error", error)
 
     def told(each):
         rounds.append(each)

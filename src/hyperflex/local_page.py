@@ -1,7 +1,6 @@
 """Pages for browsers of this machine: a server, and who may ask it."""
 
 import contextlib
-import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Collection
@@ -80,9 +79,7 @@ class LocalServer(ABC):
         try:
             self._server = ThreadingHTTPServer((host, port), Handler)
         except (OSError, OverflowError) as error:
-            code = error.errno or 0 if isinstance(error, OSError) else 0
-            why = os.strerror(code).lower() if code > 0 else "there is no such port"
-            why = "the host is not known" if code < 0 else why
+            why = str(error.strerror).lower() if isinstance(error, OSError) else "there is no such port"
             allowed = "an address of this machine, and a free port up to 65535, or 0 for any"
             got = f"{host}, port {port}"
             raise InvalidInput(f"no page can be shown there: {why}", got=got, allowed=allowed) from None

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from hyperflex.cli.app import run
-from hyperflex.demo import DemoReport, write_demo
+from hyperflex.demo import Demo, write_demo
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -48,6 +48,6 @@ def refused(hyperflex: Run) -> Callable[..., str]:
 
 
 @pytest.fixture(scope="session")
-def demo_report(tmp_path_factory: pytest.TempPathFactory) -> DemoReport:
+def demo_report(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     """The demo, run once."""
     return write_demo(tmp_path_factory.mktemp("demo") / "folder")

@@ -16,7 +16,7 @@ from hyperflex.errors import Interrupted
 
 NAMES = {
     *("swing.mp4", "camera.toml", "guess.toml", "tracked.mp4", "seen.png", "markers.nc", "prediction.png"),
-    *("parameters.png", "cast.nc", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "rope.toml"),
+    *("cast.nc", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "rope.toml"),
     *("identification.json", "summary.md", "report.html"),
 }
 
@@ -36,7 +36,7 @@ def test_demo_prints_intervals_and_what_to_look_at(hyperflex, hyperflex_json, re
     code, result = hyperflex_json("demo", "-o", tmp_path)
     assert (code, result["source"], result["plan"]["success"]) == (0, "simulated", True)
     assert all(Path(path).exists() for path in result["files"].values())
-    assert result["hold_force_N"] == ready.demo.held.force
+    assert result["hold_force_N"] == ready.held.force
     for name, parameter in result["parameters"].items():
         low, high = parameter["interval_95"]
         assert parameter["covered"] == (low <= parameter["without_noise"] <= high), name
@@ -75,22 +75,22 @@ def test_the_folder_is_complete_and_can_be_used_again(demo_report):
     assert {path.name for path in page.parent.iterdir()} == NAMES
     assert all(path.stat().st_size > (100 if path.suffix == ".toml" else 1000) for path in demo_report.files.values())
     rope = hf.Rope.from_toml(demo_report.files["rope"])
-    assert rope.friction[0] == demo_report.demo.parameters[0].value
+    assert rope.friction[0] == demo_report.parameters[0].value
     cast = hf.read_trajectory(demo_report.files["run"])
-    np.testing.assert_array_equal(cast.tip, demo_report.demo.plan.run.tip)
+    np.testing.assert_array_equal(cast.tip, demo_report.plan.run.tip)
     assert cast.dataset.attrs["source"] == "simulated"
 
 
 def test_intervals_cover_the_mapped_truth_and_exclude_the_guess(demo_report):
-    assert demo_report.demo.identification.success
-    for each in demo_report.demo.parameters:
+    assert demo_report.identification.success
+    for each in demo_report.parameters:
         low, high = each.interval
         assert (low < each.mapped < high, each.covered, low < each.guess < high) == (True, True, False), each
         assert not dataclasses.replace(each, mapped=each.value + 2.0 * each.std).covered
 
 
 def test_the_prediction_is_near_the_noise(demo_report):
-    found = demo_report.demo
+    found = demo_report
     joints = twin.swing(found.recording.t).joints[:, :: twin.FINE // twin.COARSE]
     sides = np.diff(joints, axis=1)
     true = np.unwrap(np.arctan2(sides[..., 0], -sides[..., 1]), axis=0)
@@ -104,7 +104,7 @@ def test_the_prediction_is_near_the_noise(demo_report):
 
 
 def test_the_demo_ends_wound_and_held_and_its_page_says_so(demo_report):
-    plan, held, path = demo_report.demo.plan, demo_report.demo.held, demo_report.files["page"]
+    plan, held, path = demo_report.plan, demo_report.held, demo_report.files["page"]
     assert plan.success, plan.message
     assert abs(plan.outcome.turns) >= 1.25
     assert held.force > held.tail_weight
@@ -112,11 +112,11 @@ def test_the_demo_ends_wound_and_held_and_its_page_says_so(demo_report):
     plain = re.sub(r'src="data:[^"]*"', "", page)
     told = [f"{abs(plan.outcome.turns):.2f} turns", f"{held.force:.2f} N", f"{plan.moves.ends.size - 1} swings"]
     told += ["40 links", "simulated", "Nothing here was measured on a real rope"]
-    for words in [*told, *(row[2] for row in demo_report.parameters.rows)]:
+    for words in [*told, *(row[2] for row in demo_report.table.rows)]:
         assert words in plain
     # Whether the rope of the recording winds too is told as it is: it is no promise of a plan on an identified rope.
-    assert demo_report.verdicts[1][0] == demo_report.demo.proof.success
-    assert len(re.findall(r"<figure[ >]", plain)) == 7
+    assert demo_report.verdicts[1][0] == demo_report.proof.success
+    assert len(re.findall(r"<figure[ >]", plain)) == 6
     assert page.count("<iframe sandbox=") == 1  # the cast plays
     assert re.findall(r"<h2>([^<]*)</h2>", page)[:2] == ["The cast", "In short"]  # what the reader came for
     assert str(path.parent) not in plain

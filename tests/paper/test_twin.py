@@ -49,15 +49,6 @@ def test_the_rope_that_made_it_is_finer_than_the_one_fitted(tracked):
         assert rope.total_mass == pytest.approx(0.125, rel=1e-14)
 
 
-def test_a_coarse_joint_does_the_work_of_fine_ones_in_series():
-    # Bent evenly at rate k (rad/m/s), the power is sum of friction (k l)^2 over the inner joints: alike for both cuts,
-    # but for the first link length, which has no inner joint.
-    fine, coarse = twin.fine_rope(), twin.coarse_rope()
-    power = [(rope.friction[1:] * rope.length[1:] ** 2).sum() for rope in (fine, coarse)]
-    assert power[0] / power[1] == pytest.approx((39 / 40) / (9 / 10), rel=1e-12)
-    assert fine.friction[0] == coarse.friction[0]
-
-
 @pytest.mark.nightly
 def test_the_mapped_truth_is_what_a_fit_without_noise_finds():
     found = twin.fit(twin.exact()).values

@@ -7,9 +7,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.play.arm_program import MOST_MOVES
 from hyperflex.play.controls import CONTROLS, CROSSING, FIXED, PUMPING, Settings
-from hyperflex.play.session import MOST_RECORDED, NUMBERS, Session
+from hyperflex.play.session import MOST_MOVES, MOST_RECORDED, NUMBERS, Session
 from hyperflex.status import Status
 
 DT = 1.0 / 60.0

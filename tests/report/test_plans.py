@@ -241,7 +241,7 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     assert target.center == (2.5, 0.0)
     assert nearest.center == (plan.fallback.target.x, plan.fallback.target.y)
     assert min(target.radius, nearest.radius) >= 0.02  # m: they can be seen
-    reach, arm, rope = (line.get_xydata() for line in axis.get_lines()[:3])
+    rope, _, reach, arm = (line.get_xydata() for line in axis.get_lines()[:4])
     np.testing.assert_allclose(np.hypot(*reach.T), 2.105, rtol=1e-12)  # rounding
     np.testing.assert_allclose(np.hypot(*arm.T), 0.105, rtol=1e-12)  # rounding
     np.testing.assert_allclose(rope, [[-0.105, 0.0], [-0.105, -2.0]], atol=1e-12)  # rounding of cos(pi / 2)

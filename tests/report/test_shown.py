@@ -85,7 +85,7 @@ def test_a_figure_shows_itself_in_a_notebook_and_can_be_copied():
     figure = planned_whip().run.plot("course", start=0.5, end=1.0)
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert pickle.loads(pickle.dumps(figure)).axes[0].get_xlim() == (0.5, 1.0)
-    assert [axis.get_ylabel() for axis in figure.axes] == ["arm, degrees", "speed, m/s", "energy, J", "torque, N m"]
+    assert [axis.get_ylabel() for axis in figure.axes] == ["degrees", "m/s", "J", "N m"]
 
 
 def test_a_setup_with_a_field_replaced_is_checked_again(found):

@@ -27,12 +27,12 @@ def demo(
     from hyperflex.report import TextTable
 
     with compiling_ahead(*AHEAD), output.spinner() as progress:
-        report = write_demo(out, progress)
-    found, table, held = report.demo, report.parameters, report.demo.held
+        found = write_demo(out, progress)
+    table, held = found.table, found.held
     error, noise = found.held_out_rms, found.angle_noise.mean()
     result = {
         "source": "simulated",
-        "files": report.files,
+        "files": found.files,
         "success": found.identification.success,
         "status": found.identification.status,
         "message": found.identification.message,
@@ -58,8 +58,8 @@ def demo(
         result,
         TextTable(_SHOWN, tuple(tuple(row[k] for k in shown) for row in table.rows)),
         Rows("Everything here is simulated", rows),
-        *(sentence for _, sentence in report.verdicts),
-        Rows("Written", [(text, str(report.files[kind])) for kind, text in files.items() if kind in report.files]),
+        *(sentence for _, sentence in found.verdicts),
+        Rows("Written", [(text, str(found.files[kind])) for kind, text in files.items() if kind in found.files]),
     )
 
 

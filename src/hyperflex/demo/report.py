@@ -1,11 +1,10 @@
 """The demo: a video, an identified rope, and a plan that winds it round a target; with a folder that shows it all."""
 
+import shutil
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,11 +18,8 @@ from hyperflex.paper import casting_arm
 from hyperflex.planning import CastOutcome, CastPlan, HoldingForce, Problem, plan_cast, verify_cast
 from hyperflex.recording import Recording
 from hyperflex.report import (
-    BLUE,
-    GREEN,
-    GREY,
-    RED,
     CastReport,
+    Film,
     FittedChannels,
     Picture,
     Progress,
@@ -31,18 +27,14 @@ from hyperflex.report import (
     TextTable,
     check_folder,
     fit_figure,
-    legend,
-    new_figure,
     png,
     sections_markdown,
     silent,
     whole_folder,
     write_page,
+    write_pictures,
 )
 from hyperflex.vision import VideoReader
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TARGET = Peg(x=0.62, y=-1.14, radius=0.05, mu=0.3)  # well within reach
 _LEAD = (
@@ -67,14 +59,18 @@ _MAPPED = (
     f"do for a rope of {twin.FINE}. To move like it, coarse links need other inertia and friction than the rope simply "
     "cut into as many pieces (plain cut); that bias is no error of the camera."
 )
-_CAPTIONS = {
-    "seen": "Two frames as tracked, in part: crosses are markers seen, circles where each was expected, blue the rope.",
-    "parameters": "Identified parameters over those of the fit without noise.",
-    "prediction": "Angles of a link in the middle and of the last one.",
+_SEEN = "Two frames as tracked, in part: crosses are markers seen, circles where each was expected, blue the rope."
+_FILES = {
+    "tracked": "tracked.mp4",
+    "video": "swing.mp4",
+    "camera": "camera.toml",
+    "guess": "guess.toml",
+    "rope": "rope.toml",
+    "markers": "markers.nc",
+    "identification": "identification.json",
+    "summary": "summary.md",
+    "page": "report.html",
 }
-_FILES = {"tracked": "tracked.mp4", "video": "swing.mp4", "camera": "camera.toml", "guess": "guess.toml"}
-_FILES |= {"rope": "rope.toml", "markers": "markers.nc", "identification": "identification.json"}
-_FILES |= {"summary": "summary.md", "page": "report.html"} | {kind: f"{kind}.png" for kind in _CAPTIONS}
 
 
 @dataclass(frozen=True)
@@ -113,12 +109,37 @@ class Demo:
     plan: CastPlan  # how the identified rope is wound round a target
     held: HoldingForce | None  # result of a tug at the wound rope
     proof: CastOutcome | None  # the same throw by the rope that made the recording
+    files: dict[str, Path] = field(default_factory=dict)  # of its report, by what they are: "page", "plan", "rope", ...
 
     @property
     def held_out_rms(self) -> float:
         """Rms prediction error of all links on the held-out part of the recording, rad; NaN without one."""
         held = self.identification.held_out
         return float("nan") if held is None else float(np.sqrt(np.mean(held.rms**2)))
+
+    @property
+    def table(self) -> TextTable:
+        """The identified parameters, their intervals, and the fit without noise."""
+        rows = []
+        for each in self.parameters:
+            numbers = (each.guess, each.value, *each.interval, each.mapped, each.cut)
+            guess, value, low, high, mapped, cut = map("{:.4g}".format, numbers)
+            inside = "yes" if each.covered else "no"
+            rows.append((f"{each.name}, {each.unit}", guess, value, f"{low} to {high}", mapped, inside, cut))
+        header = ("parameter", "guess", "identified", "95 % interval", "without noise", "inside", "plain cut")
+        return TextTable(header, tuple(rows))
+
+    @property
+    def verdicts(self) -> tuple[tuple[bool, str], ...]:
+        """Whether the planned cast succeeds, and the same throw of the rope that was recorded, in sentences."""
+        planned = (self.plan.success, CastReport(self.plan).verdict)
+        if self.proof is None:
+            return (planned,)
+        text = f"winds {abs(self.proof.turns):.2f} turns and holds too."
+        if not self.proof.success:
+            text = f"does not: {self.proof.message}. The identified rope differs a little from that rope."
+        rope = f"The rope that made the recording ({twin.FINE} links), thrown by the same motion"
+        return planned, (self.proof.success, f"{rope}, {text}")
 
 
 def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
@@ -161,85 +182,62 @@ def _parameters(found: Identification) -> tuple[Parameter, ...]:
     )
 
 
-@dataclass(frozen=True)
-class DemoReport:
-    """The demo's results, and the files of its report."""
-
-    files: dict[str, Path]  # by what they are: "page", "plan", "rope", ...
-    demo: Demo
-    parameters: TextTable  # identified values, intervals, and the fit without noise
-    verdicts: tuple[tuple[bool, str], ...]  # on the planned cast, and on the same throw of the rope that was recorded
-
-
 @interruptible()
-def write_demo(directory: str | Path, progress: Progress = silent) -> DemoReport:
+def write_demo(directory: str | Path, progress: Progress = silent) -> Demo:
     """Run the demo and write its folder, see :func:`hyperflex.report.folder.whole_folder`.
 
     If the folder cannot be written at the end, a fallback folder is used, see :func:`hyperflex.files.rescued`.
     """
     check_folder(directory)
     with tempfile.TemporaryDirectory(prefix="hyperflex-") as work:
-        tracked = Path(work) / "tracked.mp4"
+        tracked = Path(work) / _FILES["tracked"]
         demo = run_demo(progress, tracked)
-        video = tracked.read_bytes()
-    return files.rescued(lambda folder: _write_folder(folder, demo, video, progress), Path(directory))
+
+        def write(folder: Path) -> Demo:
+            with whole_folder(folder) as stage:
+                shutil.copy(tracked, stage)
+                names = _write(stage, demo, progress)
+            return replace(demo, files={kind: folder / name for kind, name in names.items()})
+
+        return files.rescued(write, Path(directory))
 
 
-def _write_folder(directory: Path, demo: Demo, video: bytes, progress: Progress) -> DemoReport:
-    cast = CastReport(demo.plan, demo.held)
-    verdicts = ((demo.plan.success, cast.verdict), *_proof(demo))
-    report = DemoReport({}, demo, _parameters_table(demo), verdicts)
-    with whole_folder(directory) as stage:
-        files.write_bytes(stage / _FILES["tracked"], video)
-        names = _write(stage, report, cast, progress)
-    return replace(report, files={kind: directory / name for kind, name in names.items()})
-
-
-def _write(folder: Path, report: DemoReport, cast: CastReport, progress: Progress) -> dict[str, str]:
-    """Write all files to `folder`; return their names by kind."""
-    demo, found = report.demo, report.demo.identification
+def _write(folder: Path, demo: Demo, progress: Progress) -> dict[str, str]:
+    """Write all files to `folder`, where the tracked video is; return their names by kind."""
     progress("drawing")
-    last = demo.recording.n_links - 1
+    found, cast, last = demo.identification, CastReport(demo.plan, demo.held), demo.recording.n_links - 1
     view = FittedChannels(demo.recording, found, chosen=((last + 1) // 2, last))
-    pictures = {
-        "seen": _frames(folder / _FILES["tracked"]),
-        "prediction": png(fit_figure(view)),
-        "parameters": png(_parameters_figure(demo)),
-    }
-    for kind, content in pictures.items():
-        files.write_bytes(folder / _FILES[kind], content)
+    planned = {kind: path.name for kind, path in cast.write_plan(folder).items()}  # removes pictures of its names
+    shown = cast.pictures()
+    shown["seen"] = Picture(_frames(folder / _FILES["tracked"]), _SEEN, chart=False)
+    shown["prediction"] = Picture(png(fit_figure(view)), "Angles of a link in the middle and of the last one.")
+    pictures = write_pictures(folder, shown)
     demo.recording.to_netcdf(folder / _FILES["markers"])
-    files.write_bytes(folder / _FILES["video"], twin.BUNDLED.read_bytes())
+    shutil.copy(twin.BUNDLED, folder / _FILES["video"])
     twin.camera().write(folder / _FILES["camera"])
     twin.guess().to_toml(folder / _FILES["guess"])
     found.to_toml(folder / _FILES["rope"])
     found.to_json(folder / _FILES["identification"])
-    planned, drawn = cast.write_plan(folder), cast.drawn()
-    for kind, content in drawn.items():
-        files.write_bytes(folder / f"{kind}.png", content)
-    sections = _sections(report, cast, pictures, drawn)
+    sections = _sections(demo, cast, shown)
     files.write_text(folder / _FILES["summary"], sections_markdown("Demo (simulated)", sections))
     write_page(folder / _FILES["page"], "A rope, identified and cast", _LEAD, "simulated", sections)
-    return _FILES | {kind: path.name for kind, path in planned.items()} | {kind: f"{kind}.png" for kind in drawn}
+    return _FILES | planned | pictures
 
 
-def _sections(
-    report: DemoReport, cast: CastReport, pictures: Mapping[str, bytes], drawn: Mapping[str, bytes]
-) -> list[Section]:
+def _sections(demo: Demo, cast: CastReport, shown: dict[str, Picture | Film]) -> list[Section]:
     """Return the sections of the page: the cast, the identification, details of the cast."""
-    demo, shown = report.demo, cast.pictures(drawn)
-    seen, parameters, prediction = (
-        (Picture(pictures[kind], caption, chart=kind != "seen"),) for kind, caption in _CAPTIONS.items()
+    film, seen, prediction = (
+        tuple(shown.pop(kind) for kind in kinds & shown.keys()) for kinds in ({"film"}, {"seen"}, {"prediction"})
     )
     tracked = _TRACKED.format(frames=demo.recording.t.size, seen=100.0 * demo.seen)
     recording = f"Recording: {demo.recording.source}; {demo.recording.gaps} coordinates are missing."
     notes = (_MAPPED, " ".join(demo.identification.report(full=True).splitlines()[1:]), recording)
-    film = (shown.pop("film"),) if "film" in shown else ()
+    verdict, *marks = demo.verdicts
     return [
-        Section("The cast", report.verdicts[0], marks=report.verdicts[1:], pictures=film),
+        Section("The cast", verdict, marks=tuple(marks), pictures=film),
         _in_short(demo),
         Section("The video", text=(tracked,), pictures=seen),
-        Section("The identified rope", pictures=parameters, table=report.parameters, notes=notes),
+        Section("The identified rope", table=demo.table, notes=notes),
         Section("Measured, fitted, predicted", text=(_HELD_OUT,), pictures=prediction),
         Section(
             "The cast, step by step",
@@ -247,7 +245,7 @@ def _sections(
             tiles=cast.tiles,
             pictures=tuple(shown.values()),
             table=cast.texts.table("checks"),
-            notes=(cast.search_summary,),
+            notes=(cast.texts.text("search"),),
         ),
     ]
 
@@ -279,50 +277,3 @@ def _frames(video: Path) -> bytes:
     stream = BytesIO()
     Image.fromarray(np.ascontiguousarray(sheet)).save(stream, "png", optimize=True)
     return stream.getvalue()
-
-
-def _parameters_figure(demo: Demo) -> "Figure":
-    """Draw each parameter relative to the fit without noise: guess, divided rope, identified value, interval."""
-    marks = {
-        "value": ("o", BLUE, "identified, 95 % interval"),
-        "mapped": ("|", GREEN, "fit without noise"),
-        "cut": ("D", GREY, "the rope simply cut into as many links"),
-        "guess": ("x", RED, "first guess"),
-    }
-    with new_figure(10.0, 1.3 + 0.75 * len(demo.parameters)) as figure:
-        axis: Any = figure.subplots()
-        for row, each in enumerate(demo.parameters):
-            axis.plot(np.divide(each.interval, each.mapped), [row, row], color=BLUE, lw=5.0, alpha=0.45)
-            for name, (marker, colour, label) in marks.items():
-                size, place = 22.0 if marker == "|" else 7.0, getattr(each, name) / each.mapped
-                style = {"color": colour, "mew": 1.8, "ls": "none", "label": None if row else label}
-                axis.plot([place], [row], marker, ms=size, **style)
-        axis.set_yticks(range(len(demo.parameters)), [each.name for each in demo.parameters])
-        limits = (len(demo.parameters) - 0.5, -0.5)
-        axis.set(ylim=limits, xlabel="value over that of the fit without noise", xscale="log")
-        ticks = [0.5, 0.7, 1.0, 1.5, 2.0, 3.0]
-        axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        axis.minorticks_off()
-        legend(figure, axis, place="upper center")
-    return figure
-
-
-def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
-    """Return a section on the same throw with the rope that made the recording."""
-    proof, rope = demo.proof, f"The rope that made the recording ({twin.FINE} links), thrown by the same motion"
-    if proof is None:
-        return ()
-    if proof.success:
-        return ((True, f"{rope}, winds {abs(proof.turns):.2f} turns and holds too."),)
-    return ((False, f"{rope}, does not: {proof.message}. The identified rope differs a little from that rope."),)
-
-
-def _parameters_table(demo: Demo) -> TextTable:
-    header = ("parameter", "guess", "identified", "95 % interval", "without noise", "inside", "plain cut")
-    rows = []
-    for each in demo.parameters:
-        numbers = (each.guess, each.value, *each.interval, each.mapped, each.cut)
-        guess, value, low, high, mapped, cut = (f"{number:.4g}" for number in numbers)
-        inside = "yes" if each.covered else "no"
-        rows.append((f"{each.name}, {each.unit}", guess, value, f"{low} to {high}", mapped, inside, cut))
-    return TextTable(header, tuple(rows))

@@ -9,7 +9,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker, VideoTrack, track_video
 from hyperflex.identification import FitOptions, Identification, identify
-from hyperflex.model import Rope
+from hyperflex.model import Rope, divided
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
@@ -29,42 +29,27 @@ from hyperflex.vision import (
 LENGTH, FINE, COARSE = 2.0, 40, 10  # m; links of the rope that made the data, and of the one that is fitted
 ARC_LENGTHS = LENGTH * np.arange(1, COARSE + 1) / COARSE  # m, of the markers: at the joints of the coarse chain
 RATE, SECONDS = 30.0, 10.0  # Hz, s: frames and length of the video
+BENDING = 1e-4  # N m^2 s, joint friction times link length: between the paper's cable and its other rope
 FREE = ("friction:shared", "inertia:shared")
 BUNDLED = Path(__file__).parent / "data" / "demo_swing.mp4"
 MAPPED = Path(__file__).parent / "data" / "demo_mapped.toml"
 
 
-def friction(n_links: int) -> Array:
-    """Return the joint friction (n,) of the rope divided into `n_links`, N m s/rad.
-
-    A joint represents the bending of one link length; a coarse joint replaces several fine ones in series and
-    so has less friction. The first joint is the eye from which the rope hangs, the same for any number of links.
-    """
-    bending = 1e-4  # N m^2 s, joint friction times link length: between the paper's cable and its other rope
-    result = np.full(n_links, bending * n_links / LENGTH)
-    result[0] = bending * COARSE / LENGTH
-    return result
-
-
-def _rope(n_links: int) -> Rope:
-    """Return the rope divided into `n_links`, with the mass and the radius of the paper's cable."""
-    name = f"demo rope, {n_links} links"
-    return Rope.uniform(LENGTH, 0.125, n_links, 0.0025, name=name).replace(friction=friction(n_links))
+def coarse_rope() -> Rope:
+    """Return the rope divided into 10 links, with the mass and the radius of the paper's cable."""
+    friction = BENDING * COARSE / LENGTH
+    return Rope.uniform(LENGTH, 0.125, COARSE, 0.0025, friction=friction, name=f"demo rope, {COARSE} links")
 
 
 def fine_rope() -> Rope:
-    """Return the rope that generates the data: 40 links."""
-    return _rope(FINE)
-
-
-def coarse_rope() -> Rope:
-    """Return the same rope divided into 10 links, with the inertia of a cylinder."""
-    return _rope(COARSE)
+    """Return the rope that generates the data: the coarse one with links of a quarter of the length."""
+    return divided(coarse_rope(), FINE // COARSE)
 
 
 def guess() -> Rope:
     """Return the first guess of the demo: right length and mass, three times the friction."""
-    return coarse_rope().replace(friction=3.0 * friction(COARSE), name="demo guess")
+    rope = coarse_rope()
+    return rope.replace(friction=3.0 * rope.friction, name="demo guess")
 
 
 def camera() -> Camera:

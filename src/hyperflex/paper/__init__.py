@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from hyperflex.paper.regression import LeastSquares, Regression, fit_regression
     from hyperflex.paper.reproduction import reproduce
     from hyperflex.paper.revision import (
+        InitialState,
         IterativeRevision,
         RevisionProfile,
         Round,
+        estimate_initial_state,
         iterative_revision,
+        squared_error,
     )
-    from hyperflex.paper.simplex import InitialState, estimate_initial_state, squared_error
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,8 +1,9 @@
 """Casting by swinging, open loop (paper section IV): cable, arm and runs, Figs. 9 to 12, claims C1 to C4."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from hyperflex.dynamics import bias, mass_matrix, partial_linearization, torque_
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings, torque_profile
 from hyperflex.paper.part import Claim, Item, Part, Table
-from hyperflex.report import BLUE, GREY, INK, OUTCOME_COLOUR, Section, TextTable, legend, new_figure
+from hyperflex.report import BLUE, INK, OUTCOME_COLOUR, Section, TextTable, legend, new_figure
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
@@ -31,6 +32,7 @@ DURATION = 14.0  # s
 RATE = 1000  # samples per second: the tip cracks like a whip, and r peaks within a few milliseconds
 TOL = 1e-8
 TABLE_RATE = 100  # rows per second
+WINDOW = 2.5  # s, over which the median of r is taken
 STRAIGHT = 0.995  # R^2 from which theta(t) counts as a straight line
 REPLAY_ARM = Arm(length=0.105, inertia=1e-3, friction=1e-3)  # the paper names no inertia: values of our own
 REPLAY_SPAN = 2.0 * (T_MOVE + T_REST["success"])  # s, one whole swing there and back
@@ -94,141 +96,150 @@ def run(reading: Reading, t_rest: float, *, tol: float = TOL) -> Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """The tip and the arm in one cast, with what section IV derives from them."""
+    """The tip and the arm in one run of a reading, with what section IV derives from them."""
 
     reading: Reading
-    outcome: Outcome  # sets the rest t_c and the time constant c
-    t: Array  # (T,) s
-    tip: Array  # (T, 2) m
-    tip_velocity: Array  # (T, 2) m/s
-    arm_angle: Array  # (T,) rad
+    label: str  # in names of columns
+    words: str
+    run: Trajectory
+    starts: Array  # (k,) of the arm's half turns, s
+    c: float = TIME_CONSTANT["success"]  # s
 
     @property
-    def period(self) -> float:
-        """The arm's half cycle t_a + t_c, s."""
-        return T_MOVE + T_REST[self.outcome]
-
-    @property
-    def intervals(self) -> Array:
-        """Start and end of each arm motion (m, 2), s."""
-        starts = np.arange(0.0, self.t[-1], self.period)
-        return np.stack([starts, starts + T_MOVE], axis=1)
+    def t(self) -> Array:
+        """Times (T,), s."""
+        return self.run.t
 
     @cached_property
     def spiral(self) -> Spiral:
-        """Spiral coordinates of the tip with the paper's c."""
-        return spiral(self.t, self.tip[:, 0], self.tip_velocity[:, 0], TIME_CONSTANT[self.outcome])
+        """Spiral coordinates of the tip."""
+        return spiral(self.t, self.run.tip[:, 0], self.run.tip_velocity[:, 0], self.c)
 
     @property
-    def portrait(self) -> PhasePortrait:
-        """The tip's phase portrait, cut where the arm starts and stops."""
-        return phase_portrait(self.spiral, self.intervals)
+    def intervals(self) -> Array:
+        """Start and end of each half turn of the arm (k, 2), s."""
+        return np.stack([self.starts, self.starts + T_MOVE], axis=1)
+
+    @property
+    def moving(self) -> Array:
+        """1 while the arm moves and 0 while it rests (T,)."""
+        begun = self.starts[np.searchsorted(self.starts, self.t, side="right") - 1]
+        return np.where(self.t - begun < T_MOVE, 1.0, 0.0)
 
     def reach(self, start: float, end: float) -> float:
         """Return the greatest ``|x|`` of the tip from `start` to `end`, m."""
         within = (self.t >= start) & (self.t <= end)
-        return float(np.abs(self.tip[within, 0]).max())
+        return float(np.abs(self.spiral.x[within]).max())
 
     @property
     def reaches(self) -> Array:
         """The greatest ``|x|`` of the tip in each 2 s, m."""
         return np.array([self.reach(start, start + 2.0) for start in np.arange(0.0, self.t[-1] - 1.0, 2.0)])
 
+    @property
+    def levels(self) -> Array:
+        """Median of r in each `WINDOW`, m: whip spikes of some milliseconds do not count."""
+        edges = np.arange(0.0, self.t[-1] + 0.5 * WINDOW, WINDOW)
+        return np.array([np.median(self.spiral.r[(self.t >= a) & (self.t < b)]) for a, b in pairwise(edges)])
+
 
 @cache
 def cast(reading: Reading, outcome: Outcome) -> Cast:
     """Return one of the paper's casts; the same one is simulated only once in a process."""
-    result = run(reading, T_REST[outcome])
-    return Cast(reading, outcome, result.t, result.tip, result.tip_velocity, result.arm_angle)
+    rest, inferred = T_REST[outcome], ", inferred" if outcome == "failure" else ""
+    words, starts = f"{outcome}{inferred} (rest {rest:.2f} s)", np.arange(0.0, DURATION, T_MOVE + rest)
+    return Cast(reading, outcome, words, run(reading, rest), starts, TIME_CONSTANT[outcome])
+
+
+def casts() -> list[Cast]:
+    """Return all the paper's casts."""
+    return [cast(reading, outcome) for reading in READINGS for outcome in OUTCOMES]
 
 
 Measure = Callable[[Cast], Array]
-TIP: dict[str, Measure] = {"x": lambda subject: subject.tip[:, 0], "y": lambda subject: subject.tip[:, 1]}
-SPIRAL: dict[str, Measure] = {"r": lambda subject: subject.spiral.r, "theta": lambda subject: subject.spiral.theta}
-PORTRAIT: dict[str, Measure] = {
-    "x": lambda subject: subject.spiral.x,
-    "cxd": lambda subject: subject.spiral.scaled_velocity,
+Measures = dict[str, Measure]  # by the names of their columns: key and path of the reading, label of the run
+TIP: Measures = {"x_{key}_{label}": lambda each: each.run.tip[:, 0], "y_{key}_{label}": lambda each: each.run.tip[:, 1]}
+ARM: Measures = {"arm_{path}_{label}": lambda each: each.run.arm_angle}
+RADIUS: Measures = {"r_{key}_{label}": lambda each: each.spiral.r}
+SPIRAL: Measures = RADIUS | {"theta_{key}_{label}": lambda each: each.spiral.theta}
+PORTRAIT: Measures = {
+    "x_{key}_{label}": lambda each: each.spiral.x,
+    "cxd_{key}_{label}": lambda each: each.spiral.scaled_velocity,
 }
 
 
-def _table(
-    title: str, units: str, measures: Mapping[str, Measure], *, arms: bool = False, moving: bool = False
-) -> Table:
-    """Return measures of every cast, and the arm's angle, which is the same with either friction, or when it moves."""
-    every = [cast(reading, outcome) for reading in READINGS for outcome in OUTCOMES]
-    columns = {"t": every[0].t}
-    columns |= {
-        f"{name}_{each.reading.key}_{each.outcome}": of(each) for each in every for name, of in measures.items()
-    }
-    if arms:
-        columns |= {
-            f"arm_{each.reading.path}_{each.outcome}": each.arm_angle
-            for each in every
-            if each.reading.friction == "relative"
-        }
-    if moving:
-        columns |= {
-            f"moving_{each.outcome}": np.where(each.t % each.period < T_MOVE, 1.0, 0.0)
-            for each in every[: len(OUTCOMES)]
-        }
+def columns(subjects: Sequence[Cast], *groups: Measures) -> dict[str, Array]:
+    """Return the time and each group's measures of all runs as columns, `TABLE_RATE` rows a second."""
+    t = subjects[0].t
+    found = {"t": t}
+    for group in groups:
+        for each in subjects:
+            names = {"key": each.reading.key, "path": each.reading.path, "label": each.label}
+            found |= {name.format(**names): of(each) for name, of in group.items()}
+    step = round(1.0 / (TABLE_RATE * (t[1] - t[0])))
+    return {name: values[::step] for name, values in found.items()}
+
+
+def windows_table(subjects: Sequence[Cast], values: Measure, width: float) -> TextTable:
+    """Return a value of each run in windows of a `width`, s."""
+    rows = tuple((each.reading.title, each.words, *map("{:.2f}".format, values(each))) for each in subjects)
+    starts = width * np.arange(len(rows[0]) - 2)
+    return TextTable(("reading", "run", *(f"{start:g}-{start + width:g} s" for start in starts)), rows)
+
+
+def _table(title: str, units: str, *groups: Measures) -> Table:
     rests = (f"{each}: t_a = {T_MOVE} s, t_c = {T_REST[each]} s, c = {TIME_CONSTANT[each]} s" for each in OUTCOMES)
-    notes = {"title": title, "source": "simulated", "units": units, "parameters": "; ".join(rests)}
-    return Table({name: values[:: RATE // TABLE_RATE] for name, values in columns.items()}, notes)
+    return Table(columns(casts(), *groups), title=title, units=units, parameters="; ".join(rests))
+
+
+def _draw_courses(
+    title: str, height: float, readings: Sequence[Reading], measures: Measures, finish: Callable[[Any], None]
+) -> "Figure":
+    """Draw measures of success and failure over time by their labels, in a row for each reading.
+
+    `finish` is called with the axes before the legend is made.
+    """
+    with new_figure(10.0, height, title) as figure:
+        axes = figure.subplots(len(readings), len(measures), sharex=True, sharey="col", squeeze=False)
+        for row, reading in zip(axes, readings, strict=True):
+            row[0].set_title(reading.title)
+            for axis, (label, of) in zip(row, measures.items(), strict=True):
+                for outcome in reversed(OUTCOMES):
+                    each = cast(reading, outcome)
+                    style = {"color": OUTCOME_COLOUR[outcome], "ls": _DASH[outcome]}
+                    axis.plot(each.t, of(each), label=each.words, **style)
+                axis.set(ylabel=label, xlim=(0.0, DURATION))
+        for axis in axes[-1]:
+            axis.set_xlabel("time, s")
+        finish(axes)
+        legend(figure, axes[0, 0])
+    return figure
 
 
 def _draw_fig9() -> "Figure":
-    with new_figure(8.0, 3.6, "Actuation pattern (Fig. 9)") as figure:
-        axes = figure.subplots(2, 1, sharex=True)
-        ways = ((READINGS[0], "through the bottom", (-90, 0, 90)), (READINGS[2], "over the top", (-270, -180, -90)))
-        for axis, (reading, title, ticks) in zip(axes, ways, strict=True):
-            _draw_course(axis, reading, lambda subject: np.degrees(subject.arm_angle))
-            axis.set(title=title, ylabel="arm, degrees", yticks=ticks)
-        axes[-1].set_xlabel("time, s")
-        legend(figure, axes[0])
-    return figure
-
-
-def _draw_courses(figure: "Figure", measures: Mapping[str, Measure], labels: tuple[str, str]) -> Any:
-    """Draw two measures of success and failure over time, in a row for each reading; return the axes."""
-    axes = figure.subplots(len(READINGS), 2, sharex=True, sharey="col")
-    for row, reading in zip(axes, READINGS, strict=True):
-        for axis, measure, label in zip(row, measures.values(), labels, strict=True):
-            _draw_course(axis, reading, measure)
-            axis.set_ylabel(label)
-        row[0].set_title(reading.title)
-    for axis in axes[-1]:
-        axis.set_xlabel("time, s")
-    return axes
-
-
-def _draw_course(axis: Any, reading: Reading, measure: Measure) -> None:
-    for outcome in reversed(OUTCOMES):
-        subject, inferred = cast(reading, outcome), ", inferred" if outcome == "failure" else ""
-        style = {"color": OUTCOME_COLOUR[outcome], "ls": _DASH[outcome], "lw": 1.3}
-        axis.plot(subject.t, measure(subject), label=f"{outcome}{inferred} (rest {T_REST[outcome]:.2f} s)", **style)
-        axis.set_xlim(subject.t[0], subject.t[-1])
+    angle = {"arm, degrees": lambda each: np.degrees(each.run.arm_angle)}
+    ticks = range(-270, 91, 90)
+    return _draw_courses(
+        "Actuation pattern (Fig. 9)", 4.0, READINGS[::2], angle, lambda axes: axes[0, 0].set_yticks(ticks)
+    )
 
 
 def _draw_fig10() -> "Figure":
-    with new_figure(10.0, 8.4, "Tip position, simulated (Fig. 10)") as figure:
-        legend(figure, _draw_courses(figure, TIP, ("tip x, m", "tip y, m"))[0, 0])
-    return figure
+    measures = dict(zip(("tip x, m", "tip y, m"), TIP.values(), strict=True))
+    return _draw_courses("Tip position, simulated (Fig. 10)", 8.4, READINGS, measures, lambda _: None)
 
 
 def _draw_fig11() -> "Figure":
-    with new_figure(10.0, 8.4, "Spiral coordinates, simulated (Fig. 11)") as figure:
-        axes = _draw_courses(figure, SPIRAL, ("r, m", "theta, rad"))
+    def finish(axes: Any) -> None:
         for axis, reading in zip(axes[:, 0], READINGS, strict=True):
-            success = cast(reading, "success")
-            for start, end in success.intervals:
-                label = "the successful arm moves" if start == 0.0 else None
-                axis.axvspan(start, min(end, success.t[-1]), color=BLUE, alpha=0.08, lw=0, label=label)
-            swing = (success.arm_angle - success.arm_angle.min()) / np.ptp(success.arm_angle)
-            axis.plot(success.t, 0.35 * swing - 0.45, color=GREY, lw=0.8)
-            axis.set_ylim(-0.55, _TOP)
-        legend(figure, axes[0, 0])
-        _note_cut(figure, "r", SPIRAL["r"])
-    return figure
+            for start, end in cast(reading, "success").intervals:
+                label = "the successful arm moves" if start == 0.0 else ""
+                axis.axvspan(start, min(end, DURATION), color=BLUE, alpha=0.08, lw=0, label=label)
+            axis.set_ylim(0.0, _TOP)
+        _note_cut(axes[0, 0].figure, "r", lambda each: each.spiral.r)
+
+    measures = dict(zip(("r, m", "theta, rad"), SPIRAL.values(), strict=True))
+    return _draw_courses("Spiral coordinates, simulated (Fig. 11)", 8.4, READINGS, measures, finish)
 
 
 def _draw_fig12() -> "Figure":
@@ -237,11 +248,12 @@ def _draw_fig12() -> "Figure":
         axes = figure.subplots(len(OUTCOMES), len(READINGS), sharex="row", sharey="row")
         for row, outcome in zip(axes, OUTCOMES, strict=True):
             for axis, reading in zip(row, READINGS, strict=True):
-                _draw_portrait(axis, cast(reading, outcome).portrait, OUTCOME_COLOUR[outcome])
+                subject = cast(reading, outcome)
+                _draw_portrait(axis, phase_portrait(subject.spiral, subject.intervals), OUTCOME_COLOUR[outcome])
             row[0].set_ylabel(f"{outcome}: c dx/dt, m   (c = {TIME_CONSTANT[outcome]:.2f} s)")
         for axis, reading in zip(axes[0], READINGS, strict=True):
             axis.set_title(reading.title.replace(", ", ",\n"), fontsize=8.5)
-        _note_cut(figure, "|c dx/dt|", PORTRAIT["cxd"])
+        _note_cut(figure, "|c dx/dt|", lambda each: each.spiral.scaled_velocity)
     return figure
 
 
@@ -250,18 +262,18 @@ def _draw_portrait(axis: Any, portrait: PhasePortrait, colour: str) -> None:
 
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     for radius in np.arange(0.5, _TOP + 0.1, 0.5):
-        axis.plot(radius * np.cos(angle), radius * np.sin(angle), color="#dfe3e9", lw=0.7, zorder=0)
+        axis.plot(radius * np.cos(angle), radius * np.sin(angle), color="#dfe3e9", zorder=0)
     axis.add_collection(LineCollection(portrait.resting, colors=colour, linewidths=0.6, alpha=0.8))
     axis.add_collection(LineCollection(portrait.moving, colors=colour, linewidths=1.9, alpha=0.75))
-    axis.plot(*portrait.starts.T, "o", ms=4.0, mfc="white", mec=INK, mew=0.9)
-    axis.plot(*portrait.ends.T, "x", ms=4.5, mec=INK, mew=1.1)
+    axis.plot(*portrait.starts.T, "o", mfc="white", mec=INK)
+    axis.plot(*portrait.ends.T, "x", mec=INK)
     axis.set(xlim=(-_TOP, _TOP), ylim=(-_TOP, _TOP), aspect="equal", xlabel="x, m")
     axis.grid(False)
 
 
 def _note_cut(figure: "Figure", name: str, measure: Measure) -> None:
     """Say at the foot of a figure what its axes leave out."""
-    greatest = max(float(np.abs(measure(cast(reading, each))).max()) for reading in READINGS for each in OUTCOMES)
+    greatest = max(float(np.abs(measure(each)).max()) for each in casts())
     text = f"{name} is cut off at {_TOP:g} m: the tip cracks like a whip, and it spikes to {greatest:.1f} m"
     figure.supxlabel(f"Note: {text}; the CSV file is not cut off.", x=0.01, ha="left", fontsize=8.0, color=INK)
 
@@ -359,7 +371,7 @@ def steady_step_phase(reading: Reading) -> Claim:
     subject = cast(reading, "success")
     rises = rise_phases(subject)
     centre = float(np.angle(np.exp(2j * np.pi * rises).mean()) / (2.0 * np.pi) % 1.0)
-    doing = "rests" if centre * subject.period > T_MOVE else "moves"
+    doing = "rests" if centre * subject.starts[1] > T_MOVE else "moves"
     listed = ", ".join(f"{phase:.2f}" for phase in rises)
     note = f"mean phase {centre:.2f}, when the arm {doing}; by half cycle: {listed}"
     statement = "r rises fastest at one phase of the arm's half cycle: concentration"
@@ -375,13 +387,13 @@ def rise_phases(subject: Cast) -> Array:
     """Return the phase in [0, 1) at which r rises fastest in each half cycle until the rope is nearly pumped up."""
     from scipy.ndimage import median_filter
 
-    t, r = subject.t, subject.spiral.r
-    level = median_filter(r, size=2 * round(0.5 * subject.period / (t[1] - t[0])) + 1, mode="nearest")
+    t, r, period = subject.t, subject.spiral.r, subject.starts[1]
+    level = median_filter(r, size=2 * round(0.5 * period / (t[1] - t[0])) + 1, mode="nearest")
     pumped_up = t[np.argmax(level >= 0.9 * level.max())]
     rise, phases = np.gradient(r, t), []
-    for start in np.arange(0.0, pumped_up, subject.period):
-        within = np.flatnonzero((t >= start) & (t < start + subject.period))
-        phases.append((t[within[np.argmax(rise[within])]] - start) / subject.period)
+    for start in subject.starts[subject.starts < pumped_up]:
+        within = np.flatnonzero((t >= start) & (t < start + period))
+        phases.append((t[within[np.argmax(rise[within])]] - start) / period)
     return np.array(phases)
 
 
@@ -394,17 +406,7 @@ def _sections() -> list[Section]:
         f"with bang-bang acceleration, then a rest of {T_REST['success']:.2f} s (success) or {T_REST['failure']:.2f} s "
         "(failure). The rope starts hanging at rest, the arm at -90 degrees."
     )
-    rows = tuple(
-        (
-            reading.title,
-            f"{each} (rest {T_REST[each]:.2f} s)",
-            *(f"{reach:.2f}" for reach in cast(reading, each).reaches),
-        )
-        for reading in READINGS
-        for each in OUTCOMES
-    )
-    windows = tuple(f"{2 * k}-{2 * k + 2} s" for k in range(len(rows[0]) - 2))
-    reaches = TextTable(("reading", "cast", *windows), rows)
+    reaches = windows_table(casts(), lambda each: each.reaches, 2.0)
     return [
         Section("Reach of the tip", text=("Greatest |x| of the tip in each 2 s, m.",), table=reaches),
         Section("Set-up", text=(setup,)),
@@ -421,9 +423,9 @@ PART = Part(
     message="simulating the casts",
     items={
         "fig9": Item(
-            lambda: _table("arm angle", "t in s; arm in rad", {}, arms=True),
+            lambda: _table("arm angle", "t in s; arm in rad", ARM),
             _draw_fig9,
-            "Arm angle. The failing rest of 0.34 s is inferred from the paper's c = 0.34 s.",
+            "Arm angle, with either friction. The failing rest of 0.34 s is inferred from the paper's c = 0.34 s.",
         ),
         "fig10": Item(
             lambda: _table("tip position", "t in s; x, y in m", TIP),
@@ -431,16 +433,16 @@ PART = Part(
             "Tip position in the four readings.",
         ),
         "fig11": Item(
-            lambda: _table("spiral coordinates of the tip", "t in s; r in m; theta, arm in rad", SPIRAL, arms=True),
+            lambda: _table("spiral coordinates of the tip", "t in s; r in m; theta, arm in rad", SPIRAL, ARM),
             _draw_fig11,
-            "Spiral coordinates of the tip; shaded while the arm of the success moves (line below).",
+            "Spiral coordinates of the tip; shaded while the arm of the success moves.",
         ),
         "fig12": Item(
             lambda: _table(
                 "phase portrait of the tip",
                 "t in s; x, cxd (c times the velocity) in m; moving is 1 while the arm moves and 0 while it rests",
                 PORTRAIT,
-                moving=True,
+                {"moving_{label}": lambda each: each.moving},
             ),
             _draw_fig12,
             "Phase portraits of the tip, thick while the arm moves, thin while it rests; circles at the starts of its "

@@ -1,16 +1,14 @@
 """The paper's online estimator (section III D, Fig. 7), and trackers without dynamics to compare it with."""
 
-import time
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
+from hyperflex.sensors import Markers
 from hyperflex.simulation import simulate
-from hyperflex.trajectory import Trajectory
 from hyperflex.vision import Camera, Gate, Image, MarkerDetector
 
 WINDOW = 0.1  # m, around its prediction in which a marker is looked for: half of what the markers are apart
@@ -85,8 +83,6 @@ class OnlineEstimator:
         Of the last frame, s.
     q, qd : (n,) float64
         Link angles, rad, and rates, rad/s, then.
-    seconds : float
-        Time that the last prediction took; over the time simulated, the paper's alpha.
 
     Notes
     -----
@@ -96,40 +92,30 @@ class OnlineEstimator:
     """
 
     def __init__(self, rope: Rope, arc_lengths: npt.ArrayLike, t: float, places: Array) -> None:
-        self.rope, arcs = rope, np.asarray(arc_lengths, dtype=np.float64)
-        ends = np.cumsum(rope.length)
-        self._link = np.minimum(np.searchsorted(ends, arcs - 1e-9), rope.n_links - 1)
-        self._rest = arcs - (ends - rope.length)[self._link]
-        self._part = np.searchsorted(arcs, ends - 0.5 * rope.length)  # which marker follows each link
+        self.rope, self._markers = rope, Markers(arc_lengths)
+        middles = np.cumsum(rope.length) - 0.5 * rope.length
+        self._part = np.searchsorted(self._markers.arc_lengths, middles)  # which marker follows each link
         self.t, self.qd = t, np.zeros(rope.n_links)
         self.q = self._turned(np.full(rope.n_links, rope.hanging_angle), places)
-        self.seconds = 0.0
-        self._ahead: Trajectory | None = None
+        self._ahead = (self.q, self.qd)  # at the end of the last prediction
 
     def predict(self, t: float) -> Ahead:
         """Predict to a time, s."""
-        start, times = time.perf_counter(), np.linspace(0.0, t - self.t, SAMPLES + 1)
+        times = np.linspace(0.0, t - self.t, SAMPLES + 1)
         run = simulate(self.rope, duration=times[-1], q0=self.q, qd0=self.qd, t_eval=times, tol=TOL)
-        self._ahead, self.seconds = run, time.perf_counter() - start
+        self._ahead = (run.q[-1], run.qd[-1])
         return Ahead(self._places(run.q[-1]), run.tip, run.tip_velocity[0], self.qd)
 
     def correct(self, t: float, seen: Array) -> None:
-        """Take markers (K, 2), m, found at the time, s, of the prediction; NaN: not found, the prediction is taken.
-
-        Raises InvalidInput if nothing was predicted.
-        """
-        if self._ahead is None:
-            raise InvalidInput("nothing was predicted yet", fix="Call predict first")
-        q, qd = self._ahead.q[-1], self._ahead.qd[-1]
+        """Take markers (K, 2), m, found at the time, s, of the prediction; NaN: not found, the prediction is taken."""
+        q, qd = self._ahead
         self.q = self._turned(q, np.where(np.isnan(seen), self._places(q), seen))
         self.qd = qd + (self.q - q) / (t - self.t)
         self.t = t
 
     def _places(self, q: Array) -> Array:
         """Return the places (K, 2), m, of the markers for link angles (n,), rad."""
-        joints = self.rope.joints(q, np.zeros(2))
-        along = np.stack([np.sin(q), -np.cos(q)], axis=1)
-        return np.asarray(joints[self._link] + self._rest[:, None] * along[self._link])
+        return self._markers.predict(self.rope, q[None], np.zeros((1, 2))).reshape(-1, 2)
 
     def _turned(self, q: Array, places: Array) -> Array:
         """Return angles whose chords between markers point to these places, one after the other."""

@@ -11,18 +11,25 @@ told from zero.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.model import Rope
+from hyperflex.model import Rope, divided
 from hyperflex.paper.natural_frequency import cylinder_inertia, natural_frequency_inertia, natural_period, swing_period
 from hyperflex.paper.part import Claim, Item, Part, Table
-from hyperflex.paper.revision import PROFILES, IterativeRevision, RevisionProfile, iterative_revision
-from hyperflex.paper.simplex import estimate_initial_state, squared_error
+from hyperflex.paper.revision import (
+    PROFILES,
+    IterativeRevision,
+    RevisionProfile,
+    Round,
+    estimate_initial_state,
+    iterative_revision,
+    squared_error,
+)
 from hyperflex.recording import Recording
-from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Section, TextTable, new_figure
+from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Section, TextTable, legend, new_figure
 from hyperflex.simulation import angles, simulate
 
 if TYPE_CHECKING:
@@ -36,6 +43,17 @@ SEED = 2007
 COUNTS = (*range(12, 33, 5), *range(41, 62, 10), POINTS)  # samples used, Fig. 6
 METHODS = ("NF", "CM", "IR", "IR(theta_0)")
 PAPER_FIG6 = {FEW: 0.046, POINTS: 0.040}  # rad^2, as printed
+UNITS = ("J, 1e-6 kg m^2", "eta, 1e-3 N m s/rad", "E, rad^2", "sqrt(E/81), 0.01 rad")  # of the tables on the page
+PRINTED_ROUNDS = (
+    ("the paper", "0", "5.09", "1.26", "", "4.64"),
+    ("the paper", "1", "0.143", "0.631", "", "2.23"),
+    ("the paper", "2", "0.143", "0.631", "", "2.23"),
+)
+PRINTED_METHODS = (
+    ("the paper", "NF", "102", "", "", "16.3"),
+    ("the paper", "CM", "5.09", "", "", "2.62"),
+    ("the paper", "IR", "0.143", "", "", "2.23"),
+)
 
 
 @dataclass(frozen=True)
@@ -67,17 +85,9 @@ CURVES = {SMALL: BLUE, WIDE: RED, FINER[0]: GREEN}  # of Fig. 6, with their colo
 
 
 def true_rope(links: int = LINKS) -> Rope:
-    """Return the rope that makes the data: of 5 links with the paper's J and eta.
-
-    Of a multiple of 5 links it is the same rope cut finer, as a thin cylinder, with the friction in each joint that
-    bends alike (joint friction times link length is the same) and the same first joint.
-    """
-    rope = Rope.uniform(LENGTH, LINKS * LINK_MASS, links, name=f"identification twin, {links} links")
-    if links == LINKS:
-        return rope.replace(inertia=np.full(LINKS, INERTIA), friction=np.full(LINKS, FRICTION))
-    friction = np.full(links, FRICTION * links / LINKS)
-    friction[0] = FRICTION
-    return rope.replace(friction=friction)
+    """Return the rope that makes the data: of 5 links with the paper's J and eta, or, as a thin cylinder, cut finer."""
+    rope = Rope.uniform(LENGTH, LINKS * LINK_MASS, LINKS, friction=FRICTION, name="identification twin")
+    return rope.replace(inertia=INERTIA) if links == LINKS else divided(rope, links // LINKS)
 
 
 def guess() -> Rope:
@@ -96,8 +106,8 @@ def record(swing: Swing, seed: int = SEED) -> Recording:
     """
     t = np.arange(POINTS) / RATE
     run = simulate(true_rope(swing.links), duration=t[-1], t_eval=t, q0=np.full(swing.links, swing.angle), tol=1e-9)
-    along = np.diff(run.joints[:, :: swing.links // LINKS], axis=1)
-    q = np.unwrap(np.arctan2(along[..., 0], -along[..., 1]), axis=0)
+    joints = run.joints[:, :: swing.links // LINKS].reshape(POINTS, -1)
+    q = Recording(t, joints, kind="markers").angles().data
     noise = np.random.default_rng(seed).standard_normal(q.shape)
     noise *= NOISE / np.sqrt((noise**2).mean())
     return Recording(t, q + noise, noise=NOISE, name=f"{swing.title} (simulated)", source="simulated")  # type: ignore[arg-type]
@@ -149,8 +159,8 @@ def methods(swing: Swing) -> tuple[Method, ...]:
 
 
 def _motion(rope: Rope, start: Array, t: Array) -> Array:
-    """Return angles (T, n), rad, at times t, s, of a run from rest at angles `start` (n,)."""
-    return angles(rope, t, start, np.zeros(LINKS))[0]
+    """Return the last link's angle (T,), rad, at times t, s, of a run from rest at angles `start` (n,)."""
+    return angles(rope, t, start, np.zeros(LINKS))[0][:, -1]
 
 
 def _table(title: str, columns: dict[str, Array], **notes: str) -> Table:
@@ -160,7 +170,22 @@ def _table(title: str, columns: dict[str, Array], **notes: str) -> Table:
         f"at {RATE} Hz, noise {NOISE} rad rms"
     )
     units = "SI, angles and E in rad and rad^2; error_per_sample is sqrt(E / 81) in 0.01 rad"
-    return Table(columns, {"title": title, "source": "simulated", "units": units, "parameters": parameters, **notes})
+    return Table(columns, title=title, units=units, parameters=parameters, **notes)
+
+
+Fit = Round | Method
+FOUND = "inertia friction error error_per_sample"
+
+
+def _found(each: Fit) -> tuple[float, float, float, float]:
+    """Return a fit's columns FOUND."""
+    return each.inertia, each.friction, each.error, per_sample(each.error)
+
+
+def _cells(each: Fit) -> tuple[str, ...]:
+    """Return a fit's numbers as text, in the units of UNITS."""
+    inertia, friction, *errors = _found(each)
+    return f"{1e6 * inertia:.4g}", f"{1e3 * friction:.4g}", *(f"{error:.4g}" for error in errors)
 
 
 def _columns(names: str, rows: Sequence[Sequence[float]]) -> dict[str, Array]:
@@ -169,25 +194,21 @@ def _columns(names: str, rows: Sequence[Sequence[float]]) -> dict[str, Array]:
 
 def table1() -> Table:
     """J, eta and E in each round of the revision (Table I), one row a round, for every swing."""
+    names = f"angle data_links revision {FOUND} rollouts"
     rows = [
-        (swing.angle, swing.links, k, each.inertia, each.friction, each.error, per_sample(each.error), each.evaluations)
+        (swing.angle, swing.links, k, *_found(each), each.evaluations)
         for swing in DRAWN
         for k, each in enumerate(revised(swing).rounds)
     ]
-    names = "angle data_links revision inertia friction error error_per_sample rollouts"
     return _table("change of J, eta and E", _columns(names, rows))
 
 
 def table2() -> Table:
     """J, eta and E of NF, CM and IR (Table II); ``method`` counts them in that order."""
-    rows = [
-        (swing.angle, swing.links, k, each.inertia, each.friction, each.error, per_sample(each.error))
-        for swing in DRAWN
-        for k, each in enumerate(methods(swing))
-    ]
-    names = "angle data_links method inertia friction error error_per_sample"
+    rows = [(swing.angle, swing.links, k, *_found(each)) for swing in DRAWN for k, each in enumerate(methods(swing))]
     order = "; ".join(f"{k}: {name}" for k, name in enumerate(METHODS))
-    return _table("comparison of NF, CM and IR", _columns(names, rows), methods=order, periods=periods_text())
+    columns = _columns(f"angle data_links method {FOUND}", rows)
+    return _table("comparison of NF, CM and IR", columns, methods=order, periods=periods_text())
 
 
 def periods_text() -> str:
@@ -198,44 +219,32 @@ def periods_text() -> str:
 
 
 def _table1_sections() -> list[Section]:
-    rows = [
-        ("the paper", "0", "5.09", "1.26", "", "4.64"),
-        ("the paper", "1", "0.143", "0.631", "", "2.23"),
-        ("the paper", "2", "0.143", "0.631", "", "2.23"),
-    ]
+    rows: list[tuple[str, ...]] = [*PRINTED_ROUNDS]
     endings = []
     for swing in DRAWN:
-        for k, each in enumerate(revised(swing).rounds):
-            numbers = (f"{1e6 * each.inertia:.3f}", f"{1e3 * each.friction:.3f}", f"{each.error:.4f}")
-            rows.append((swing.title, str(k), *numbers, f"{per_sample(each.error):.2f}"))
+        rows += [(swing.title, str(k), *_cells(each)) for k, each in enumerate(revised(swing).rounds)]
         j, eta = revised(swing).std.values()
-        rows.append((swing.title, "std", f"{1e6 * j:.3f}", f"{1e3 * eta:.3f}", "", ""))
+        rows.append((swing.title, "std", f"{1e6 * j:.4g}", f"{1e3 * eta:.4g}", "", ""))
     for swing in SWINGS:
         for profile in PROFILES:
             found = revised(swing, profile=profile)
-            last, moved = found.rounds[-1], found.converged_after
+            moved = found.converged_after
             end = "never moved" if moved == 0 else f"converged after {moved} revisions"
             end = f"{found.status} after {len(found.rounds) - 1} revisions" if moved is None else end
-            numbers = (f"{1e6 * last.inertia:.3g}", f"{1e3 * last.friction:.3g}", f"{last.error:.3g}")
-            endings.append((swing.title, profile, *numbers, end))
-    header = ("data", "revision", "J, 1e-6 kg m^2", "eta, 1e-3 N m s/rad", "E, rad^2", "sqrt(E/81), 0.01 rad")
-    compared = ("data", "compared", "last J, 1e-6 kg m^2", "last eta, 1e-3 N m s/rad", "last E, rad^2", "end")
+            endings.append((swing.title, profile, *_cells(found.rounds[-1]), end))
+    compared = TextTable(("data", "compared", *(f"last {unit}" for unit in UNITS), "end"), tuple(endings))
     return [
-        Section("Table I: change of J, eta and E", text=(_UNIT,), table=TextTable(header, tuple(rows))),
-        Section("What step 4 may mean", text=_STEP4, table=TextTable(compared, tuple(endings))),
+        Section(
+            "Table I: change of J, eta and E", text=(_UNIT,), table=TextTable(("data", "revision", *UNITS), tuple(rows))
+        ),
+        Section("What step 4 may mean", text=_STEP4, table=compared),
     ]
 
 
 def _table2_sections() -> list[Section]:
-    printed = {"NF": ("102", "16.3"), "CM": ("5.09", "2.62"), "IR": ("0.143", "2.23"), "IR(theta_0)": ("0.143", "")}
-    rows = [("the paper", name, inertia, "", error) for name, (inertia, error) in printed.items()]
-    rows += [
-        (swing.title, each.name, f"{1e6 * each.inertia:.3g}", f"{each.error:.4f}", f"{per_sample(each.error):.2f}")
-        for swing in DRAWN
-        for each in methods(swing)
-    ]
-    table = TextTable(("data", "method", "J, 1e-6 kg m^2", "E, rad^2", "sqrt(E/81), 0.01 rad"), tuple(rows))
-    return [Section("Table II: NF, CM and IR", text=(f"T_nat: {periods_text()}.",), table=table)]
+    rows = (*PRINTED_METHODS, *((swing.title, each.name, *_cells(each)) for swing in DRAWN for each in methods(swing)))
+    text = (f"T_nat: {periods_text()}.",)
+    return [Section("Table II: NF, CM and IR", text=text, table=TextTable(("data", "method", *UNITS), rows))]
 
 
 def fig3() -> Table:
@@ -249,50 +258,28 @@ def fig3() -> Table:
 
 
 def draw_fig3() -> "Figure":
-    """Draw initial angles, measured and optimised, and the tip's error that follows from each."""
-    link = np.arange(1, LINKS + 1)
-    with new_figure(9.4, 5.8, "Measured and optimised initial angles, simulated (Fig. 3)") as figure:
-        for (left, right), swing in zip(figure.subplots(len(SWINGS), 2, width_ratios=(1, 2.2)), SWINGS, strict=True):
-            recording, rope, best = record(swing), revised(swing).rope, revised(swing).best
-            left.axhline(0.0, color=GREY, lw=1.0, label="true")
-            for label, q, error, marker, colour in (
-                ("measured", recording.data[0], best.measured_start, "o", RED),
-                ("optimised", best.q, best.error, "s", BLUE),
-            ):
-                left.plot(link, 1e3 * (q - swing.angle), marker, color=colour, ms=5.5, label=label)
-                style: dict[str, Any] = {"color": colour, "ms": 2.8, "label": f"E = {error:.4f} rad²"}
-                _draw_residuals(right, recording, _motion(rope, q, recording.t), marker=marker, **style)
-            left.set(xticks=link, xlabel="link", ylabel="off the truth, mrad")
-            left.set_title(f"initial angles, let go at {swing.angle:g} rad")
-            left.margins(x=0.12, y=0.15)
-            left.legend(fontsize=8.0, loc="best")
-            _draw_noise(right)
-            right.set_title("tip link: measured less calculated from either start")
-            low, high = right.get_ylim()
-            right.set(xlim=(0.0, recording.t[-1]), ylim=(low, high + 0.3 * (high - low)))
-            right.legend(fontsize=8.0, loc="upper right", ncols=3)
+    """Draw initial angles, measured and optimised, and state E of the motion from each."""
+    with new_figure(9.4, 3.8, "Measured and optimised initial angles, simulated (Fig. 3)") as figure:
+        axes, link = figure.subplots(1, len(SWINGS)), range(1, LINKS + 1)
+        for axis, swing in zip(axes, SWINGS, strict=True):
+            best = revised(swing).best
+            axis.axhline(0.0, color=GREY, label="true")
+            axis.plot(link, 1e3 * (record(swing).data[0] - swing.angle), "o", color=RED, label="measured")
+            axis.plot(link, 1e3 * (best.q - swing.angle), "s", color=BLUE, label="optimised")
+            errors = f"E = {best.measured_start:.4f} rad² measured, {best.error:.4f} rad² optimised"
+            axis.set(xticks=link, xlabel="link", ylabel="off the truth, mrad")
+            axis.set_title(f"let go at {swing.angle:g} rad\n{errors}")
+        legend(figure, axes[0])
     return figure
-
-
-def _draw_residuals(axis: Any, recording: Recording, calculated: Array, **style: Any) -> None:
-    """Draw the last link's measured less calculated angles."""
-    axis.plot(recording.t, 1e3 * (recording.data[:, -1] - calculated[:, -1]), lw=0.7, **style)
-
-
-def _draw_noise(axis: Any) -> None:
-    """Shade the noise of a panel of residuals."""
-    axis.axhspan(-1e3 * NOISE, 1e3 * NOISE, color=GREY, alpha=0.15, lw=0, label="noise (rms)")
-    axis.set(xlabel="time, s", ylabel="residual, mrad")
 
 
 def fig5() -> Table:
     """Measured and calculated angles against time (Fig. 5), of every link of the small swing."""
     recording, found = record(SMALL), revised(SMALL)
-    calculated = _motion(found.rope, found.best.q, recording.t)
+    calculated = angles(found.rope, recording.t, found.best.q, np.zeros(LINKS))[0]
     columns = {"t": np.array(recording.t)}
     for k in range(LINKS):
-        columns[f"measured_{k + 1}"] = np.array(recording.data[:, k])
-        columns[f"calculated_{k + 1}"] = calculated[:, k]
+        columns |= {f"measured_{k + 1}": recording.data[:, k], f"calculated_{k + 1}": calculated[:, k]}
     return _table("measured and calculated angles", columns)
 
 
@@ -302,31 +289,31 @@ def draw_fig5() -> "Figure":
     t = np.linspace(0.0, recording.t[-1], round(40.0 * recording.t[-1]) + 1)
     guessed = found.rope.replace(inertia=first.inertia, friction=first.friction)
     title = f"Angle of the rope's tip, simulated, let go at {SMALL.angle:g} rad (Fig. 5)"
-    with new_figure(9.4, 4.9, title) as figure:
-        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))
-        _draw_noise(below)
+    with new_figure(9.4, 5.2, title) as figure:
+        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.8, 1))
         for rope, start, colour, dash, label in (
-            (guessed, first.q, RED, (0, (4.0, 1.6)), "first guess (CM), its best start"),
+            (guessed, first.q, RED, "--", "first guess (CM), its best start"),
             (found.rope, found.best.q, BLUE, "-", "revised (IR)"),
         ):
-            top.plot(t, _motion(rope, start, t)[:, -1], color=colour, ls=dash, label=label)
-            _draw_residuals(below, recording, _motion(rope, start, recording.t), marker="o", ms=2.6, color=colour)
-        top.plot(recording.t, recording.data[:, -1], "o", ms=4.2, mfc="none", mec=INK, mew=0.9, label="measured")
-        top.set(ylabel="angle of link 5, rad", xlim=(0.0, recording.t[-1]))
-        top.legend(fontsize=8.5, loc="upper right", ncols=3)
-        below.legend(fontsize=8.0, loc="lower left")
+            top.plot(t, _motion(rope, start, t), color=colour, ls=dash, label=label)
+            left = recording.data[:, -1] - _motion(rope, start, recording.t)
+            below.plot(recording.t, 1e3 * left, "o-", color=colour, lw=0.7, ms=2.7)
+        top.plot(recording.t, recording.data[:, -1], "o", mfc="none", mec=INK, label="measured")
+        top.set(ylabel="angle of link 5, rad")
+        top.legend(loc="upper right", ncols=3)
+        below.axhspan(-1e3 * NOISE, 1e3 * NOISE, color=GREY, alpha=0.15, lw=0, label="noise (rms)")
+        below.set(xlabel="time, s", ylabel="residual, mrad", xlim=recording.t[[0, -1]])
+        below.legend(loc="lower left")
     return figure
 
 
-@cache
 def fig6() -> Table:
     """E over all samples against the number of samples that the revision used (Fig. 6)."""
     columns = {"samples": np.array(COUNTS, dtype=np.float64)}
     for swing in CURVES:
         made = [revised(swing, count) for count in COUNTS]
-        columns[f"error_{swing.key}"] = np.array([whole_error(swing, each) for each in made])
-        columns[f"inertia_{swing.key}"] = np.array([each.best.inertia for each in made])
-        columns[f"friction_{swing.key}"] = np.array([each.best.friction for each in made])
+        found = [(whole_error(swing, each), each.best.inertia, each.best.friction) for each in made]
+        columns |= _columns(" ".join(f"{name}_{swing.key}" for name in ("error", "inertia", "friction")), found)
     return _table("identification error against samples used", columns)
 
 
@@ -337,12 +324,11 @@ def draw_fig6() -> "Figure":
         axis = figure.subplots()
         for swing, colour in CURVES.items():
             error = columns[f"error_{swing.key}"]
-            axis.plot(columns["samples"], error, "o-", ms=4.5, color=colour, label=swing.title)
-        axis.plot(*zip(*PAPER_FIG6.items(), strict=True), "D", ms=6.5, mfc="none", mec=INK, mew=1.3, label="the paper")
-        axis.axvline(FEW, color=GREY, lw=0.8, ls=(0, (4.0, 2.0)))
+            axis.plot(columns["samples"], error, "o-", color=colour, label=swing.title)
+        axis.plot(*zip(*PAPER_FIG6.items(), strict=True), "D", ms=6.5, mfc="none", mec=INK, label="the paper")
+        axis.axvline(FEW, color=GREY, ls="--", label="3 s")
         axis.set(xlabel="samples used, from the first on", ylabel="E over all 81 samples, rad²", ylim=(0.0, None))
-        axis.annotate("3 s", (FEW, 0.0), (4, 4), textcoords="offset points", color=GREY, fontsize=8.5)
-        axis.legend(fontsize=8.5, loc="upper right")
+        axis.legend(loc="upper right")
     return figure
 
 
@@ -434,8 +420,8 @@ PART = Part(
         "fig3": Item(
             fig3,
             draw_fig3,
-            "Initial angles as measured and as the downhill simplex finds them, and the residuals of the tip link from "
-            "either start, with the revised J and eta.",
+            "Initial angles as measured and as the downhill simplex finds them. E is that of the motion from there, "
+            "with the revised J and eta.",
         ),
         "fig5": Item(
             fig5,

@@ -1,5 +1,6 @@
 """Baselines of the paper: inertia by natural frequency (8) and of a cylinder."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -66,13 +67,15 @@ def natural_period(rope: Rope) -> float:
     rope : Rope
         Without stiffness it needs gravity.
     """
+    from scipy.linalg import eigvalsh
+
     p, _ = lumped(rope)
     both = np.eye(rope.n_links) - np.eye(rope.n_links, k=1)
     stiffness = np.diag(p * np.hypot(*rope.gravity)) + both @ np.diag(rope.stiffness) @ both.T
-    squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(rope, np.zeros(rope.n_links)), stiffness)).real
-    if squares.min() <= 0.0:
-        raise InvalidInput("the rope does not swing", got=float(squares.min()), allowed="gravity or stiffness")
-    return float(2.0 * np.pi / np.sqrt(squares.min()))
+    square = float(eigvalsh(stiffness, mass_matrix(rope, np.zeros(rope.n_links)))[0])
+    if square <= 0.0:
+        raise InvalidInput("the rope does not swing", got=square, allowed="gravity or stiffness")
+    return 2.0 * np.pi / math.sqrt(square)
 
 
 def swing_period(recording: Recording, link: int = -1) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from hyperflex.checks import Array
 from hyperflex.report import Section, TextTable
@@ -37,11 +37,11 @@ class Claim:
         return self.measured >= self.threshold if self.relation == ">=" else self.measured <= self.threshold
 
 
-class Table(NamedTuple):
-    """Columns of equal length, and notes for the head of their file: title, source, units, parameters."""
+class Table:
+    """Columns of equal length, and notes for the head of their file: title, source, units, parameters and others."""
 
-    columns: dict[str, Array]
-    notes: dict[str, str]
+    def __init__(self, columns: dict[str, Array], source: str = "simulated", **notes: str) -> None:
+        self.columns, self.notes = columns, {"source": source, **notes}
 
 
 @dataclass(frozen=True)
@@ -70,32 +70,24 @@ class Part:
         return [measure(case) for measure, cases in self.measures.items() for case in cases]
 
 
-_CLAIM_COLUMNS: dict[str, Callable[[Claim], str]] = {
-    "claim": lambda claim: claim.name,
-    "what is measured": lambda claim: claim.statement,
-    "in": lambda claim: claim.case.title,
-    "value": lambda claim: f"{claim.measured:.3g}" if claim.measured < 0.1 else f"{claim.measured:.4f}",
-    "threshold": lambda claim: f"{claim.relation} {claim.threshold:g}",
-    "verdict": lambda claim: "holds" if claim.holds else "does not hold",
-    "note": lambda claim: claim.note,
-}
-
-
 def claims_table(claims: Sequence[Claim], *, short: bool = False) -> TextTable:
     """Return measured values, thresholds and verdicts of the paper's claims; `short` omits statements and notes."""
-    shown = [name for name in _CLAIM_COLUMNS if not short or name not in ("what is measured", "note")]
-    return TextTable(tuple(shown), tuple(tuple(_CLAIM_COLUMNS[name](claim) for name in shown) for claim in claims))
+    rows = []
+    for each in claims:
+        value = f"{each.measured:.3g}" if each.measured < 0.1 else f"{each.measured:.4f}"
+        verdict = "holds" if each.holds else "does not hold"
+        row = (each.name, each.case.title, value, f"{each.relation} {each.threshold:g}", verdict)
+        rows.append(row if short else (*row, each.statement, each.note))
+    header = ("claim", "in", "value", "threshold", "verdict")
+    return TextTable(header if short else (*header, "what is measured", "note"), tuple(rows))
 
 
 def verdicts(claims: Sequence[Claim]) -> tuple[str, ...]:
     """Return a sentence for each claim on where it holds and where not."""
     sentences = []
     for name in dict.fromkeys(claim.name for claim in claims):
-        holds: dict[str, bool] = {}
-        for claim in claims:
-            if claim.name == name:
-                holds[claim.case.title] = holds.get(claim.case.title, True) and claim.holds
-        broken = [title for title, kept in holds.items() if not kept]
-        where = f"holds in {len(holds) - len(broken)} of {len(holds)} cases, not in these: {'; '.join(broken)}"
-        sentences.append(f"{name} {where if broken else f'holds in all {len(holds)} cases'}.")
+        cases = dict.fromkeys(each.case.title for each in claims if each.name == name)
+        broken = dict.fromkeys(each.case.title for each in claims if each.name == name and not each.holds)
+        where = f"{len(cases) - len(broken)} of {len(cases)} cases, not in these: {'; '.join(broken)}"
+        sentences.append(f"{name} holds in {where if broken else f'all {len(cases)} cases'}.")
     return tuple(sentences)

@@ -21,6 +21,7 @@ from hyperflex.report import (
     silent,
     whole_folder,
     write_page,
+    write_pictures,
 )
 
 PARTS = (identification.PART, estimation.PART, casting.PART, timing.PART)
@@ -86,24 +87,22 @@ def reproduce(
         for name in wanted:
             progress(f"making {name}")
             item = part.items[name]
-            drawn, table = None if item.draw is None else png(item.draw()), item.table()
-            note(files.rescued(partial(_write_item, name, drawn, table), folder))
+            shown = {} if item.draw is None else {name: Picture(png(item.draw()), item.caption)}
+            note(files.rescued(partial(_write_item, name, shown, item.table()), folder))
             sections += item.sections()
-            if drawn is not None:
-                sections.append(Section(f"Figure {name[3:]}", pictures=(Picture(drawn, item.caption),)))
+            sections += [Section(f"Figure {name[3:]}", pictures=(each,)) for each in shown.values()]
         progress("measuring the claims")
         done.append((part, part.claims(), [*sections, *part.sections()]))
     note(files.rescued(partial(_write_texts, done), folder))
     return Reproduction(tuple(paths), tuple(claim for _, claims, _ in done for claim in claims))
 
 
-def _write_item(name: str, drawn: bytes | None, table: Table, folder: Path) -> list[Path]:
+def _write_item(name: str, shown: dict[str, Picture], table: Table, folder: Path) -> list[Path]:
     with whole_folder(folder, TEXTS) as stage:
         files.write_table(
             stage / f"{name}.csv", list(table.columns), np.transpose(list(table.columns.values())), notes=table.notes
         )
-        if drawn is not None:
-            files.write_bytes(stage / f"{name}.png", drawn)
+        write_pictures(stage, shown)
         return sorted(folder / path.name for path in stage.iterdir())
 
 

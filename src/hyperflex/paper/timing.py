@@ -1,17 +1,27 @@
 """Timing control by the tip's phase (paper section IV.B): runs, Fig. 13 and claim C5."""
 
-from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperflex.checks import Array
-from hyperflex.control import CrossingRule, Spiral, SwingModel, TrueState, run_closed_loop, spiral
-from hyperflex.paper.casting import READINGS, T_MOVE, TABLE_RATE, TIME_CONSTANT, Reading, cable, casting_arm
+from hyperflex.control import CrossingRule, SwingModel, TrueState, run_closed_loop
+from hyperflex.paper.casting import (
+    PORTRAIT,
+    RADIUS,
+    READINGS,
+    T_MOVE,
+    TIME_CONSTANT,
+    WINDOW,
+    Cast,
+    Reading,
+    cable,
+    casting_arm,
+    columns,
+    windows_table,
+)
 from hyperflex.paper.part import Claim, Item, Part, Table
-from hyperflex.report import BLUE, GREEN, GREY, RED, Section, TextTable, legend, new_figure
+from hyperflex.report import BLUE, GREEN, GREY, RED, Section, legend, new_figure
 from hyperflex.simulation import simulate
 
 if TYPE_CHECKING:
@@ -19,7 +29,6 @@ if TYPE_CHECKING:
 
 LEADS = (0.0, 0.10, 0.20, 0.30)  # s, t_b: how long before the tip crosses x = 0 the arm starts
 DURATION = 20.0  # s
-WINDOW = 2.5  # s, over which the median of r is taken
 RATE = 200  # samples per second
 TOL = 1e-6  # m
 _COLOUR = dict(zip(LEADS, (BLUE, GREEN, RED, GREY), strict=True))
@@ -28,60 +37,32 @@ _SHOWN = 5.0  # s of the portraits: later turns hide each other
 _EDGE = 2.2  # m, whip spikes are cut off here
 
 
-@dataclass(frozen=True, eq=False)
-class TimedCast:
-    """The tip in one run of the paper's timing control."""
-
-    reading: Reading
-    lead: float  # t_b, s
-    starts: Array  # (k,) of each half turn of the arm, s
-    spiral: Spiral  # coordinates of the tip with c = 0.40 s
-
-    @property
-    def intervals(self) -> Array:
-        """Start and end of each half turn (k, 2), s."""
-        return np.stack([self.starts, self.starts + T_MOVE], axis=1)
-
-    @property
-    def levels(self) -> Array:
-        """Median of r in each 2.5 s, m: whip spikes of some milliseconds do not count."""
-        edges = np.arange(0.0, DURATION + 0.5 * WINDOW, WINDOW)
-        t, r = self.spiral.t, self.spiral.r
-        return np.array([np.median(r[(t >= a) & (t < b)]) for a, b in pairwise(edges)])
-
-
 @cache
-def timed(reading: Reading, lead: float) -> TimedCast:
+def timed(reading: Reading, lead: float) -> Cast:
     """Return a run of the paper's timing control; the same one is simulated only once in a process.
 
     The crossing, `lead` (t_b, s) before which the arm starts, is predicted exactly, by the model that is simulated.
     """
     rope, arm = cable(reading.friction), casting_arm()
-    caster = SwingModel(rope, arm, T_MOVE, path=reading.path)
-    swung = run_closed_loop(TrueState(rope, arm, tol=TOL), CrossingRule(caster, lead), caster, duration=DURATION)
+    model = SwingModel(rope, arm, T_MOVE, path=reading.path)
+    swung = run_closed_loop(TrueState(rope, arm, tol=TOL), CrossingRule(model, lead), model, duration=DURATION)
     t = np.linspace(0.0, DURATION, round(DURATION * RATE) + 1)
     run = simulate(rope, swung.motion, arm=arm, duration=DURATION, t_eval=t, tol=TOL)
-    coordinates = spiral(t, run.tip[:, 0], run.tip_velocity[:, 0], TIME_CONSTANT["success"])
-    return TimedCast(reading, lead, swung.starts, coordinates)
+    return Cast(reading, f"{100 * lead:.0f}", f"t_b = {lead:.2f} s", run, swung.starts)
+
+
+def _runs() -> list[Cast]:
+    return [timed(reading, lead) for reading in READINGS for lead in LEADS]
 
 
 def _fig13() -> Table:
-    columns = {"t": timed(READINGS[0], LEADS[0]).spiral.t}
-    for reading in READINGS:
-        for lead in LEADS:
-            tip, starts = timed(reading, lead).spiral, timed(reading, lead).starts
-            begun = starts[np.maximum(np.searchsorted(starts, tip.t, side="right") - 1, 0)]
-            moving = np.where(tip.t - begun < T_MOVE, 1.0, 0.0)
-            own = {"x": tip.x, "cxd": tip.scaled_velocity, "r": tip.r, "moving": moving}
-            columns |= {f"{name}_{reading.key}_{100 * lead:.0f}": values for name, values in own.items()}
-    notes = {
-        "title": "tip under the timing control",
-        "source": "simulated",
-        "units": "t in s; x, cxd (c times the velocity) and r in m; moving is 1 while the arm moves; the last number "
+    return Table(
+        columns(_runs(), PORTRAIT | RADIUS | {"moving_{key}_{label}": lambda each: each.moving}),
+        title="tip under the timing control",
+        units="t in s; x, cxd (c times the velocity) and r in m; moving is 1 while the arm moves; the last number "
         "of a name is t_b in 0.01 s",
-        "parameters": f"t_a = {T_MOVE} s, c = {TIME_CONSTANT['success']} s",
-    }
-    return Table({name: values[:: RATE // TABLE_RATE] for name, values in columns.items()}, notes)
+        parameters=f"t_a = {T_MOVE} s, c = {TIME_CONSTANT['success']} s",
+    )
 
 
 def _draw_fig13() -> "Figure":
@@ -91,11 +72,10 @@ def _draw_fig13() -> "Figure":
         axes = figure.subplots(2, len(READINGS), sharey="row", height_ratios=(1.6, 1.0))
         for (above, below), reading in zip(axes.T, READINGS, strict=True):
             for lead in LEADS:
-                tip, shown = timed(reading, lead).spiral, slice(round(_SHOWN * RATE) + 1)
+                run, shown = timed(reading, lead), slice(round(_SHOWN * RATE) + 1)
                 style = {"color": _COLOUR[lead], "ls": _DASH[lead]}
-                above.plot(tip.x[shown], tip.scaled_velocity[shown], lw=1.1, zorder=3.0 - lead, **style)
-                label = f"t_b = {lead:.2f} s"
-                below.plot(middle, timed(reading, lead).levels, marker="o", ms=3, label=label, **style)
+                above.plot(run.spiral.x[shown], run.spiral.scaled_velocity[shown], zorder=3.0 - lead, **style)
+                below.plot(middle, run.levels, marker="o", label=run.words, **style)
             above.set(xlim=(-_EDGE, _EDGE), ylim=(-_EDGE, _EDGE), aspect="equal", xlabel="x, m")
             above.set_title(reading.title.replace(", ", ",\n"), fontsize=8.5)
             below.set(xlabel="time, s", xlim=(0.0, DURATION), ylim=(0.0, _EDGE))
@@ -127,13 +107,7 @@ def largest_in_the_end(reading: Reading) -> Claim:
 
 
 def _sections() -> list[Section]:
-    rows = tuple(
-        (reading.title, f"{lead:.2f} s", *(f"{level:.2f}" for level in timed(reading, lead).levels))
-        for reading in READINGS
-        for lead in LEADS
-    )
-    windows = tuple(f"{a:g}-{a + WINDOW:g} s" for a in np.arange(0.0, DURATION, WINDOW))
-    table = TextTable(("reading", "t_b", *windows), rows)
+    table = windows_table(_runs(), lambda each: each.levels, WINDOW)
     return [Section("Radius under the timing control", text=(f"Median of r in each {WINDOW:g} s, m.",), table=table)]
 
 

@@ -1,5 +1,6 @@
 """Comparison of a recording with a simulation of the rope identified from it, with its uncertainty."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -40,16 +41,14 @@ def comparison_page(recording: Path, rope: Path) -> str:
     posterior = RopePosterior.from_toml(rope)
     known = Rope.from_toml(rope) if posterior is None else posterior.rope
     t, places = _joints(read, known)
-    mean, factor = _state(known, t, places)
+    mean, covariance = _state(known, t, places)
     times = t[t <= 20.0]  # s, so that the page is made in some seconds
     run = _simulated(known, mean, times)
     rng, others = np.random.default_rng(0), []
-    for _ in range(DRAWN):
+    for state in rng.multivariate_normal(mean, covariance, DRAWN, check_valid="ignore", method="eigh"):
         drawn = known if posterior is None else posterior.sample(rng)
-        try:
-            others.append(_simulated(drawn, mean + factor @ rng.standard_normal(mean.size), times))
-        except SimulationError:
-            continue
+        with contextlib.suppress(SimulationError):
+            others.append(_simulated(drawn, state, times))
     off = np.hypot(*(run.joints[:, 1:] - places[: times.size, 1:]).T)
     lines = tuple(Line(f"joint {k + 1}", off[k]) for k in (0, len(off) - 1)[: len(off)])
     unsure = "state alone" if posterior is None else "state and parameters"
@@ -78,17 +77,13 @@ def _joints(read: Recording, rope: Rope) -> tuple[Array, Array]:
 
 
 def _state(rope: Rope, t: Array, places: Array) -> tuple[Array, Array]:
-    """Return the state (2 n,) at the beginning, and a root (2 n, 2 n) of its covariance."""
+    """Return the state (2 n,) at the beginning, and its covariance (2 n, 2 n)."""
     rows = np.flatnonzero(t <= LEAD)
     rows = rows[:: max(1, rows.size // 120)]
-    estimator = MovingHorizon(rope, np.cumsum(rope.length))
-    track = smooth(
-        estimator, [Observations(float(t[k]), places[k, 1:], std=2e-3) for k in rows]
-    )  # m: corrected by the residuals
-    first = track.states[0]
-    covariance = np.zeros((2 * rope.n_links,) * 2) if first.covariance is None else first.covariance
-    sizes, directions = np.linalg.eigh(covariance)
-    return np.concatenate([first.q, first.qd]), directions * np.sqrt(np.maximum(sizes, 0.0))
+    seen = [Observations(float(t[k]), places[k, 1:], std=2e-3) for k in rows]  # m: corrected by the residuals
+    first = smooth(MovingHorizon(rope, np.cumsum(rope.length)), seen).states[0]
+    known = np.zeros((2 * rope.n_links,) * 2) if first.covariance is None else first.covariance
+    return np.concatenate([first.q, first.qd]), known
 
 
 def _simulated(rope: Rope, state: Array, times: Array) -> Trajectory:

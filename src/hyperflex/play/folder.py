@@ -1,5 +1,6 @@
 """The folder that the page may read from and write to: nothing outside it, and no existing file is replaced."""
 
+import re
 from pathlib import Path
 
 from hyperflex import files
@@ -28,10 +29,9 @@ class Folder:
 
     def names(self) -> list[str]:
         """Return the files in it, and in its folders, that can be opened."""
-        found = [each for pattern in ("*", "*/*") for each in self.path.glob(pattern) if each.suffix in OPENED]
-        names = (each.relative_to(self.path) for each in found if each.is_file() and self._inside(each))
-        shown = (each.as_posix() for each in names if not any(part.startswith(".") for part in each.parts))
-        return sorted(shown)[:200]  # as many as a person reads
+        found = (each for pattern in ("[!.]*", "[!.]*/[!.]*") for each in self.path.glob(pattern))
+        shown = (each for each in found if each.suffix in OPENED and each.is_file() and self._inside(each))
+        return sorted(each.relative_to(self.path).as_posix() for each in shown)[:200]  # as many as a person reads
 
     def page(self, name: str, rope: str = "") -> str:
         """Return the player of a saved run, or of a recording with the `rope` that was identified from it."""
@@ -80,8 +80,8 @@ class Folder:
         return self.path / name
 
     def _new(self, name: str) -> Path:
-        plain = Path(name).name == name and not name.startswith(".") and name.isprintable() and len(name) < 100
-        if not plain or "\\" in name or Path(name).suffix not in SAVED or not Path(name).stem:
+        plain = re.fullmatch(r"[^./\\][^/\\]{,95}", name) and name.isprintable()
+        if not plain or Path(name).suffix not in SAVED:
             raise InvalidInput("the file's name cannot be used", got=name, allowed=f"a name with {', '.join(SAVED)}")
         path = self.path / name
         if path.exists() or path.is_symlink():

@@ -4,7 +4,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.model import Setup
@@ -15,6 +15,7 @@ from hyperflex.play.session import Session
 FRAME_RATE = 60.0  # Hz
 _LATE = 0.1  # s, by which frames may be late; then they are omitted
 _GAP = 1e-3  # s between two frames that are late, in which commands are executed
+_REPORTED = 0.25  # s between two reports of a search
 
 
 class Runner:
@@ -59,23 +60,25 @@ class Runner:
 
     def scene(self) -> dict[str, Any]:
         """Return the state of the page in addition to the frames."""
-        plan, busy = self.plan, self._planning
-        shown = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
-        spent = time.monotonic() - busy.begun if busy is not None and busy.begun else 0.0
-        search = None
+        plan, busy, search = self.plan, self._planning, None
         if busy is not None:
+            spent = time.monotonic() - busy.begun if busy.begun else 0.0
             search = {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
             search["found"] = busy.best is not None
+        shown = plan and {"kind": plan.kind, "success": plan.success, "message": plan.message}
         own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": shown, "planning": search}
         return self.session.scene() | own
 
     def act(self, name: str) -> None:
         """Execute the action of a button; InvalidInput if the button does not exist, or there is nothing to do."""
-        actions: dict[str, Callable[[], None]] = {
-            "hang": self.session.hang,
-            "swing": self.session.swing,
-            "cast": self._cast,
+        session = self.session
+        moves: dict[str, Callable[[], None]] = {
+            "hang": session.hang,
+            "swing": session.swing,
+            "cast": lambda: session.play(self._required().setup(), "cast"),
             "wind": self._wind,
+        }
+        actions = moves | {
             "plan": lambda: self._plan("cast"),
             "whip": lambda: self._plan("whip"),
             "cancel": self._cancel,
@@ -84,24 +87,27 @@ class Runner:
         }
         if name not in actions:
             raise InvalidInput("there is no such button", got=name, allowed=", ".join(actions))
-        self._notice = ""
-        if self._usual is not None and name in ("hang", "swing", "cast"):
-            self.session.change({"speed": self._usual})
-            self._usual = None
-        actions[name]()
-        self.paused = self.paused and name not in ("hang", "swing", "cast", "wind")
-        self.changed(name not in ("plan", "whip", "cancel", "pause"))
+        with self.news:
+            self._notice = ""
+            if self._usual is not None and name in ("hang", "swing", "cast"):
+                session.change({"speed": self._usual})
+                self._usual = None
+            actions[name]()
+            self.paused = self.paused and name not in moves
+            self.changed(name in moves or name == "step")
 
     def change(self, values: Mapping[str, object]) -> None:
         """Change settings, see :meth:`Session.change`."""
-        self.session.change(values)
-        self.changed()
+        with self.news:
+            self.session.change(values)
+            self.changed()
 
     def open(self, setup: Setup, limits: MotorLimits | None = None) -> None:
         """Start with the set-up of a file, and its motor limits."""
-        self.session.play(setup, "file", limits=limits)
-        self.paused = False
-        self.changed()
+        with self.news:
+            self.session.play(setup, "file", limits=limits)
+            self.paused = False
+            self.changed()
 
     def changed(self, picture: bool = True) -> None:
         """Send the scene to the pages, and with a changed `picture` also a new frame while the simulation pauses."""
@@ -129,34 +135,28 @@ class Runner:
             self.frame = self.session.advance(self.session.settings.speed / FRAME_RATE)
             self.number += 1
             self.news.notify_all()
-        except HyperflexError as error:
-            self._stop(str(error))
         except Exception as error:  # noqa: BLE001 last resort: the page must stay usable
-            traceback.print_exc()
-            self._stop(f"This is a bug in hyperflex: {error}. Please report it with the terminal's output.")
-
-    def _stop(self, why: str) -> None:
-        self.paused, self._notice = True, why
-        self.changed(picture=False)
+            self.paused, self._notice = True, str(error)
+            if not isinstance(error, HyperflexError):
+                traceback.print_exc()
+                self._notice = f"This is a bug in hyperflex: {error}. Please report it with the terminal's output."
+            self.changed(picture=False)
 
     def _poll_planning(self) -> None:
         if self._planning is None:
             return
-        found, best = self._planning.result(), self._planning.best
-        better = found is None and best is not None and best is not self.plan
-        if better:
-            self.plan = best
-        if found is not None:
-            self._planning = None
+        found, known = self._planning.result(), self.plan
         if isinstance(found, str):
             self._notice = found
-        elif found is not None:
-            self.plan = found
-        if found is not None or better or time.monotonic() - self._reported > 0.25:  # s between two reports of a search
+        else:
+            self.plan = found or self._planning.best or known
+        if found is not None:
+            self._planning = None
+        if found or self.plan is not known or time.monotonic() - self._reported > _REPORTED:
             self._reported = time.monotonic()
             self.changed(picture=False)
 
-    def _plan(self, kind: Any) -> None:
+    def _plan(self, kind: Literal["cast", "whip"]) -> None:
         if self._planning is not None:
             raise InvalidInput("a plan is being made", fix="Wait for it, or cancel it")
         session, settings = self.session, self.session.settings
@@ -168,14 +168,11 @@ class Runner:
             self._planning.cancel()
             self._planning = None
 
-    def _cast(self) -> None:
-        self.session.play(self._required().setup(), "cast")
-
     def _wind(self) -> None:
         """Show the plan at a quarter of its speed, from 0.5 s before the rope strikes."""
         plan = self._required()
         seen = plan.outcome
-        strike = 0.0 if seen is None else seen.strike_time if isinstance(seen, CastOutcome) else seen.t
+        strike = seen.strike_time if isinstance(seen, CastOutcome) else seen.t if seen else 0.0
         self.session.play(plan.setup(), "cast", skip=max(0.0, strike - 0.5))  # NaN: it never strikes
         if self._usual is None:
             self._usual = self.session.settings.speed

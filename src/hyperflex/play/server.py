@@ -121,27 +121,22 @@ class PlayServer(LocalServer):
     def _do(self, command: Any) -> dict[str, Any]:
         """Execute a command: ``button``, values to ``set``, a file to ``open`` or ``save``, or ``files`` to list."""
         runner = self.runner
-        if "files" in command:
-            return {"files": self.folder.names()}
-        if "save" in command:
-            name = checks.text("save", command["save"])
-            with runner.news:
-                recorded, plan = runner.session.recorded(), runner.plan
-            return {"saved": self.folder.save(name, recorded, plan)}
-        if "open" in command:
-            opened = self.folder.setup(checks.text("open", command["open"]))
-            with runner.news:
-                runner.open(*opened)
-        elif "set" in command:
-            with runner.news:
-                runner.change(checks.mapping("set", command["set"]))
-        elif "button" in command:
-            with runner.news:
-                runner.act(str(command["button"]))
-        else:
-            raise InvalidInput(
-                "the message has no command", got=list(command), allowed="set, button, open, save, files"
-            )
+        match command:
+            case {"files": _}:
+                return {"files": self.folder.names()}
+            case {"save": name}:
+                with runner.news:
+                    recorded, plan = runner.session.recorded(), runner.plan
+                return {"saved": self.folder.save(checks.text("save", name), recorded, plan)}
+            case {"open": name}:
+                runner.open(*self.folder.setup(checks.text("open", name)))
+            case {"set": values}:
+                runner.change(checks.mapping("set", values))
+            case {"button": name}:
+                runner.act(str(name))
+            case _:
+                commands = "set, button, open, save, files"
+                raise InvalidInput("the message has no command", got=list(command), allowed=commands)
         return {}
 
 

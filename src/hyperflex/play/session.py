@@ -12,18 +12,66 @@ from hyperflex import control
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
+from hyperflex.motion import Motion, arm_moves, hold_arm
 from hyperflex.planning import MotorLimits
-from hyperflex.play.arm_program import MOST_MOVES, ArmProgram
 from hyperflex.play.controls import CROSSING, FIXED, Settings
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory
 from hyperflex.winding import rope_tension, turns
 
+MOST_MOVES = 120  # in one motion: each frame evaluates all of them
 MOST_RECORDED = 120.0  # s of a run that can be kept
 FRAME_TIME = 1.0  # s that a frame may take, usually some thousandths
 _ROPE = {"length", "mass", "links", "friction", "arm_length"}  # settings that need another rope or arm
 NUMBERS = ("t", "arm_angle", "pseudo_energy", "x", "scaled_velocity", "tension", "turns", "tip_speed")
+
+
+class ArmProgram:
+    """Moves of an arm that begins at rest.
+
+    Attributes
+    ----------
+    angles : list of float
+        Arm angle at the start and after each move, rad.
+    end : float
+        End of the last move, s.
+    """
+
+    def __init__(self, angle: float, begin: float = 0.0) -> None:
+        self.angles, self.end = [angle], begin
+        self._timing: list[tuple[float, float, float]] = []  # rest before each move, s, its duration, s, and its ramp
+
+    @property
+    def angle(self) -> float:
+        """Arm angle after all moves, rad."""
+        return self.angles[-1]
+
+    @property
+    def count(self) -> int:
+        """Number of moves."""
+        return len(self._timing)
+
+    @property
+    def motion(self) -> Motion:
+        """The moves as a motion."""
+        return arm_moves(self.angles, *zip(*self._timing, strict=True)) if self._timing else hold_arm(self.angle)
+
+    def move(self, angle: float, start: float, duration: float, ramp: float = 0.5) -> None:
+        """Add a move to an `angle`, rad, that starts at a time, s, not before `end`."""
+        start = max(start, self.end)
+        self._timing.append((start - self.end if self._timing else start, duration, ramp))
+        self.angles.append(angle)
+        self.end = start + duration
+
+    @property
+    def half_turns(self) -> int:
+        """Number of half turns, as a rule counts them: even if the arm is at -pi/2, odd at pi/2."""
+        return 2 * self.count + (self.angle > 0.0)
+
+    def next_end(self) -> float:
+        """Return the end of the next half turn through the bottom, rad; from other angles the arm moves to -pi/2."""
+        return 0.5 * math.pi if abs(self.angle + 0.5 * math.pi) < 1e-9 else -0.5 * math.pi
 
 
 class Recorded(NamedTuple):
@@ -200,19 +248,19 @@ class Session:
 
     def _decide(self, program: ArmProgram, until: float) -> None:
         """Decide the next move of the arm if it starts before a given time."""
-        start = max(self.t, self._start(program))
-        moves = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
-        if start >= until or not moves:
+        swings = self.activity == "swing"
+        goal = program.next_end() if swings else self._goal
+        if goal is None or goal == program.angle or (start := max(self.t, self._start(program))) >= until:
             return
         if program.count >= MOST_MOVES:
             program = self._program = ArmProgram(program.angle, program.end)
             self._record_from_here()
-        if self.activity == "swing":
-            program.move(program.next_end(), start, self.settings.t_move)
+        if swings:
+            program.move(goal, start, self.settings.t_move)
             self._next = None
-        elif self._goal is not None:
-            durations, ramps = self.limits.fastest_moves([self._goal - program.angle])
-            program.move(self._goal, start, float(durations[0]), float(ramps[0]))
+        else:
+            (duration,), (ramp,) = self.limits.fastest_moves([goal - program.angle])
+            program.move(goal, start, float(duration), float(ramp))
         self.setup = self.setup.replace(motion=program.motion)
 
     def _start(self, program: ArmProgram) -> float:

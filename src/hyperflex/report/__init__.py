@@ -13,7 +13,16 @@ if TYPE_CHECKING:
     from hyperflex.report.identification.tables import parameters_table, ratios_table
     from hyperflex.report.maps import reach_figure
     from hyperflex.report.notebook import identification_html, plan_html, rope_html, run_html
-    from hyperflex.report.page import Film, Picture, Section, TextTable, render, sections_markdown, write_page
+    from hyperflex.report.page import (
+        Film,
+        Picture,
+        Section,
+        TextTable,
+        render,
+        sections_markdown,
+        write_page,
+        write_pictures,
+    )
     from hyperflex.report.pictures import animate, strobe_figure
     from hyperflex.report.plan import PlanReport
     from hyperflex.report.player import player_html, write_player

@@ -5,11 +5,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Peg
-from hyperflex.planning import CastPlan, ReachMap
+from hyperflex.planning import CastPlan, Problem, ReachMap
+from hyperflex.report import units
 from hyperflex.report.pictures import draw_obstacles
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
-from hyperflex.report.units import length
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,55 +19,53 @@ def target_map(plan: CastPlan, nearest: str) -> "Figure":
 
     `nearest` describes the nearest target, if the plan contains one.
     """
+    from matplotlib.patches import Circle
+
     setup, fallback = plan.problem, plan.fallback
-    arm, limits, gravity = setup.arm, setup.limits, np.array(setup.rope.gravity)
-    far = arm.length + setup.rope.total_length
+    arm, limits, gravity, length = setup.arm, setup.limits, np.array(setup.rope.gravity), setup.rope.total_length
     pegs = [(peg, INK, "peg that the rope must run behind") for peg in setup.criteria.behind]
     pegs.append((plan.target, RED, "target"))
     if fallback is not None:
-        pegs.append((fallback.target, GREEN, f"{nearest}, {length(fallback.distance, small='cm')} away"))
+        pegs.append((fallback.target, GREEN, f"{nearest}, {units.length(fallback.distance, small='cm')} away"))
     angle = float(np.clip(-0.5 * np.pi, *limits.angles) if plan.moves is None else plan.moves.angles(limits)[0])
     tip = arm.tip(np.array([angle]))[0]
-    end = tip + setup.rope.total_length * gravity / np.hypot(*gravity)
+    end = tip + length * gravity / np.hypot(*gravity)
     with new_figure(8.6, 6.4) as figure:
         axis: Any = figure.subplots()
-        _circles(axis, arm, far)
+        for peg, colour, label in pegs:
+            radius = max(peg.radius, 0.013 * (arm.length + length))  # so that it can be seen
+            style = {"facecolor": colour, "edgecolor": "white", "zorder": 4, "label": label}
+            axis.add_patch(Circle((peg.x, peg.y), radius, **style))
         axis.plot(*np.stack([tip, end], axis=1), color="#d99a1c", lw=2.0, label="rope, hanging at rest")
         axis.plot(*np.stack([np.array(arm.pivot), tip], axis=1), color=INK, lw=3.0, label="arm")
-        axis.plot(*arm.pivot, "o", color=INK, ms=5.0, label="motor's shaft")
-        for peg, colour, label in pegs:
-            _peg(axis, peg, 0.013 * far, colour, label)
-        axis.autoscale_view()
-        axis.set(xlim=axis.get_xlim(), ylim=axis.get_ylim(), aspect="equal", xlabel="x, m", ylabel="y, m (up)")
-        draw_obstacles(axis, setup.obstacles, 8.0 * far)
-        legend(figure, axis, place="lower center", columns=2)
+        _draw_reach(figure, axis, setup)
     return figure
 
 
 def reach_figure(reach: ReachMap) -> "Figure":
     """Draw a reach map to scale: contact angle of the targets that are wound, reason for the others."""
-    arm = reach.problem.arm
-    far = arm.length + reach.problem.rope.total_length
+    from matplotlib.colors import ListedColormap
+
     edges = [_edges(reach.x), _edges(reach.y)]
     width, height = (float(np.ptp(each)) for each in edges)
     tall = float(np.clip(6.0 * height / width, 3.0, 8.0))
     with new_figure(max(5.6, min(9.0, tall * width / height) + 2.6), tall + 1.0) as figure:
         axis: Any = figure.subplots()
-        axis.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
+        axis.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]], title=_title(reach))
         failed = ~(reach.wound | reach.infeasible) & (reach.status >= 0)
-        _cells(axis, edges, reach.infeasible, "#e3e6ea", GREY, "not feasible, not searched")
-        _cells(axis, edges, failed, "#f0b7b0", RED, "feasible, but no cast found in the time")
-        if not reach.complete:
-            _cells(axis, edges, reach.status < 0, "white", GREY, "not planned: interrupted")
+        for where, colour, rim, label in (
+            (reach.infeasible, "#e3e6ea", GREY, "not feasible, not searched"),
+            (failed, "#f0b7b0", RED, "feasible, but no cast found in the time"),
+            (reach.status < 0, "white", GREY, "not planned: interrupted"),
+        ):
+            if where.any():
+                axis.pcolormesh(*edges, np.ma.masked_where(~where, np.ones(where.shape)), cmap=ListedColormap([colour]))
+                axis.plot([], [], "s", color=colour, mec=rim, ms=9.0, label=label)
         if reach.wound.any():
             degrees = np.ma.masked_invalid(np.degrees(reach.contact_angle))
             mesh = axis.pcolormesh(*edges, degrees, cmap="YlGnBu", vmin=0.0, vmax=max(360.0, float(degrees.max())))
             figure.colorbar(mesh, ax=axis, label="wound: angle of the target covered, degrees", shrink=0.8)
-        _circles(axis, arm, far)
-        draw_obstacles(axis, reach.problem.obstacles, 4.0 * far)
-        axis.plot(*arm.pivot, "o", color=INK, ms=5.0, label="motor's shaft")
-        axis.set(xlabel="x, m", ylabel="y, m (up)", aspect="equal", title=_title(reach))
-        legend(figure, axis, place="lower center", columns=2)
+        _draw_reach(figure, axis, reach.problem)
     return figure
 
 
@@ -81,15 +78,6 @@ def _title(reach: ReachMap) -> str:
     )
 
 
-def _cells(axis: Any, edges: list[Array], where: Any, colour: str, rim: str, label: str) -> None:
-    """Fill the cells of a kind; the legend shows them as a square."""
-    from matplotlib.colors import ListedColormap
-
-    if where.any():
-        axis.pcolormesh(*edges, np.ma.masked_where(~where, np.ones(where.shape)), cmap=ListedColormap([colour]))
-        axis.plot([], [], "s", color=colour, mec=rim, mew=0.5, ms=9.0, label=label)
-
-
 def _edges(places: Array) -> Array:
     """Return the edges (K + 1,) of cells around positions (K,), m."""
     if places.size == 1:
@@ -98,21 +86,17 @@ def _edges(places: Array) -> Array:
     return np.concatenate([[2.0 * places[0] - between[0]], between, [2.0 * places[-1] - between[-1]]])
 
 
-def _circles(axis: Any, arm: Arm, far: float) -> None:
-    """Draw the circle of the arm's tip, and the one that the rope's end does not leave, of radius `far`, m."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 361)
-    around = np.stack([np.sin(angle), -np.cos(angle)])
+def _draw_reach(figure: "Figure", axis: Any, problem: Problem) -> None:
+    """Draw shaft, circles of the arm's tip and of the rope's reach, and obstacles; label the map."""
+    arm, pivot = problem.arm, np.array(problem.arm.pivot)[:, None]
+    far, angle = arm.length + problem.rope.total_length, np.linspace(0.0, 2.0 * np.pi, 361)
     for radius, colour, label in (
         (far, GREY, f"the rope's end comes no farther than {far:.3g} m"),
         (arm.length, BLUE, "circle of the arm's tip"),
     ):
-        axis.plot(*(np.array(arm.pivot)[:, None] + radius * around), color=colour, ls="--", lw=1.1, label=label)
-
-
-def _peg(axis: Any, peg: Peg, least: float, colour: str, label: str) -> None:
-    """Draw a peg with a radius of `least`, m, or more, so that it can be seen."""
-    from matplotlib.patches import Circle
-
-    radius = max(peg.radius, least)
-    axis.add_patch(Circle((peg.x, peg.y), radius, facecolor=colour, edgecolor="white", lw=0.6, zorder=4))
-    axis.plot([], [], "o", color=colour, label=label)
+        circle = pivot + radius * np.stack([np.sin(angle), -np.cos(angle)])
+        axis.plot(*circle, color=colour, ls="--", label=label)
+    axis.plot(*pivot, "o", color=INK, label="motor's shaft")
+    axis.set(xlim=axis.get_xlim(), ylim=axis.get_ylim(), aspect="equal", xlabel="x, m", ylabel="y, m (up)")
+    draw_obstacles(axis, problem.obstacles, 8.0 * far)
+    legend(figure, axis, place="lower center", columns=2)

@@ -1,7 +1,7 @@
 """One-page reports: sections, pictures and tables in a single HTML file; tables as Markdown too."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,6 +67,14 @@ def write_page(path: str | Path, title: str, lead: str, badge: str, sections: li
     files.write_text(path, render("page.html", title=title, lead=lead, badge=badge, sections=sections))
 
 
+def write_pictures(folder: Path, shown: Mapping[str, Picture | Film]) -> dict[str, str]:
+    """Write pictures, not films, as PNG; return their names by those in `shown`."""
+    pictures = {name: each.content for name, each in shown.items() if isinstance(each, Picture)}
+    for name, content in pictures.items():
+        files.write_bytes(folder / f"{name}.png", content)
+    return {name: f"{name}.png" for name in pictures}
+
+
 def render(template: str, *, room: str = "hyperflex.report", **content: Any) -> str:
     """Return a template of a `room` with its content filled in; it may include those of this one."""
     return environment(room, autoescape=True).get_template(template).render(**content)
@@ -90,16 +98,11 @@ def markdown(table: TextTable) -> str:
     widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
     lines = [f"| {' | '.join(map(str.ljust, line, widths))} |" for line in cells]
     lines.insert(1, f"|{'|'.join('-' * (width + 2) for width in widths)}|")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def sections_markdown(title: str, sections: Sequence[Section]) -> str:
     """Return the text, findings, tables and notes of sections as Markdown; pictures are omitted."""
-    parts = [f"# {title}"]
-    for section in sections:
-        parts += [f"## {section.title}", *section.text]
-        findings = [sentence for _, sentence in section.marks] + [f"{what}: {value}" for value, what in section.tiles]
-        parts += ["\n".join(f"- {finding}" for finding in findings)] if findings else []
-        parts += [markdown(section.table).rstrip()] if section.table else []
-        parts += ["\n".join(f"- {note}" for note in section.notes)] if section.notes else []
-    return "\n\n".join(parts) + "\n"
+    made = environment()
+    made.filters["markdown"] = markdown
+    return made.get_template("page.md").render(title=title, sections=sections).strip() + "\n"

@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Obstacle, Peg, Wall
-from hyperflex.report.scene import PLAIN, Overlay, ground_corners, shapes, span, view, wall_ends
+from hyperflex.report.scene import PLAIN, Overlay, shapes, span, view, wall_ends
 from hyperflex.report.style import new_figure
 from hyperflex.trajectory import Trajectory
 
@@ -60,33 +59,43 @@ def strobe_figure(
     InvalidInput
         If the instants are fewer than 2 or not within the run.
     """
+    from matplotlib.cm import ScalarMappable
     from matplotlib.collections import LineCollection
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
 
     first, last = span(run, start, end)
-    drawn = shapes(run, np.linspace(first, last, checks.count("count", count, least=2)))
-    trail = shapes(run, np.linspace(first, last, 800)).joints[:, -1]
-    low, high = view(
-        run, np.concatenate([drawn.joints.reshape(-1, 2), trail, drawn.pivots, overlay.targets]), above=1.5
-    )
+    times = np.linspace(first, last, checks.count("count", count, least=2))
+    drawn, along = shapes(run, times), np.linspace(first, last, 800)
+    trail = shapes(run, along).joints[:, -1]
+    points = np.concatenate([drawn.joints.reshape(-1, 2), trail, drawn.pivots, overlay.targets])
+    low, high = view(run, points, above=1.5)
     with new_figure(width, width * (high[1] - low[1]) / (high[0] - low[0]), layout=None) as figure:
-        axis = _stage(figure, run, low, high, overlay)
-        colours, fade = _dusk(count), np.linspace(0.35, 1.0, count) ** 1.5
+        axis, fade = _stage(figure, run, low, high, overlay), np.linspace(0.35, 1.0, count) ** 1.5
+        dusk: Any = {
+            "cmap": LinearSegmentedColormap.from_list("dusk", _FIRST_TO_LAST),
+            "norm": Normalize(first, last),
+        }
         for glow, opacity in ((5.5, 0.07), (3.0, 0.16), (1.4, 1.0)):
-            shades = np.column_stack([colours, opacity * fade])
-            axis.add_collection(LineCollection(list(drawn.joints), colors=shades, linewidths=glow, capstyle="round"))
-        steps = pieces(trail)
-        axis.add_collection(LineCollection(steps, colors=_dusk(len(steps)), linewidths=0.7, alpha=0.55))
-        axis.scatter(*drawn.joints[:, -1].T, s=7.0, c=colours, zorder=3, lw=0)
+            glowing = {"array": times, "alpha": opacity * fade, "capstyle": "round", **dusk}
+            axis.add_collection(LineCollection(list(drawn.joints), linewidths=glow, **glowing))
+        axis.add_collection(LineCollection(pieces(trail), array=along[:-1], linewidths=0.7, alpha=0.55, **dusk))
+        axis.scatter(*drawn.joints[:, -1].T, s=7.0, c=times, zorder=3, lw=0, **dusk)
         if run.setup.arm is not None:
             arms = list(np.stack([drawn.pivots, drawn.joints[:, 0]], axis=1))
             axis.add_collection(LineCollection(arms, colors=PALE, linewidths=1.0, alpha=0.12))
             axis.plot(*arms[-1].T, color="white", lw=2.6, zorder=5)
         axis.plot(*drawn.pivots[-1], "o", color="white", ms=5.5, mec=NIGHT, mew=1.2, zorder=6)
-        _draw_scale(axis, high[0] - low[0])
-        _draw_key(axis, first, last)
+        length = 10.0 ** np.floor(np.log10(0.4 * (high[0] - low[0])))
+        scale = 0.97 - length / (high[0] - low[0]), 0.97  # a bar of a round length in the lower right corner
+        axis.plot(scale, [0.045, 0.045], color=PALE, lw=1.2, transform=axis.transAxes)
+        style: Any = {"transform": axis.transAxes, "color": PALE, "fontsize": 8.0}
+        axis.text(np.mean(scale), 0.057, f"{length:g} m", ha="center", **style)
         words = f"{title}; violet: obstacles" if overlay.obstacles else title
-        place = {"transform": axis.transAxes, "va": "top"}
-        axis.text(0.018, 0.965, words, color="white", fontsize=11.0, fontweight="bold", **place)
+        axis.text(0.018, 0.965, words, va="top", **style | {"color": "white", "fontsize": 11.0, "fontweight": "bold"})
+        key = axis.inset_axes((0.03, 0.04, 0.16, 0.012))  # the colours, in the lower left corner
+        style = {"orientation": "horizontal", "ticklocation": "top", "ticks": (first, last), "format": "%.2f s"}
+        figure.colorbar(ScalarMappable(**dusk), cax=key, **style).outline.set_visible(False)
+        key.tick_params(colors=PALE, labelsize=8.0, length=0.0)
     return figure
 
 
@@ -161,7 +170,7 @@ def animate(
 def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overlay) -> "Callable[[int], Image.Image]":
     """Return a function that draws frame k at ``times[k]``, s."""
     from matplotlib.collections import LineCollection
-    from matplotlib.colors import to_rgb
+    from matplotlib.colors import to_rgba_array
     from PIL import Image
 
     note = overlay.note or (lambda _: "")
@@ -174,18 +183,16 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
         axis.set_position((0.0, 0.0, 1.0, 1.0 - header / height))
         for line in (axis.axhline, axis.axvline):
             line(0.0, color=GROUND, lw=0.7, zorder=0)
-        shades = [(*to_rgb(ROPE), alpha) for alpha in (0.07, 0.13, 0.2, 0.27, 0.33, 1.0)]
-        ropes = LineCollection([], linewidths=[0.8] * 5 + [2.1], colors=shades)  # five earlier ones, and the rope now
-        trail = LineCollection(
-            [], linewidths=1.4, colors=[(*to_rgb(TRAIL), part) for part in np.linspace(0.15, 0.9, 79)]
-        )
+        opacities = (0.07, 0.13, 0.2, 0.27, 0.33, 1.0)  # of five earlier ropes, and the rope now
+        ropes = LineCollection([], linewidths=[0.8] * 5 + [2.1], colors=to_rgba_array(ROPE, opacities))
+        trail = LineCollection([], linewidths=1.4, colors=to_rgba_array(TRAIL, np.linspace(0.15, 0.9, 79)))
         axis.add_collection(ropes)
         axis.add_collection(trail)
         (arm,) = axis.plot([], [], color="white", lw=3.5)
         dots = axis.scatter([0.0, 0.0], [0.0, 0.0], s=30.0, color="white", zorder=5)
-        place: dict[str, Any] = {"va": "top", "color": PALE, "linespacing": 1.35}
-        figure.text(14.0 / width, 1.0 - 12.0 / height, title, fontsize=10.0, **place | {"color": "white"})
-        text = figure.text(14.0 / width, 1.0 - 33.0 / height, "", fontsize=8.5, **place)
+        place: dict[str, Any] = {"va": "top", "x": 14.0 / width, "linespacing": 1.35}
+        figure.text(y=1.0 - 12.0 / height, s=title, fontsize=10.0, color="white", **place)
+        text = figure.text(y=1.0 - 33.0 / height, s="", fontsize=8.5, color=PALE, **place)
     moving = (trail, ropes, dots, arm, text)
     for artist in moving:
         artist.set_animated(True)
@@ -195,10 +202,10 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
     step = times[1] - times[0] if times.size > 1 else 0.0
 
     def draw(k: int) -> Image.Image:
-        t = float(times[k])
-        now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), run.t[0]))
+        t, start = float(times[k]), run.t[0]
+        now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), start))
         ropes.set_segments(list(now.joints))
-        trail.set_segments(pieces(shapes(run, np.linspace(max(t - overlay.trail, run.t[0]), t, 80)).joints[:, -1]))
+        trail.set_segments(pieces(shapes(run, np.linspace(max(t - overlay.trail, start), t, 80)).joints[:, -1]))
         arm.set_data(*np.stack([now.pivots[-1], now.joints[-1, 0]]).T)
         dots.set_offsets(np.stack([now.pivots[-1], now.joints[-1, -1]]))
         text.set_text(f"t = {t:5.2f} s\n{note(t)}")
@@ -222,23 +229,19 @@ def _gif(frames: "Iterator[Image.Image]", colours: "Image.Image", frame_rate: in
     return buffer.getvalue()
 
 
-def draw_obstacles(
-    axis: Any, obstacles: Sequence[Obstacle], far: float, *, origin: npt.ArrayLike = (0.0, 0.0), scale: float = 1.0
-) -> None:
+def draw_obstacles(axis: Any, obstacles: Sequence[Obstacle], far: float, place: Any = None) -> None:
     """Draw obstacles in violet into a plot whose limits are set; its legend names the kinds that lie within them.
 
-    Of grounds the part within `far`, m, of their points is drawn. The plot shows places relative to `origin` (2,), m,
-    times `scale`.
+    Of grounds the part within `far`, m, of their points is drawn. `place` is a transform from m, if the plot has
+    another unit or origin.
     """
-    from matplotlib.transforms import Affine2D
-
-    x, y = np.asarray(origin, dtype=np.float64)
     shown = set()
     for each in obstacles:
         patch = _draw_obstacle(axis, each, far, OBSTACLE)
-        outline = patch.get_path().transformed(Affine2D().translate(-x, -y).scale(scale))
-        patch.set_path(outline)
-        if outline.intersects_bbox(axis.viewLim, filled=not isinstance(each, Wall)):
+        if place is not None:
+            patch.set_transform(place + axis.transData)
+        outline = patch.get_path().transformed(patch.get_transform())
+        if outline.intersects_bbox(axis.bbox, filled=not isinstance(each, Wall)):
             shown.add(type(each).__name__.lower())
     for kind in sorted(shown):
         face = GROUND if kind == "ground" else OBSTACLE
@@ -268,36 +271,12 @@ def _draw_obstacle(axis: Any, obstacle: Obstacle, far: float, colour: str) -> An
     elif isinstance(obstacle, Wall):
         outline, style = Path(wall_ends(obstacle)), {"edgecolor": colour, "lw": 2.2, "zorder": 4}
     else:
-        outline = Path(ground_corners(obstacle, far)[[0, 1, 2, 3, 0]], closed=True)
+        out = np.array([obstacle.nx, obstacle.ny]) / np.hypot(obstacle.nx, obstacle.ny)
+        sides = np.array([[-1, 0], [1, 0], [1, -1], [-1, -1], [-1, 0]])  # along the surface, and out of the ground
+        corners = np.array([obstacle.x, obstacle.y]) + far * sides @ np.array([[-out[1], out[0]], out])
+        outline = Path(corners, closed=True)
         style = {"facecolor": GROUND, "edgecolor": colour if colour == OBSTACLE else GROUND, "lw": 2.2, "zorder": 0}
     return axis.add_patch(PathPatch(outline, **style))
-
-
-def _draw_scale(axis: Any, width: float) -> None:
-    """Draw a bar of a round length in the lower right corner of a picture of a `width`, m."""
-    length = 10.0 ** np.floor(np.log10(0.4 * width))
-    axis.plot([0.97 - length / width, 0.97], [0.045, 0.045], color=PALE, lw=1.2, transform=axis.transAxes)
-    style = {"color": PALE, "fontsize": 8.0, "ha": "center", "transform": axis.transAxes}
-    axis.text(0.97 - 0.5 * length / width, 0.057, f"{length:g} m", **style)
-
-
-def _draw_key(axis: Any, first: float, last: float) -> None:
-    """Draw the colours from the first instant to the last, s, in the lower left corner."""
-    from matplotlib.collections import LineCollection
-
-    x = np.linspace(0.03, 0.19, 65)
-    bars, style = pieces(np.column_stack([x, np.full(65, 0.045)])), {"transform": axis.transAxes}
-    key = LineCollection(bars, colors=_dusk(64), linewidths=5.0, label="key", antialiaseds=False, **style)
-    axis.add_collection(key, autolim=False)
-    for place, t, side in ((x[0], first, "left"), (x[-1], last, "right")):
-        axis.text(place, 0.057, f"{t:.2f} s", color=PALE, fontsize=8.0, ha=side, zorder=5, **style)
-
-
-def _dusk(count: int) -> Array:
-    """Return colours (count, 3) from the first instant to the last."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return np.asarray(LinearSegmentedColormap.from_list("dusk", _FIRST_TO_LAST)(np.linspace(0.0, 1.0, count))[:, :3])
 
 
 def pieces(path: Array) -> list[Array]:

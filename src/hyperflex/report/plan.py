@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from hyperflex import files
 from hyperflex.checks import Array
-from hyperflex.planning import RATE, CastPlan, InsertPlan, TipOptions, WhipPlan
-from hyperflex.report.curves import Panel, time_course
+from hyperflex.planning import BOUNCE_TIME, RATE, CastPlan, InsertPlan, TipOptions, WhipPlan
+from hyperflex.report.curves import time_course
 from hyperflex.report.folder import Progress, silent, whole_folder
-from hyperflex.report.page import Film, Picture, Section, write_page
+from hyperflex.report.page import Film, Picture, Section, write_page, write_pictures
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.player import player_html
-from hyperflex.report.scene import Overlay
+from hyperflex.report.scene import Overlay, Plot
 from hyperflex.report.style import png
 from hyperflex.report.texts import Texts
 from hyperflex.trajectory import Trajectory
@@ -47,7 +46,7 @@ class PlanReport(ABC, Generic[PlanT]):
 
     name: ClassVar[str]  # of the task: "cast", ...; stem of the file names
     noun: ClassVar[str]  # what is planned
-    layout: ClassVar[dict[str, dict[str, str]]]  # by heading: names of the film and the figures, and their captions
+    captions: ClassVar[dict[str, str]]  # of the film and the figures, by name
     strobe: ClassVar[str]  # name of the figure with many instants in one picture
     move: ClassVar[str] = "stroke"  # what a move of the arm is called
     last_move: ClassVar[bool] = False  # whether the last move is of another kind, and not counted
@@ -58,7 +57,8 @@ class PlanReport(ABC, Generic[PlanT]):
         setup = plan.problem
         content = {"setup": setup, "rope": setup.rope, "limits": setup.limits, "seen": plan.outcome}
         template = f"plan/{self.name}.txt"
-        texts = self.texts = Texts(template, report=self, plan=plan, known=TipOptions(), **content)
+        content |= {"known": TipOptions(), "great_torque": GREAT_TORQUE, "bounce_time": BOUNCE_TIME}
+        texts = self.texts = Texts(template, report=self, plan=plan, **content)
         self.title, self.verdict, self.warning = (texts.text(name) for name in ("title", "verdict", "warning"))
         self.tiles = tuple((value, meaning) for value, meaning in texts.rows("tiles"))
         self.story, self.advice = texts.paragraphs("story"), texts.paragraphs("advice")
@@ -100,15 +100,6 @@ class PlanReport(ABC, Generic[PlanT]):
         """Whether a search was made, or at least begun."""
         return bool(self.plan.runs) or self.plan.interrupted or self.plan.motion is not None
 
-    @property
-    def search_summary(self) -> str:
-        """How long the search took, in a sentence."""
-        plan = self.plan
-        if not self.searched:
-            return "No search was made: the feasibility check refused the target."
-        ended = ", interrupted before its end" if plan.interrupted else ""
-        return f"The search took {plan.seconds:.0f} s and {counted(plan.runs, 'simulated run')}{ended}."
-
     def write(self, directory: str | Path, *, rate: float = RATE, progress: Progress = silent) -> dict[str, Path]:
         """Write motion, set-up and run to a folder, then figures and the page, in which the run can be played.
 
@@ -133,8 +124,7 @@ class PlanReport(ABC, Generic[PlanT]):
         """Write motion, set-up and run, without figures; remove files of an earlier report. See :meth:`write`."""
         plan, others = self.plan, self.other_plans()
         names = {"motion": "motion.csv", "plan": f"{self.name}.toml", "run": f"{self.name}.nc", "page": "report.html"}
-        names |= {name: f"{name}.toml" for name in others}
-        names |= {name: f"{name}.png" for captions in self.layout.values() for name in captions}
+        names |= {name: f"{name}.toml" for name in others} | {name: f"{name}.png" for name in self.captions}
         with whole_folder(directory, tuple(names.values())) as stage:
             for name, other in others.items():
                 if other is not None:
@@ -148,35 +138,23 @@ class PlanReport(ABC, Generic[PlanT]):
 
     def add_page(self, directory: str | Path, *, progress: Progress = silent) -> dict[str, Path]:
         """Draw the figures, and write the page with them and the run. See :meth:`write`."""
-        source = "Planned and verified by simulation"
-        if not self.plan.success:
-            source = "Searched for by simulation" if self.searched else "Checked for feasibility, without a search"
-        lead = f"{self.texts.text('task')} {source}; nothing here was measured."
         progress("drawing")
-        drawn = self.drawn()
+        shown = self.pictures()
         with whole_folder(directory) as stage:
-            for name, content in drawn.items():
-                files.write_bytes(stage / f"{name}.png", content)
-            write_page(stage / "report.html", self.title, lead, "simulated", self._sections(self.pictures(drawn)))
-        return {name: Path(directory) / f"{name}.png" for name in drawn} | {"page": Path(directory) / "report.html"}
+            written = write_pictures(stage, shown) | {"page": "report.html"}
+            write_page(stage / "report.html", self.title, self.texts.text("lead"), "simulated", self._sections(shown))
+        return {kind: Path(directory) / name for kind, name in written.items()}
 
-    def drawn(self) -> dict[str, bytes]:
-        """Return the figures of the run as PNG, by name; an interrupted plan has none, to end without delay."""
-        if self.plan.run is None or self.plan.interrupted:
+    def pictures(self) -> dict[str, Picture | Film]:
+        """Return the player of the run, if there is one, and the figures; an interrupted plan has none, to end soon."""
+        if self.plan.run is None:
             return {}
-        return {name: png(figure) for name, figure in self.figures().items()}
-
-    def pictures(self, drawn: Mapping[str, bytes]) -> dict[str, Picture | Film]:
-        """Return the player of the run, if there is one, and the figures that :meth:`drawn` returned, with captions."""
-        setup, shown = self.plan.problem, dict[str, Picture | Film]()
-        words = " Red as well: pegs that the rope is to run behind." if setup.criteria.behind else ""
-        words += " Violet: obstacles, which the rope must not touch." if setup.obstacles else ""
-        for name, caption in (item for part in self.layout.values() for item in part.items()):
-            if name == "film" and self.plan.run is not None:
-                shown[name] = Film(player_html(self.run, **self.film()), caption + words)
-            elif name in drawn:
-                strobe = name == self.strobe
-                shown[name] = Picture(drawn[name], caption + words * strobe, chart=not strobe)
+        colours = self.texts.text("colours")
+        captions = self.captions | {name: f"{self.captions[name]} {colours}".strip() for name in ("film", self.strobe)}
+        shown: dict[str, Picture | Film] = {"film": Film(player_html(self.run, **self.film()), captions["film"])}
+        if not self.plan.interrupted:
+            for name, figure in self.figures().items():
+                shown[name] = Picture(png(figure), captions[name], chart=name != self.strobe)
         return shown
 
     def film(self) -> dict[str, Any]:
@@ -184,16 +162,16 @@ class PlanReport(ABC, Generic[PlanT]):
         return {"title": f"planned {self.noun}, simulated", "speed": self.film_speed, "overlay": self.overlay()}
 
     def _sections(self, shown: Mapping[str, Picture | Film]) -> list[Section]:
-        plan, texts, notes = self.plan, self.texts, (self.search_summary,)
-        verdict = (plan.success, self.verdict)
-        sections: list[Section] = []
-        sections.append(Section("In short", verdict=verdict, text=self.advice, tiles=self.tiles, notes=notes))
+        plan, texts, verdict = self.plan, self.texts, (self.plan.success, self.verdict)
+        notes = texts.paragraphs("search")
+        sections: list[Section] = [
+            Section("In short", verdict=verdict, text=self.advice, tiles=self.tiles, notes=notes)
+        ]
         sections += self.without_run() if plan.run is None else ()
         if self.story:
             sections.append(Section("The plan" if plan.run is None else "What happens", text=self.story))
-        for title, kinds in self.layout.items():
-            if own := tuple(shown[kind] for kind in kinds if kind in shown):
-                sections.append(Section(title, pictures=own))
+        if shown:
+            sections.append(Section(f"The {self.noun}", pictures=tuple(shown.values())))
         if plan.motion is not None:
             note = texts.paragraphs("note")
             sections.append(Section("Check with a finer rope", table=texts.table("checks"), notes=note))
@@ -212,20 +190,20 @@ class PlanReport(ABC, Generic[PlanT]):
 
     def move_count(self) -> str:
         """Return how many moves the arm makes, with their name."""
-        return counted(self._starts.size - self.last_move, self.move)
-
-    def arm_note(self, t: float) -> str:
-        """Return which move the arm makes at a time, s, or made last."""
-        begun = int((self._starts <= t).sum())
-        if not begun:
-            return f"arm: {self.move_count()} to come"
-        last = self.last_move and begun == self._starts.size
-        return "arm: last move" if last else f"arm: {self.move} {begun} of {self._starts.size - self.last_move}"
+        count = self._starts.size - self.last_move
+        return f"{count} {self.move}{'' if count == 1 else 's'}"
 
     def film_note(self, t: float) -> str:
         """Return the film's note at a time, s: target, move of the arm, and what has happened."""
-        end = self.texts.text("end") if t >= self.event else ""
-        return "\n".join((self.texts.text("film"), self.arm_note(t), end))
+        begun, count = int((self._starts <= t).sum()), self._starts.size - self.last_move
+        doing = f"{self.move} {begun} of {count}" if begun else f"{self.move_count()} to come"
+        return "\n".join(
+            (self.texts.text("film"), f"arm: {'last move' if begun > count else doing}", self.rope_note(t))
+        )
+
+    def rope_note(self, t: float) -> str:
+        """Return what has happened to the rope by a time, s."""
+        return self.texts.text("end") if t >= self.event else ""
 
     def strobe_at(self, t: float, before: float, after: float, shown: str) -> "Figure":
         """Draw the rope at many instants `before` and `after` a time `t`, s; `shown` explains the other objects."""
@@ -233,30 +211,12 @@ class PlanReport(ABC, Generic[PlanT]):
         title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); {shown}"
         return strobe_figure(self.run, start=start, end=end, count=52, title=title, overlay=self.overlay())
 
-    def course(self, *panels: Panel) -> "Figure":
-        """Draw the time course of the run with two panels; it marks the event."""
-        return time_course(self.run, f"the {self.noun}", panels, self.moves(), self.event)
+    def course(self, event: str, *plots: Plot) -> "Figure":
+        """Draw the time course of the run with two plots; it marks the event and names it."""
+        return time_course(self.run, f"the {self.noun}", plots, self.moves(), (self.event, event))
 
     def motor_peaks(self) -> tuple[float, float]:
         """Return the greatest speed, rad/s, and acceleration, rad/s^2, of the motion."""
         motion = self.plan.required(self.plan.motion, "motion")
         t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
         return float(np.abs(motion.rate(t)).max()), float(np.abs(motion.acceleration(t)).max())
-
-    @property
-    def weight_torque(self) -> float:
-        """Torque of the rope's weight at the arm, N m."""
-        rope = self.plan.problem.rope
-        return rope.total_mass * math.hypot(*rope.gravity) * self.plan.problem.arm.length
-
-    def needs_much_torque(self) -> bool:
-        """Whether a plan that succeeds without a torque limit needs far more torque than the rope's weight."""
-        seen, limit = self.plan.outcome, self.plan.problem.limits.torque
-        if seen is None or not self.plan.success or math.isfinite(limit):
-            return False
-        return seen.torque > GREAT_TORQUE * self.weight_torque
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun, in the plural unless it is 1."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"

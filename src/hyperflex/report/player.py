@@ -12,9 +12,9 @@ import numpy.typing as npt
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.model import Obstacle, Peg
-from hyperflex.report.curves import energy_plot, speed_plot
+from hyperflex.report.curves import arm_plot, energy_plot, speed_plot
 from hyperflex.report.page import render
-from hyperflex.report.scene import PLAIN, Line, Overlay, Plot, shapes, span, view
+from hyperflex.report.scene import PLAIN, Overlay, Plot, shapes, span, view
 from hyperflex.trajectory import Trajectory
 
 FRAME_RATE = 60.0  # Hz, of screens: frames a second of simulated time
@@ -64,7 +64,10 @@ def player_html(
     drawn = shapes(run, times)
     arm = run.setup.arm is not None
     points = np.concatenate([drawn.pivots[:, None], drawn.joints], axis=1) if arm else drawn.joints
-    dots = overlay.dots
+    dots, turned = (
+        overlay.dots,
+        [np.interp(times, run.t, each) for each in ([] if run.peg_angle is None else run.peg_angle.T)],
+    )
     words = [] if note is None else [(float(t), note(float(t))) for t in times]
     low, high = view(run, np.concatenate([points.reshape(-1, 2), overlay.targets]), above=1.0)
     data = {
@@ -75,7 +78,7 @@ def player_html(
         "radius": run.setup.rope.radius,
         "view": [*low, *high],
         "obstacles": _obstacles(run, overlay.obstacles),
-        "peg_angles": None if run.peg_angle is None else _packed(_at(run, run.peg_angle, times).astype("<f4")),
+        "peg_angles": None if run.peg_angle is None else _packed(np.stack(turned, axis=-1).astype("<f4")),
         "targets": overlay.targets.tolist(),
         "dots": dots and {"t": _packed(dots.t), "places": _packed(dots.places.astype("<f4"))},
         "ropes": [_packed(shapes(each, times).joints.astype("<f4")) for each in overlay.ropes],
@@ -131,27 +134,16 @@ def _curves(run: Trajectory, first: float, last: float, plots: Sequence[Plot]) -
     kept = kept[:: max(kept.size // 1500, 1)]  # a plot has fewer pixels
     lines = [speed_plot(run), energy_plot(run), *plots]
     if run.setup.arm is not None:
-        lines.insert(0, Plot("arm", "degrees", (Line("", np.degrees(run.arm_angle)),)))
+        lines.insert(0, arm_plot(run))
     series = [
         {
             "title": plot.title,
             "unit": plot.unit,
-            "digits": _digits(plot),
             "lines": [{"label": line.label, "values": _packed(line.values[kept].astype("<f4"))} for line in plot.lines],
         }
         for plot in lines
     ]
     return {"series_times": _packed(run.t[kept].astype("<f4")), "series": series}
-
-
-def _digits(plot: Plot) -> int:
-    """Return how many decimals three digits of the greatest value leave."""
-    greatest = max(float(np.nanmax(np.abs(line.values), initial=0.0)) for line in plot.lines)
-    return int(np.clip(2 - np.floor(np.log10(greatest)), 0, 6)) if greatest > 0.0 else 2
-
-
-def _at(run: Trajectory, values: Array, times: Array) -> Array:
-    return np.stack([np.interp(times, run.t, column) for column in values.T], axis=-1)
 
 
 def _packed(values: npt.NDArray[Any]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Ground, Obstacle, Wall
+from hyperflex.model import Obstacle, Wall
 from hyperflex.trajectory import Trajectory, interpolated
 
 
@@ -21,11 +21,15 @@ class Line(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """A plot over time: what it shows, the unit, and its curves, three at most."""
+    """A plot over time: what it shows, the unit, and its curves, three at most.
+
+    A figure marks its `level`, a value and what it is, by a dashed line.
+    """
 
     title: str
     unit: str
     lines: tuple[Line, ...]
+    level: tuple[float, str] | None = None
 
 
 class Dots(NamedTuple):
@@ -84,10 +88,10 @@ def shapes(run: Trajectory, times: Array) -> Shapes:
     q = interpolated(run.t, run.q, run.qd, times)
     base = interpolated(run.t, run.base, run.base_velocity, times)
     joints = run.setup.rope.joints(q, base)
-    if run.setup.arm is None:
+    arm = run.setup.arm
+    if arm is None:
         return Shapes(joints, base)
-    angle = interpolated(run.t, run.arm_angle, run.arm_rate, times)
-    return Shapes(joints, base - run.setup.arm.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1))
+    return Shapes(joints, base - arm.tip(interpolated(run.t, run.arm_angle, run.arm_rate, times)) + arm.pivot)
 
 
 def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float, float]:
@@ -120,11 +124,3 @@ def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
 def wall_ends(wall: Wall) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the ends of a wall, m."""
     return (wall.x, wall.y), (wall.x2, wall.y2)
-
-
-def ground_corners(ground: Ground, far: float) -> Array:
-    """Return the corners (4, 2), m, of a rectangle that fills a ground as `far`, m, as a picture may reach."""
-    out = np.array([ground.nx, ground.ny]) / np.hypot(ground.nx, ground.ny)
-    along, point = far * np.array([-out[1], out[0]]), np.array([ground.x, ground.y])
-    below = point - far * out
-    return np.stack([point - along, point + along, below + along, below - along])

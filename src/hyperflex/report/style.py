@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, RED, GREEN, GREY, INK = "#1f5fa8", "#d1483a", "#3b8f6b", "#8a93a0", "#1d2733"
-SOFT = "#5a6472"  # of notes
 OUTCOME_COLOUR = {"success": BLUE, "failure": RED}
 
 _STYLE = Path(__file__).parent / "figure.mplstyle"
@@ -37,7 +36,7 @@ def new_figure(
         FigureCanvasAgg(figure)
         vars(figure)["_repr_png_"] = partial(png, figure, dpi=100)  # a notebook shows it, with or without pyplot
         if title:
-            figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
+            figure.suptitle(title, x=0.01, ha="left")
         yield figure
 
 
@@ -46,12 +45,7 @@ def legend(figure: "Figure", *axes: Any, place: str = "upper right", columns: in
     entries = [entry for axis in axes for entry in zip(*axis.get_legend_handles_labels(), strict=True)]
     handles, labels = zip(*entries, strict=True)
     where: Any = f"outside {place}"
-    figure.legend(handles, labels, loc=where, ncols=columns, fontsize=8.5)
-
-
-def note(axis: Any, x: float, y: float, text: str, colour: str = SOFT, **place: Any) -> None:
-    """Write a small note at a point of a plot; `place` is passed to Matplotlib's ``text``."""
-    axis.text(x, y, text, **{"va": "bottom", "fontsize": 8.0, "color": colour, **place})
+    figure.legend(handles, labels, loc=where, ncols=columns)
 
 
 def png(figure: "Figure", *, dpi: int = 160) -> bytes:

@@ -20,7 +20,7 @@ class Texts:
     def __init__(self, template: str, **content: Any) -> None:
         made = environment(finalize=lambda value: value.replace("\n", " ") if isinstance(value, str) else value)
         made.globals |= {"length": length, "degrees": np.degrees, "arctan2": np.arctan2}
-        made.globals |= {"isfinite": math.isfinite, "nan": math.nan}
+        made.globals |= {"isfinite": math.isfinite, "hypot": math.hypot, "nan": math.nan}
         made.filters |= {"described": described, "fixed": "{:.2f}".format}
         text = made.get_template(template).render(**content)
         heads = re.split(r"^# (\w+)\n", text, flags=re.MULTILINE)[1:]

@@ -7,11 +7,11 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning import Impact, InsertPlan, WhipPlan
-from hyperflex.report.curves import Panel, speed_plot
+from hyperflex.report.curves import speed_plot
 from hyperflex.report.pictures import draw_obstacles, pieces
 from hyperflex.report.plan import PlanReport
 from hyperflex.report.scene import Line, Overlay, Plot, shapes, wall_ends
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
+from hyperflex.report.style import GREY, INK, RED, legend, new_figure
 from hyperflex.report.units import length
 from hyperflex.trajectory import Trajectory
 
@@ -26,15 +26,11 @@ class WhipReport(PlanReport[WhipPlan]):
     """
 
     name, noun, strobe = "whip", "whip", "peak"
-    layout: ClassVar = {
-        "The whip": {
-            "film": "The planned whip, simulated: arm, rope (ochre), path of the tip (green), target (red ring).",
-            "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
-            "passing": "How the tip passes the target: its path, coloured by its speed; simulated.",
-        },
-        "Time course": {
-            "course": "Arm angle, speed of the tip, its distance from the target, and torque over time. Dashed: peak."
-        },
+    captions: ClassVar = {
+        "film": "The planned whip, simulated: arm, rope (ochre), path of the tip (green), target (red ring).",
+        "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
+        "passing": "How the tip passes the target: its path, coloured by its speed; simulated.",
+        "course": "Arm angle, speed of the tip, its distance from the target, and torque over time. Dashed: peak.",
     }
 
     def __init__(self, plan: WhipPlan, impact: Impact | None = None) -> None:
@@ -48,17 +44,18 @@ class WhipReport(PlanReport[WhipPlan]):
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope about the peak, the tip's path past the target, and the time course."""
         target, run, seen = self.plan.target, self.run, self.outcome
+        speed = speed_plot(run)._replace(level=(target.least_speed, f"{target.least_speed:.3g} m/s are required"))
         away = Plot("distance of the tip from the target", "m", (Line("", np.hypot(*(run.tip - target.point).T)),))
-        required = (target.least_speed, f"{target.least_speed:.3g} m/s are required")
-        speed = Panel(speed_plot(run), "speed", (GREEN,), required, f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s")
         return {
             "peak": self.strobe_at(seen.t, 0.5, 0.1, "ring: the target"),
             "passing": self._passing(),
-            "course": self.course(speed, Panel(away, "distance")),
+            "course": self.course(f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s", speed, away),
         }
 
     def _passing(self) -> "Figure":
         """Draw the tip near the target: its path, coloured by its speed, and the required direction."""
+        from matplotlib.transforms import Affine2D
+
         target, seen = self.plan.target, self.outcome
         half = max(0.12, 1.3 * seen.miss)  # m about the target
         time = 2.0 * half / max(seen.speed, 1e-3)
@@ -69,13 +66,13 @@ class WhipReport(PlanReport[WhipPlan]):
             if not target.any_direction:
                 required = np.array([np.cos(target.direction), np.sin(target.direction)])
                 arrows.insert(0, (np.zeros(2), required, RED, "required direction"))
+            style = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.006}
             for start, way, colour, label in arrows:
-                style = {"arrowstyle": "-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
-                axis.annotate("", start + 550.0 * half * way, start, arrowprops=style)
-                axis.plot([], [], color=colour, lw=2.0, label=label)
-            axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, mew=1.8, label="target")
-            axis.plot(*place, "o", ms=4.5, color=INK, label=f"tip at its peak, {length(seen.miss, 2)} off")
-            draw_obstacles(axis, self.plan.problem.obstacles, 8.0 * half, origin=target.point, scale=1e3)
+                axis.quiver(*start, *(550.0 * half * way), color=colour, label=label, **style)
+            axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, label="target")
+            axis.plot(*place, "o", color=INK, label=f"tip at its peak, {length(seen.miss, 2)} off")
+            place = Affine2D().translate(*-target.point).scale(1e3)
+            draw_obstacles(axis, self.plan.problem.obstacles, 8.0 * half, place)
             legend(figure, axis, place="lower center", columns=2)
         return figure
 
@@ -84,29 +81,24 @@ class InsertReport(PlanReport[InsertPlan]):
     """The report of a planned insertion. For a plan without strokes it is a page with the reason."""
 
     name, noun, strobe = "insert", "insertion", "entry"
-    layout: ClassVar = {
-        "The insertion": {
-            "film": "The planned insertion, simulated: arm, rope (ochre), path of the tip (green), walls (red).",
-            "gap": "How the rope goes through the gap: the tip's path, coloured by its speed, and the rope; simulated.",
-            "entry": "The rope until the tip is inside, early instants dark, late ones bright; simulated.",
-        },
-        "Time course": {
-            "course": "Arm angle, speed of the tip, its depth beyond the walls, and torque over time. Dashed: inside."
-        },
+    captions: ClassVar = {
+        "film": "The planned insertion, simulated: arm, rope (ochre), path of the tip (green), walls (red).",
+        "gap": "How the rope goes through the gap: the tip's path, coloured by its speed, and the rope; simulated.",
+        "entry": "The rope until the tip is inside, early instants dark, late ones bright; simulated.",
+        "course": "Arm angle, speed of the tip, its depth beyond the walls, and torque over time. Dashed: inside.",
     }
 
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope until the tip is inside, its way through the gap, and the time course."""
         slot, run, seen = self.plan.target, self.run, self.outcome
-        inside = f"inside at {seen.t:.2f} s: {seen.speed:.2f} m/s"
         depth = Line("", (run.tip - slot.point) @ slot.axes[0])
-        deep = Plot("depth of the tip beyond the line of the walls", "m", (depth,))
         required = (slot.depth, f"{1e3 * slot.depth:.3g} mm are required")
-        speed = Panel(speed_plot(run), "speed", (GREEN,), event=inside)
+        deep = Plot("depth of the tip beyond the line of the walls", "m", (depth,), required)
+        inside = f"inside at {seen.t:.2f} s: {seen.speed:.2f} m/s"
         return {
-            "entry": self.strobe_at(seen.t_enter, 0.6, seen.t - seen.t_enter + 0.05, "red: the walls"),
             "gap": self._gap(),
-            "course": self.course(speed, Panel(deep, "depth", (BLUE,), required)),
+            "entry": self.strobe_at(seen.t_enter, 0.6, seen.t - seen.t_enter + 0.05, "red: the walls"),
+            "course": self.course(inside, speed_plot(run), deep),
         }
 
     def _gap(self) -> "Figure":
@@ -119,14 +111,14 @@ class InsertReport(PlanReport[InsertPlan]):
             ropes = 1e3 * (shapes(run, np.linspace(seen.t_enter, seen.t, 5)).joints - slot.point)
             for rope, alpha in zip(ropes, np.linspace(0.25, 1.0, 5), strict=True):
                 axis.plot(*rope.T, color=INK, lw=1.2, alpha=alpha)
-            axis.plot([], [], color=INK, lw=1.2, label="rope, from the entry to the required depth")
+            axis.plot([], [], color=INK, label="rope, from the entry to the required depth")
             for label, wall in zip(("walls", ""), slot.walls, strict=True):
                 ends = 1e3 * (np.array(wall_ends(wall)) - slot.point)
                 axis.plot(*ends.T, color=RED, lw=4.0, solid_capstyle="butt", label=label)
             inner, across = 1e3 * slot.depth * slot.axes[0], 500.0 * slot.width * slot.axes[1]
             axis.plot(*np.transpose([inner - across, inner + across]), color=GREY, ls="--", label="required depth")
             tip = f"tip inside, {seen.speed:.2f} m/s"
-            axis.plot(*(1e3 * (seen.place - slot.point)), "o", ms=5.0, color=INK, label=tip)
+            axis.plot(*(1e3 * (seen.place - slot.point)), "o", color=INK, label=tip)
             legend(figure, axis, place="lower center", columns=2)
         return figure
 
