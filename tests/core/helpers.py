@@ -5,7 +5,10 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+import hyperflex as hf
 from hyperflex.core.chain import articulated_body as kernels
+from hyperflex.core.chain.drive import Drive
+from hyperflex.core.contact.run import Scene
 from tests.reference.cases import State
 from tests.reference.dense import Real
 
@@ -49,3 +52,12 @@ def sweep(links: Any, state: State, torque: float = 0.0, h: float = 0.0, grip: R
     call = chain_of(links), state.q, state.w, modes, state.base, torque, h
     fx, fy, moment = kernels.accelerations(*call, alpha, work)
     return Sweep(alpha, np.array([fx, fy]), moment)
+
+
+def scene_of(setup: hf.Setup) -> Scene:
+    """What runs of a set-up in contact know, with arrays as a run has them, for which the kernels are compiled."""
+    chain, drive = (
+        kind(*(np.array(each) if isinstance(each, np.ndarray) else each for each in given))
+        for kind, given in ((kernels.Chain, setup.chain()), (Drive, setup.drive()))
+    )
+    return Scene(chain, drive, setup.contacts(), np.zeros(2))

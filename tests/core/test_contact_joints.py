@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.chain.drive import segment
 from hyperflex.core.contact.arrays import new_contact_memory, save_memory
 from hyperflex.core.contact.joints import ANY
-from hyperflex.core.contact.step import ContactWorkspace, new_contact_workspace, try_step
+from hyperflex.core.contact.run import ContactWorkspace, new_contact_workspace, try_step
+from tests.core.helpers import scene_of
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after
 
@@ -17,14 +17,10 @@ STEP = 2e-4  # s
 
 def step(rope: hf.Rope, q: dense.Real, w: dense.Real, h: float, again: int = 0) -> tuple[ContactWorkspace, int]:
     """Take a step h from q, w, and the same step `again` from its own impulses; return its workspace and the rounds."""
-    setup = hf.Setup(rope)
-    chain, drive = (  # arrays as a run has them, for which the kernels are compiled
-        kind(*(np.array(each) if isinstance(each, np.ndarray) else each for each in given))
-        for kind, given in ((Chain, setup.chain()), (Drive, setup.drive()))
-    )
-    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, STEP, 1e-5), setup.contacts()
+    scene = scene_of(hf.Setup(rope))
+    workspace = new_contact_workspace(scene, 1e-6, STEP, 1e-5)
     y, memory = np.concatenate([q, w]), new_contact_memory(rope.n_links, 0)
-    call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace, True, 0.0, True
+    call = scene, segment(scene.drive, 0.0), 0.0, h, y, memory, workspace, True, 0.0, True
     _, rounds = try_step(*call)
     for _ in range(again):
         save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, h)

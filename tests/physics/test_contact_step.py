@@ -7,14 +7,22 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.chain.drive import segment
 from hyperflex.core.chain.torque_peaks import COLUMNS, WINDOWS
 from hyperflex.core.contact import run as at
-from hyperflex.core.contact.arrays import OPEN, new_contact_memory, save_memory
+from hyperflex.core.contact.arrays import OPEN, ContactMemory, new_contact_memory, save_memory
 from hyperflex.core.contact.modes import ALL, EVEN, NONE, SOLVER, USUAL_TOL, looseness, update_modes
-from hyperflex.core.contact.run import branch_off, choose_step, complete_step, new_branch
-from hyperflex.core.contact.step import new_contact_workspace, try_step
+from hyperflex.core.contact.run import (
+    ContactWorkspace,
+    Scene,
+    branch_off,
+    choose_step,
+    complete_step,
+    new_branch,
+    new_contact_workspace,
+    try_step,
+)
+from tests.core.helpers import scene_of
 from tests.reference.wrapping import laid
 
 RADIUS, TOP, STEP = 0.05, 0.4, 1e-4  # m, m, s
@@ -36,39 +44,44 @@ def gaps(rope: hf.Rope, radius: float, base: Array, q: Array) -> tuple[Array, Ar
     return found, change
 
 
+def wound(depth: float = 0.0, **axle: float) -> tuple[hf.Rope, Array, Scene]:
+    """A rope half round a peg, `depth` inside it, m; down is +y. Rope, angles, and what its runs know."""
+    length = TOP + math.pi * RADIUS + 0.15
+    rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
+    q = laid(rope.length, (depth - RADIUS, TOP), RADIUS - depth, math.pi)
+    still = hf.moving_pivot([0.0, 1.0], [depth - RADIUS] * 2, [TOP] * 2)
+    return rope, q, scene_of(hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3, **axle)]))
+
+
+def stepped(
+    scene: Scene, q: Array, w: Array, *, push: bool = True, memory: ContactMemory | None = None
+) -> ContactWorkspace:
+    """Take one step from angles and rates; return its workspace."""
+    workspace = new_contact_workspace(scene, 1e-6, 1e-4, 1e-5)
+    given = np.concatenate([q, w, np.zeros(2)]), memory or new_contact_memory(q.size, 1), workspace
+    try_step(scene, segment(scene.drive, 0.0), 0.0, STEP, *given, push, 0.0, True)
+    return workspace
+
+
 @pytest.mark.parametrize(("depth", "push", "out"), [(5e-5, True, 1e-3), (5e-5, False, 0.0), (1e-6, True, 0.0)])
 def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(depth, push, out):
     """It is pushed out, or stays as deep: also what lies inside by little.
 
     Without the second-order term it would sink by 0.1 mm a second.
     """
-    length = TOP + math.pi * RADIUS + 0.15
-    rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
-    base = np.array([-RADIUS + depth, TOP])
-    q = laid(rope.length, (base[0], base[1]), RADIUS - depth, math.pi)
-    still = hf.moving_pivot([0.0, 1.0], [base[0]] * 2, [base[1]] * 2)
-    setup = hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3)])
+    (rope, q, scene), base = wound(depth), np.array([depth - RADIUS, TOP])
     deep, change = gaps(rope, RADIUS, base, q)
     inside = deep < -0.5 * depth
     assert inside.sum() > 10
     w = np.random.default_rng(5).normal(0.0, 3.0, rope.n_links)
     w -= np.linalg.pinv(change[inside]) @ (change[inside] @ w)  # along the peg
-    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    memory = new_contact_memory(rope.n_links, 1)
-    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, 1e-4, 1e-5), setup.contacts()
-    y = np.concatenate([q, w, np.zeros(2)])
-    try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, push, 0.0, True)
+    workspace = stepped(scene, q, w, push=push)
     after, change = gaps(rope, RADIUS, base, workspace.out[: rope.n_links])
     leaving = (change @ workspace.out[rope.n_links :])[inside & np.isfinite(after)]
-    bend = 0.5 * STEP * np.abs(w).max() ** 2 * length  # m/s, of that order is what the step allows for
+    bend = 0.5 * STEP * np.abs(w).max() ** 2 * rope.total_length  # m/s, of that order is what the step allows for
     assert bend > 1e-3
     assert leaving.min() > out - 0.01 * bend
     assert np.median(leaving) < out + 0.05 * bend  # a tenth of what it is pushed out with
-
-
-def own(value: object) -> object:
-    """An array as a run has it, for which the kernels are compiled."""
-    return np.array(value) if isinstance(value, np.ndarray) else value
 
 
 def test_a_sample_beside_a_peg_does_not_depend_on_the_others():
@@ -84,28 +97,22 @@ def test_a_sample_beside_a_peg_does_not_depend_on_the_others():
 @pytest.mark.parametrize(("rate", "kept"), [(1e-4, True), (-1.0, False)])
 def test_the_way_to_a_sample_leaves_a_run_as_it_is(rate, kept):
     """A cable slides over a peg that turns. Where energy must vanish no step will do: none is forced."""
-    length = TOP + math.pi * RADIUS + 0.15
-    rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
-    q, n = laid(rope.length, (-RADIUS, TOP), RADIUS, math.pi), rope.n_links
-    still = hf.moving_pivot([0.0, 1.0], [-RADIUS] * 2, [TOP] * 2)
-    setup = hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3, inertia=1e-5)])
-    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    pegs, clock, spin = setup.contacts(), np.zeros(at.CLOCK), np.array([[0.0], [3.0]])
+    rope, q, scene = wound(inertia=1e-5)
+    n, part, clock, spin = rope.n_links, segment(scene.drive, 0.0), np.zeros(at.CLOCK), np.array([[0.0], [3.0]])
     clock[at.STEP] = STEP
     y, torque = np.concatenate([q, np.zeros(n + 2)]), np.zeros((len(WINDOWS), COLUMNS))
     state = at.ContactState(y, clock, spin, new_contact_memory(n, 1), torque)
-    workspace, aside = (new_contact_workspace(chain, pegs, 1e-4, STEP, 1e-5) for _ in range(2))
+    workspace, aside = (new_contact_workspace(scene, 1e-4, STEP, 1e-5) for _ in range(2))
     workspace.spin.before[:] = spin[1]
     bounds, nothing = at.Bounds(1.0, STEP, 1e-5, 1e-4, np.inf, np.inf, 100), new_contact_memory(n, 1)
-    given = chain, drive, segment(drive, 0.0), pegs, np.zeros(2)
     for _ in range(50):
-        chosen = choose_step(*given, bounds, state, workspace, nothing, 1.0, False, math.nan)
-        complete_step(drive, bounds, state, workspace, chosen, 1.0)
-    chosen = choose_step(*given, bounds, state, workspace, nothing, 1.0, False, math.nan)
+        chosen = choose_step(scene, part, bounds, state, workspace, nothing, 1.0, False, math.nan)
+        complete_step(scene.drive, bounds, state, workspace, chosen, 1.0)
+    chosen = choose_step(scene, part, bounds, state, workspace, nothing, 1.0, False, math.nan)
     assert chosen.good
     assert spin[1, 0] != 3.0
     before, branch, end = copied((state, workspace)), new_branch(state), clock[at.T] + PART * chosen.h
-    branched = branch_off(*given, bounds._replace(rate=rate), state, workspace, aside, branch, nothing, False, end)
+    branched = branch_off(scene, part, bounds._replace(rate=rate), workspace, aside, branch, nothing, chosen, end)
     assert branched == kept
     for one, other in zip(copied((state, workspace)), before, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -127,12 +134,10 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one():
     """What a soft step remembers grows from step to step, also while nothing touches."""
     rope, still = hf.Rope.uniform(0.5, 0.05, 10, friction=1e-4), hf.moving_pivot([0.0, 1.0], [0.0] * 2, [0.0] * 2)
     setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
-    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    pegs, memory = setup.contacts(), new_contact_memory(10, 1)
-    workspace, y = new_contact_workspace(chain, pegs, 1e-6, 1e-4, 1e-5), np.zeros(22)
+    scene, memory = scene_of(setup), new_contact_memory(10, 1)
     memory.penalty[0], known = 1e-3 * rope.total_mass, []
     for _ in range(60):
-        try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, True, 0.0, True)
+        workspace = stepped(scene, np.zeros(10), np.zeros(10), memory=memory)
         save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, STEP)
         known.append(memory.penalty[0])
     assert np.all(np.diff(known) >= 0.0)
@@ -141,15 +146,8 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one():
 
 @pytest.mark.parametrize(("which", "first", "by"), [(NONE, 0, 1), (ALL, 0, 1), (EVEN, 0, 2), (EVEN + 1, 1, 2)])
 def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(which, first, by):
-    length = TOP + math.pi * RADIUS + 0.15
-    rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
-    q = laid(rope.length, (-RADIUS, TOP), RADIUS, math.pi)
-    still = hf.moving_pivot([0.0, 1.0], [-RADIUS] * 2, [TOP] * 2)
-    setup = hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3)])
-    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    pegs, memory = setup.contacts(), new_contact_memory(rope.n_links, 1)
-    workspace, y = new_contact_workspace(chain, pegs, 1e-6, 1e-4, 1e-5), np.concatenate([q, np.zeros(rope.n_links + 2)])
-    try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, True, 0.0, True)
+    rope, q, scene = wound()
+    workspace = stepped(scene, q, np.zeros(rope.n_links))
     impulses, count = workspace.impulses, int(workspace.contacts.total[0])
     assert count > 10
     impulses.mode[:count], impulses.target[:count] = OPEN, -1.0  # all are open, and close faster than they may

@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hyperflex as hf
-from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.chain.drive import segment
 from hyperflex.core.contact.arrays import new_contact_memory
-from hyperflex.core.contact.step import new_contact_workspace, try_step
+from hyperflex.core.contact.run import new_contact_workspace, try_step
 from hyperflex.winding import measure_winding, rope_slip
+from tests.core.helpers import scene_of
 from tests.reference.wrapping import ARM, laid
 
 RADIUS, WEIGHT, GRAVITY = 0.05, 0.1, 9.81  # m, kg at the tip, m/s^2
@@ -169,27 +169,21 @@ def test_energy_never_grows_where_a_cable_falls_on_pulleys(bearing):
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
-def writable(values: tuple[object, ...]) -> list[object]:
-    """Arrays as a run has them, for which the kernels are compiled."""
-    return [np.array(value) if isinstance(value, np.ndarray) else value for value in values]
-
-
 @pytest.mark.parametrize("h", [0.0, 1e-4])
 def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h):
     """In one step, to rounding; and what sticks has the velocity of the peg."""
     rope, peg, q0 = hung(mu=0.3, inertia=1e-4)
     still = hf.moving_pivot([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
     setup = hf.Setup(rope, still, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
-    pegs, n = setup.contacts(), rope.n_links
-    chain, drive = Chain(*writable(setup.chain())), Drive(*writable(setup.drive()))
-    workspace, memory = new_contact_workspace(chain, pegs, 1e-6, 1e-4, 1e-5), new_contact_memory(n, 2)
+    scene, n = scene_of(setup), rope.n_links
+    workspace, memory = new_contact_workspace(scene, 1e-6, 1e-4, 1e-5), new_contact_memory(n, 2)
     workspace.spin.before[0] = 0.3
     y = np.concatenate([q0, np.full(n, 2.0)])
-    try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace, True, 0.0, True)
+    try_step(scene, segment(scene.drive, 0.0), 0.0, h, y, memory, workspace, True, 0.0, True)
     impulses, contacts = workspace.impulses, workspace.contacts
     held = impulses.mode[: contacts.total[0]] != 0
     assert held.sum() > 5
-    torque = -pegs.reach[0] * impulses.tangent[: contacts.total[0]][held].sum()
+    torque = -scene.pegs.reach[0] * impulses.tangent[: contacts.total[0]][held].sum()
     assert 1e-4 * (workspace.spin.after[0] - 0.3) == pytest.approx(torque, rel=1e-9)
     assert abs(torque) > 1e-9  # rounding is 1e-20
     assert workspace.spin.after[1] == 0.0

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from subprocess import DEVNULL
+from subprocess import DEVNULL, PIPE
 from typing import Annotated, Any
 
 import typer
@@ -65,11 +65,11 @@ def warm(
 
 
 @contextlib.contextmanager
-def compiling_ahead(*names: str) -> Iterator[None]:
+def compiling_ahead(*names: str) -> Iterator[subprocess.Popen[str]]:
     """Let a second process compile the kernels of some calls (see `CALLS`) meanwhile."""
-    with subprocess.Popen([*COMMAND, *names], stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL) as worker:
+    with subprocess.Popen([*COMMAND, *names], stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE, text=True) as worker:
         try:
-            yield
+            yield worker
         finally:
             worker.terminate()
 
@@ -113,26 +113,18 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
     """Run the lanes in `count` processes, and return the processor time that they took, s."""
     from hyperflex.core import cache
 
-    lanes = [[name for lane in LANES[k::count] for name in lane] for k in range(min(count, len(LANES)))]
-    workers = [
-        subprocess.Popen([*COMMAND, *lane], stdin=DEVNULL, stdout=DEVNULL, stderr=subprocess.PIPE) for lane in lanes
-    ]
-    begin = _children_time()
-    try:
+    begin, lanes = _children_time(), [sum(LANES[k::count], ()) for k in range(count)]
+    with contextlib.ExitStack() as stack:
+        workers = [stack.enter_context(compiling_ahead(*lane)) for lane in lanes]
         with progress_bar(0.0, len(kernels), True, "compiling", "kernels") as report:
-            while any(worker.poll() is None for worker in workers):
+            while {worker.poll() for worker in workers} <= {None, 0} and any(each.poll() is None for each in workers):
                 report(cache.compiled(kernels))  # type: ignore[misc]  # asked for
-                if any(worker.poll() for worker in workers):
-                    break
                 time.sleep(POLL)
-    finally:
-        failed = [worker for worker in workers if worker.poll()]
         for worker in workers:
-            worker.terminate()
-        said = {worker: worker.communicate()[1].decode("utf-8", "replace").strip() for worker in workers}
-    for worker in failed:
-        last = said[worker].splitlines()[-1] if said[worker] else f"exit status {worker.returncode}"
-        raise HyperflexError(f"a process that compiled kernels failed: {last}. What was compiled is kept.")
+            if worker.poll():
+                said = worker.stderr.read().splitlines()  # type: ignore[union-attr]  # a pipe
+                last = said[-1] if said else f"exit status {worker.returncode}"
+                raise HyperflexError(f"a process that compiled kernels failed: {last}. What was compiled is kept.")
     return _children_time() - begin
 
 
@@ -150,53 +142,51 @@ def _children_time() -> float:
 
 
 def _simulate() -> None:
-    hf, rope, arm, _ = _parts()
-    hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02)
-    hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02, method="rk4", step=1e-4)
+    hf, rope, how, _ = _parts()
+    hf.simulate(rope, **how)
+    hf.simulate(rope, **how, method="rk4", step=1e-4)
     hf.simulate(rope, torque=lambda *_: 0.0, arm=hf.Arm(length=0.1, inertia=1e-3), duration=0.02, control_rate=100.0)
-    hf.predictability(rope, hf.arm_swings(), arm=arm, duration=0.1)
+    hf.predictability(rope, **how | {"duration": 0.1})
     hf.forward_kinematics(rope, [0.0] * rope.n_links)
 
 
 def _dry() -> None:
-    hf, rope, arm, _ = _parts()
-    hf.simulate(rope.replace(dry_friction=[1e-3] * rope.n_links), hf.arm_swings(), arm=arm, duration=0.02)
+    hf, rope, how, _ = _parts()
+    hf.simulate(rope.replace(dry_friction=[1e-3] * rope.n_links), **how)
 
 
 def _dry_batch() -> None:
-    hf, rope, arm, _ = _parts()
-    hf.simulate_batch([rope.replace(dry_friction=[1e-3] * rope.n_links)], hf.arm_swings(), arm=arm, duration=0.02)
+    hf, rope, how, _ = _parts()
+    hf.simulate_batch([rope.replace(dry_friction=[1e-3] * rope.n_links)], how.pop("motion"), **how)
 
 
 def _sensitivities() -> None:
-    hf, rope, arm, _ = _parts()
-    hf.sensitivities(rope, hf.arm_swings(), arm=arm, duration=0.02, wrt="friction")
+    hf, rope, how, _ = _parts()
+    hf.sensitivities(rope, **how, wrt="friction")
     rest = [0.0] * rope.n_links
-    hf.linearize(rope, arm, rest, rest)
-    stepper = hf.Stepper(rope, arm=arm)
+    hf.linearize(rope, how["arm"], rest, rest)
+    stepper = hf.Stepper(rope, arm=how["arm"])
     stepper.linearize(stepper.start(), 0.1, dt=0.02)
 
 
 def _batch() -> None:
-    hf, rope, arm, _ = _parts()
-    hf.simulate_batch([rope, rope], hf.arm_swings(), arm=arm, duration=0.02)
-    stepper = hf.BatchStepper([rope, rope], arm=arm)
+    hf, rope, how, _ = _parts()
+    hf.simulate_batch([rope, rope], how.pop("motion"), **how)
+    stepper = hf.BatchStepper([rope, rope], arm=how["arm"])
     stepper.step(stepper.start(), [0.0, 0.0], dt=0.02)
 
 
 def _contact() -> None:
     """Compile the steps in contact alone: under a force there is no free flight."""
-    hf, rope, arm, peg = _parts()
-    hf.simulate(
-        rope, hf.arm_swings(), arm=arm, duration=0.02, pegs=[peg], tip_force=(0.01, 0.0)
-    )  # never in free flight
+    hf, rope, how, peg = _parts()
+    hf.simulate(rope, **how, pegs=[peg], tip_force=(0.01, 0.0))
 
 
 def _wound() -> None:
-    hf, rope, arm, peg = _parts()
-    run = hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02, pegs=[peg])
+    hf, rope, how, peg = _parts()
+    run = hf.simulate(rope, **how, pegs=[peg])
     hf.tug_test(run, peg)
-    stepper = hf.Stepper(rope, arm=arm, pegs=[peg])
+    stepper = hf.Stepper(rope, arm=how["arm"], pegs=[peg])
     stepper.step(stepper.start(), 0.1, dt=0.02)
 
 
@@ -220,8 +210,8 @@ def _dense() -> None:
     from hyperflex import dynamics
     from hyperflex.sensors import MotorTorque
 
-    hf, rope, arm, _ = _parts()
-    rest = np.zeros(rope.n_links)
+    hf, rope, how, _ = _parts()
+    rest, arm = np.zeros(rope.n_links), how["arm"]
     hf.mass_matrix(rope, rest)
     dynamics.bias(rope, rest, rest)
     MotorTorque(arm).measure(rope, arm, hf.State(0.0, rest, rest))
@@ -244,18 +234,18 @@ def _estimate() -> None:
     from hyperflex.estimate import TrackingTask
     from hyperflex.vision import Camera, MarkerColour
 
-    _, rope, arm, _ = _parts()
+    _, rope, how, _ = _parts()
     camera = Camera.facing((320, 240), pixels_per_metre=150.0, origin=(160.0, 20.0), exposure=0.01, readout=0.01)
     colour = MarkerColour(np.array([40.0, 30.0, 210.0]), area=40.0)
-    TrackingTask(rope, np.array([0.25, 0.5, 0.75, 1.0]), camera, colour, arm).rehearse()
+    TrackingTask(rope, np.array([0.25, 0.5, 0.75, 1.0]), camera, colour, how["arm"]).rehearse()
 
 
-def _parts() -> tuple[Any, Any, Any, Any]:
-    """Return hyperflex, and a small rope, arm and peg."""
+def _parts() -> tuple[Any, Any, dict[str, Any], Any]:
+    """Return hyperflex, a small rope, a set-up for it, and a peg."""
     import hyperflex as hf
 
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, radius=0.005, friction=5e-4)
-    return hf, rope, hf.Arm(length=0.1), hf.Peg(0.05, -0.7, 0.02)
+    return hf, rope, {"motion": hf.arm_swings(), "arm": hf.Arm(length=0.1), "duration": 0.02}, hf.Peg(0.05, -0.7, 0.02)
 
 
 CALLS: dict[str, Callable[[], None]] = {

@@ -22,28 +22,12 @@ from numba.core import compiler, event, serialize
 from numba.core.codegen import JITCodeLibrary
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.registry import CPUDispatcher
-from numba.core.types import Dispatcher, unliteral  # type: ignore[attr-defined]
+from numba.core.types import Dispatcher, UniTuple, intp, unliteral, void  # type: ignore[attr-defined]
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.extending import intrinsic
 
 from hyperflex.core import cache
-
-
-def door(function: Callable[..., Any], options: dict[str, Any], counts: bool = True) -> Any:
-    """Return a function compiled on its first call from Python, or as a part of the kernel that calls it.
-
-    Parameters
-    ----------
-    function : callable
-        The kernel as written, a function of a module (not within another function).
-    options : dict
-        Of ``numba.njit``.
-    counts : bool
-        Whether references to arrays that it makes are counted.
-    """
-    inner = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, "_nrt": counts}
-    return _Door(function, targetoptions={**inner, **options})
 
 
 @intrinsic
@@ -54,6 +38,37 @@ def read_only(_context: Any, array: Any) -> Any:
         return impl_ret_borrowed(context, builder, signature.return_type, arguments[0])
 
     return array.copy(readonly=True)(array), generate
+
+
+def _slots(context: Any, builder: Any, signature: Any, row: Any, width: Any, at: Any, slots: Any) -> list[Any]:
+    """Return pointers to the numbers in some slots of a row, see :func:`read_slots`."""
+    data = context.make_array(signature.args[0])(context, builder, row).data
+    offsets = (builder.mul(width, builder.extract_value(slots, k)) for k in range(len(signature.args[3])))
+    return [builder.gep(data, [builder.add(at, offset)]) for offset in offsets]
+
+
+@intrinsic
+def read_slots(_context: Any, row: Any, _width: Any, _at: Any, slots: Any) -> Any:
+    """Return the numbers of a row at ``at + slot * width``, for a tuple of slots."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        numbers = map(builder.load, _slots(context, builder, signature, *arguments))
+        return context.make_tuple(builder, signature.return_type, list(numbers))
+
+    integers = UniTuple(intp, len(slots))
+    return UniTuple(row.dtype, len(slots))(row, intp, intp, integers), generate
+
+
+@intrinsic
+def write_slots(_context: Any, row: Any, _width: Any, _at: Any, slots: Any, values: Any) -> Any:
+    """Write a tuple of numbers where :func:`read_slots` reads them."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        for k, place in enumerate(_slots(context, builder, signature, *arguments[:4])):
+            builder.store(builder.extract_value(arguments[4], k), place)
+        return context.get_dummy_value()
+
+    return void(row, intp, intp, UniTuple(intp, len(slots)), UniTuple(row.dtype, len(values))), generate
 
 
 class Timer(event.Listener):  # type: ignore[misc]
@@ -77,12 +92,16 @@ class Timer(event.Listener):  # type: ignore[misc]
             self.spent += time.monotonic() - self._since
 
 
-class _Door(CPUDispatcher):  # type: ignore[misc]
-    """A kernel for Python; kernels that call it find its part instead."""
+class Door(CPUDispatcher):  # type: ignore[misc]
+    """A kernel for Python, compiled on its first call; kernels that call it find its part instead.
+
+    `py_func` is a function of a module (not within another function), `targetoptions` are those of ``numba.njit``, and
+    ``_nrt``, whether references to arrays that it makes are counted.
+    """
 
     def __init__(self, py_func: Callable[..., Any], *arguments: Any, **named: Any) -> None:
         super().__init__(py_func, *arguments, **named)
-        self._cache = _Kept(py_func, "door", _pack_door, _unpack_door)
+        self._cache = _Kept(py_func, "door", compiler.CompileResult._reduce, compiler.CompileResult._rebuild)
 
     @functools.cached_property
     def part(self) -> Any:
@@ -97,6 +116,7 @@ class _Door(CPUDispatcher):  # type: ignore[misc]
         return Dispatcher(self.part)
 
     def compile(self, sig: Any) -> Any:
+        """Compile the kernel for a signature, as numba does."""
         with _economical():
             return _with_room(super().compile, sig)
 
@@ -231,14 +251,6 @@ class _Kept:
         """Keep a compiled kernel; where that fails it is compiled again by the next process."""
         packed = serialize.dumps(self._pack(made))
         cache.save(self._name, self._key(argument_types, made.library.codegen), packed)
-
-
-def _pack_door(made: Any) -> Any:
-    return made._reduce()
-
-
-def _unpack_door(context: Any, *packed: Any) -> Any:
-    return compiler.CompileResult._rebuild(context, *packed)
 
 
 def _pack_part(made: Any) -> Any:

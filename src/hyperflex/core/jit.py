@@ -50,11 +50,12 @@ def summing(function: _F) -> _F:
 
 
 def _compiled(function: _F, counts: bool = True, more: AbstractSet[str] = frozenset(), **how: bool) -> _F:
-    options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FASTMATH | more, "nogil": True, **how}
     if numba.config.DISABLE_JIT:
         return function
     KERNELS.append((function.__module__, function.__qualname__))
-    return compiler.door(function, options, counts)  # type: ignore[no-any-return]
+    options = {"error_model": "numpy", "fastmath": _FASTMATH | more, "nogil": True, "nopython": True, **how}
+    inner = {"boundscheck": None, "no_cfunc_wrapper": True, "_nrt": counts}
+    return compiler.Door(function, targetoptions=options | inner)  # type: ignore[return-value]
 
 
 class _Inlined:
@@ -91,13 +92,26 @@ def zeros(*shapes: Any) -> Any:
 
 @overload(zeros)
 def _zeros_in_kernels(*shapes):  # type: ignore[no-untyped-def]
-    made = "".join(f"np.zeros(shapes[{k}]), " for k in range(len(shapes)))
-    names = {"np": np, "__name__": __name__}
-    exec(f"def zeros(*shapes): return ({made})", names)  # kernels have no loops over arrays of different dimensions
-    return names["zeros"]
+    if not shapes:
+        return lambda *shapes: ()
+    return lambda *shapes: (np.zeros(shapes[0]), *zeros(*shapes[1:]))
 
 
-constant = _constant if numba.config.DISABLE_JIT else compiler.read_only
+def _read(row: Any, width: int, at: int, slots: tuple[int, ...]) -> tuple[Any, ...]:
+    """Return the numbers in some slots of a row of lanes: those at ``at + slot * width``."""
+    return tuple(row[at + slot * width] for slot in slots)
+
+
+def _write(row: Any, width: int, at: int, slots: tuple[int, ...], values: tuple[Any, ...]) -> None:
+    """Write numbers to slots, as :func:`_read` reads them."""
+    for slot, value in zip(slots, values, strict=True):
+        row[at + slot * width] = value
+
+
+if numba.config.DISABLE_JIT:
+    constant, read, write = _constant, _read, _write
+else:
+    constant, read, write = compiler.read_only, compiler.read_slots, compiler.write_slots
 
 
 @functools.cache

@@ -13,7 +13,7 @@ from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.integrate.rollout import Limits
-from hyperflex.core.tangent.extrapolation import Directions, place_changes
+from hyperflex.core.tangent.forward_sensitivity import Directions, place_changes
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.model import (
     FREE_PROPERTIES,

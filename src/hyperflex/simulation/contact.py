@@ -19,6 +19,7 @@ from hyperflex.core.chain.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.contact import run as at
 from hyperflex.core.contact.arrays import STICK, new_contact_memory
 from hyperflex.core.contact.gaps import Pegs
+from hyperflex.core.contact.run import Scene
 from hyperflex.core.integrate.rollout import INDEX, MARK, T
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import deferred, raise_if_cancelled
@@ -300,8 +301,8 @@ class ContactRun:
         clear = np.inf if always or forced else self.clear
         bounds = at.Bounds(stop, self.longest, self.setup.tol, rate, clear, SLACK, BUDGET)
         with deferred():  # else state and clock would not fit together
-            given = run.chain, run.drive, self.contacts, self.pull, bounds, contact
-            code = int(at.run(*given, run.t, run.y, run.seen))
+            scene = Scene(run.chain, run.drive, self.contacts, self.pull)
+            code = int(at.run(scene, bounds, contact, run.t, run.y, run.seen))
             index = contact.clock[at.INDEX]
             clock[:MARK] = starting_clock(float(contact.clock[at.T]))
             clock[INDEX], clock[MARK] = index, -np.inf

@@ -18,10 +18,9 @@ from hyperflex.core.chain.drive import TORQUE, Drive, segment
 from hyperflex.core.integrate.rollout import JOINT, MODES, REJECTED, STEP, TAKEN, Limits
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.read_only import read_only
-from hyperflex.core.tangent import extrapolation as dr
 from hyperflex.core.tangent import forward_sensitivity as core
 from hyperflex.core.tangent import step as tg
-from hyperflex.core.tangent.extrapolation import CHANGES, RATE, Directions, base_change, place_changes
+from hyperflex.core.tangent.forward_sensitivity import CHANGES, RATE, Directions, base_change, place_changes
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import OutOfTime, interruptible
 from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields
@@ -99,8 +98,8 @@ class ParameterDirections:
         rows: list[ParameterChange] = []
         for p, part in enumerate(self.parts):
             _link_seeds(part, chain, links[p])
-            whole[p, dr.TIP_MASS] = part.get("tip_mass", np.zeros(1))[0]
-            whole[p, dr.GRAVITY_X : dr.GRAVITY_Y + 1] = part.get("gravity", np.zeros(2))
+            whole[p, core.TIP_MASS] = part.get("tip_mass", np.zeros(1))[0]
+            whole[p, core.GRAVITY_X : core.GRAVITY_Y + 1] = part.get("gravity", np.zeros(2))
             if part.keys() & {"breaks", "coef", "arm_length"}:
                 driven[p] = len(rows)
                 rows.append(part)
@@ -528,15 +527,17 @@ def forward_derivatives(
     """
     n, steps, times = run.chain.length.size, run.progress.log, np.array(t)
     given = directions.start(n) if changes is None else changes
+    seeds, used = seeds or directions.directions(run.chain, run.drive), given.shape[1]
+    if steps.shape[1] > JOINT:
+        seeds, given = core.with_step_length(seeds), np.pad(given, ((0, 0), (0, 2)))
     y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, *given.shape))
     y[0, :n], y[0, n : 2 * n] = start
     dy[:] = given
     if steps.size:
-        seeds = seeds or directions.directions(run.chain, run.drive)
         begins = stiction_projection(run.chain, run.drive, times[0], y[0, :n], steps[0, MODES:], seeds, given)
         arguments = run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, dy
         _stoppable(lambda halt: core.forward_sensitivities(*arguments, halt), steps.shape[0] * given.size)
-    return y, dy
+    return y, dy[:, :, :used]
 
 
 def _stoppable(kernel: Callable[[npt.NDArray[np.int64]], None], size: int) -> None:

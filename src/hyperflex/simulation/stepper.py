@@ -15,8 +15,7 @@ from hyperflex.core.chain.lanes import COLUMNS, set_slip
 from hyperflex.core.contact.run import clearance
 from hyperflex.core.integrate.rollout import MARK, REJECTED, TAKEN
 from hyperflex.core.stiction import find_modes, new_stiction_workspace
-from hyperflex.core.tangent.extrapolation import Directions, new_tangent_workspace
-from hyperflex.core.tangent.forward_sensitivity import acceleration_derivatives
+from hyperflex.core.tangent.forward_sensitivity import Directions, acceleration_derivatives, new_tangent_workspace
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Rope, Setup, SetupFields

@@ -37,11 +37,6 @@ from hyperflex.core.chain.drive import (
 )
 from hyperflex.core.chain.lanes import (
     COS,
-    COS_START,
-    ERR_VX,
-    ERR_VY,
-    ERR_X,
-    ERR_Y,
     LOST,
     MEMBERS,
     Q_GAP,
@@ -49,14 +44,11 @@ from hyperflex.core.chain.lanes import (
     Q_SUM,
     ROW,
     SIN,
-    SIN_START,
     SLIP,
     W_GAP,
     W_START,
     W_SUM,
     WORK,
-    WORST,
-    WORST_V,
     Q,
     W,
 )
@@ -94,7 +86,7 @@ from hyperflex.core.integrate.step_size import (
     longer,
     shorter,
 )
-from hyperflex.core.jit import constant, inlined, kernel, non_allocating, zeros
+from hyperflex.core.jit import constant, inlined, kernel, non_allocating, read, write, zeros
 from hyperflex.core.stiction import (
     StictionWorkspace,
     decide_modes,
@@ -137,6 +129,7 @@ TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
 NEXT_STEP, RETRY, START, END, OFFSET, FIRST_PIECE, LAST_PIECE, ORIGIN, CLOCK = range(ORDER, ORDER + 9)
 # What moves the first joints, in lanes: slot * k + lane. Coefficients of four channels, parameters that seldom change,
 # the time since the piece began; then the torque on link 0 and what ``drive.base_state`` gives, less gravity
+POWERS = tuple(range(6))
 COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39
 
 
@@ -149,10 +142,10 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     for i in range(n):
         at = (i + 1) * ROW * k + j
         lanes[at + ln.LEVER * k] = members.links[m, LEVER, i]
-        lanes[at + Q_START * k], lanes[at + W_START * k] = start[i], start[n + i]
-        lanes[at + SIN_START * k], lanes[at + COS_START * k] = sincos(start[i])
-    path[ARM * k + j], path[LIMIT * k + j] = whole[ARM_LENGTH], whole[TORQUE_LIMIT]
-    path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
+        write(lanes, k, at, ln.START, (start[i], start[n + i], *sincos(start[i])))
+    write(
+        path, k, j, (GX, GY, ARM, LIMIT), (whole[GRAVITY_X], whole[GRAVITY_Y], whole[ARM_LENGTH], whole[TORQUE_LIMIT])
+    )
     energy[0], energy[1] = start[2 * n], start[2 * n + 1]
     lane[:] = 0.0
     lane[T] = lane[END] = terms.begin
@@ -198,8 +191,7 @@ def piece(members, m, t, path, j, lane):  # type: ignore[no-untyped-def]
 @inlined
 def lane_polynomial(path, k, j, channel, t):  # type: ignore[no-untyped-def]
     """Value, first and second derivative at t of a channel of lane j, as ``drive.polynomial``."""
-    i = (COEF + 6 * channel) * k + j
-    return polynomial((path[i], path[i + k], path[i + 2 * k], path[i + 3 * k], path[i + 4 * k], path[i + 5 * k]), t)
+    return polynomial(read(path, k, (COEF + 6 * channel) * k + j, POWERS), t)
 
 
 @non_allocating
@@ -269,8 +261,7 @@ def read_start(lanes, j, out):  # type: ignore[no-untyped-def]
     """Copy angles and rates at the beginning of lane j's step to ``out`` (2 n + 2,)."""
     k, n = len(MEMBERS), (out.size - 2) // 2
     for i in range(n):
-        at = (i + 1) * ROW * k + j
-        out[i], out[n + i] = lanes[at + Q_START * k], lanes[at + W_START * k]
+        out[i], out[n + i] = read(lanes, k, (i + 1) * ROW * k + j, (Q_START, W_START))
 
 
 @non_allocating
@@ -284,8 +275,7 @@ def decide_lane_modes(members, terms, m, lanes, j, lane, friction):  # type: ign
     chain, q, w = chain_of(members, terms, m), start[:n], start[n : 2 * n]
     good, lane[CHATTER] = decide_modes(chain, q, w, base, torque, lane[CHATTER], slip, before, tools)
     for i in range(n):
-        at = (i + 1) * ROW * k + j
-        lanes[at + SLIP * k], lanes[at + W_START * k] = slip[i], w[i]
+        write(lanes, k, (i + 1) * ROW * k + j, (SLIP, W_START), (slip[i], w[i]))
     lane[UNDECIDED] = 0.0
     return good
 
@@ -302,9 +292,8 @@ def assess_lane(members, terms, m, lanes, j, lane, friction):  # type: ignore[no
         read_start(lanes, j, start)
         begin_search(chain, drive, part, t, terms.tol, step, start, slip, widen, False, search, tools)
     for i in range(n):
-        at = (i + 1) * ROW * k + j
-        out[i] = lanes[at + Q_START * k] + lanes[at + Q_SUM * k]
-        out[n + i] = lanes[at + W_START * k] + lanes[at + W_SUM * k]
+        q, w, dq, dw = read(lanes, k, (i + 1) * ROW * k + j, (Q_START, W_START, Q_SUM, W_SUM))
+        out[i], out[n + i] = q + dq, w + dw
     call = chain, drive, part, NEVER, 0.0, t, step, start, slip, widen, search, tools, out
     verdict, lane[NEXT_STEP] = assess_attempt(*call)
     lane[RETRY] = 1.0 if verdict == AGAIN else 0.0
@@ -316,9 +305,7 @@ def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: igno
     """Make the end of lane j's step, of the length `step`, the start of its next one."""
     k, out, power = len(MEMBERS), friction.out[j], friction.searches.power[j]
     for i in range(n):
-        at = (i + 1) * ROW * k + j
-        lanes[at + Q_START * k], lanes[at + W_START * k] = out[i], out[n + i]
-        lanes[at + SIN_START * k], lanes[at + COS_START * k] = sincos(out[i])
+        write(lanes, k, (i + 1) * ROW * k + j, ln.START, (out[i], out[n + i], *sincos(out[i])))
     energy[j, 1] += stuck_loss(power, step, 1.0)
     power[:] = 0.0
     if event:
@@ -334,16 +321,10 @@ def begin_column(width, lanes, sums):  # type: ignore[no-untyped-def]
     for i in range(1, n + 1):
         row = lanes[i * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
-            row[Q * k + j] = row[Q_START * k + j]
-            row[W * k + j] = row[W_START * k + j]
-            row[SIN * k + j] = row[SIN_START * k + j]
-            row[COS * k + j] = row[COS_START * k + j]
+            write(row, k, j, ln.STATE, read(row, k, j, ln.START))
         if sums:
             for j in range(k):
-                row[Q_SUM * k + j] = 0.0
-                row[W_SUM * k + j] = 0.0
-                row[Q_GAP * k + j] = 0.0
-                row[W_GAP * k + j] = 0.0
+                write(row, k, j, ln.SUMS, (0.0, 0.0, 0.0, 0.0))
 
 
 @non_allocating
@@ -354,12 +335,10 @@ def end_column(width, lanes, best, gap):  # type: ignore[no-untyped-def]
     for i in range(1, n + 1):
         row = lanes[i * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
-            dq = row[Q * k + j] - row[Q_START * k + j]
-            dw = row[W * k + j] - row[W_START * k + j]
-            row[Q_SUM * k + j] += best * dq
-            row[W_SUM * k + j] += best * dw
-            row[Q_GAP * k + j] += gap * dq
-            row[W_GAP * k + j] += gap * dw
+            (q, w, q_start, w_start), sums = read(row, k, j, (Q, W, Q_START, W_START)), read(row, k, j, ln.SUMS)
+            dq, dw = q - q_start, w - w_start
+            sums = sums[0] + best * dq, sums[1] + best * dw, sums[2] + gap * dq, sums[3] + gap * dw
+            write(row, k, j, ln.SUMS, sums)
 
 
 @non_allocating
@@ -367,30 +346,21 @@ def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
     """Sine and cosine of the result, and the largest squared errors of any joint's position and velocity (in `tip`)."""
     k = len(width)
     n = lanes.size // (ROW * k) - 2
-    for slot in range(ERR_X, WORST_V + 1):
-        tip[slot * k : (slot + 1) * k] = 0.0
+    for j in range(k):
+        write(tip, k, j, ln.ERRORS, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     for i in range(1, n + 1):
         row = lanes[i * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
-            sin, cos = sincos(row[Q_START * k + j] + row[Q_SUM * k + j])
-            row[SIN * k + j] = sin
-            row[COS * k + j] = cos
-            a = row[ln.LEVER * k + j] * row[Q_GAP * k + j]
-            b = row[ln.LEVER * k + j] * row[W_GAP * k + j]
-            x = tip[ERR_X * k + j] + cos * a
-            y = tip[ERR_Y * k + j] + sin * a
-            vx = tip[ERR_VX * k + j] + cos * b
-            vy = tip[ERR_VY * k + j] + sin * b
-            tip[ERR_X * k + j] = x
-            tip[ERR_Y * k + j] = y
-            tip[ERR_VX * k + j] = vx
-            tip[ERR_VY * k + j] = vy
-            worst = tip[WORST * k + j]
-            worst_v = tip[WORST_V * k + j]
-            position = x * x + y * y
-            velocity = vx * vx + vy * vy
-            tip[WORST * k + j] = position if position > worst else worst
-            tip[WORST_V * k + j] = velocity if velocity > worst_v else worst_v
+            q, dq, gap_q, gap_w, lever = read(row, k, j, (Q_START, Q_SUM, Q_GAP, W_GAP, ln.LEVER))
+            sin, cos = sincos(q + dq)
+            write(row, k, j, (SIN, COS), (sin, cos))
+            x, y, vx, vy, worst, worst_v = read(tip, k, j, ln.ERRORS)
+            x, y = x + cos * (lever * gap_q), y + sin * (lever * gap_q)
+            vx, vy = vx + cos * (lever * gap_w), vy + sin * (lever * gap_w)
+            position, velocity = x * x + y * y, vx * vx + vy * vy
+            worst = position if position > worst else worst
+            worst_v = velocity if velocity > worst_v else worst_v
+            write(tip, k, j, ln.ERRORS, (x, y, vx, vy, worst, worst_v))
 
 
 @non_allocating
@@ -404,8 +374,7 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
         begin_column(MEMBERS, lanes, col == 1)
         for j in range(k):
             tip[ln.STEP * k + j] = lane[j, NEXT_STEP] / col
-            lanes[WORK * k + j] = 0.0
-            lanes[LOST * k + j] = 0.0
+            write(lanes, k, j, (WORK, LOST), (0.0, 0.0))
             path[SINCE * k + j] = lane[j, T] - lane[j, ORIGIN]
         for s in range(col):
             base_motion(MEMBERS, path)
@@ -429,27 +398,25 @@ def accept(lanes, n, j, energy):  # type: ignore[no-untyped-def]
     k = len(MEMBERS)
     for i in range(1, n + 1):
         row = lanes[i * ROW * k : (i + 1) * ROW * k]
-        row[Q_START * k + j] += row[Q_SUM * k + j]
-        row[W_START * k + j] += row[W_SUM * k + j]
-        row[SIN_START * k + j] = row[SIN * k + j]
-        row[COS_START * k + j] = row[COS * k + j]
+        q, w, dq, dw, sin, cos = read(row, k, j, (Q_START, W_START, Q_SUM, W_SUM, SIN, COS))
+        write(row, k, j, ln.START, (q + dq, w + dw, sin, cos))
     energy[j, 0] += energy[j, 2]
     energy[j, 1] += energy[j, 3]
 
 
 @non_allocating
-def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
+def write_state(lanes, j, energy, out):  # type: ignore[no-untyped-def]
     """Copy the state of lane j to ``out`` (2 n + 2,)."""
     read_start(lanes, j, out)
-    out[2 * n], out[2 * n + 1] = energy[j, 0], energy[j, 1]
+    out[-2], out[-1] = energy[j, 0], energy[j, 1]
 
 
 @non_allocating
 def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
     k = len(MEMBERS)
-    finite = abs(tip[ERR_VX * k + j]) + abs(tip[ERR_VY * k + j]) < np.inf
-    worst = max(tip[WORST * k + j], lasting(step) ** 2 * tip[WORST_V * k + j])
+    _, _, vx, vy, worst, worst_v = read(tip, k, j, ln.ERRORS)
+    finite, worst = abs(vx) + abs(vy) < np.inf, max(worst, lasting(step) ** 2 * worst_v)
     if not finite or not (worst < np.inf):
         return np.inf
     if terms.fixed > 0.0 or step < SMALLEST_STEP:  # so short only where it is cut: nothing to control
@@ -571,7 +538,7 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
                 if len(dry) > 0 and sticks[j]:
                     finish_lane(lanes, n, j, lane[j], energy, step, verdict == EVENT, friction)
                 if t_out[index[j]] <= lane[j, T]:
-                    write(lanes, n, j, energy, y_out[m, index[j]])
+                    write_state(lanes, j, energy, y_out[m, index[j]])
                     index[j] += 1
             if index[j] == t_out.size or code == status.STEP_TOO_SMALL or code == status.NOT_FINITE:
                 save_clock(members, member[j], lane[j])

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import air_loads
-from hyperflex.core.jit import constant, inlined, kernel, non_allocating
+from hyperflex.core.jit import constant, inlined, kernel, non_allocating, read, write
 
 Array = npt.NDArray[np.float64]
 
@@ -46,6 +46,7 @@ class Chain(NamedTuple):
 MUTUAL = (0, 0)  # the link and its parent
 ONE_SIDED = (0,)  # the link alone, as printed in the paper's (4)
 
+WAY_BACK = tuple(range(4))  # of ``accelerations``' scratch, for each link
 MANY_DRY = 16  # joints with dry friction from which their events set the length of steps
 
 _ONE_OVER_PI = 1.0 / math.pi
@@ -103,7 +104,7 @@ def link_step(link, joint, free, reaction_factor, sin, cos, rate2, beyond):  # t
         Part of the torque of a stuck joint that acts on the parent: 1.0, or 0.0 for the printed friction model.
     sin, cos, rate2 : float
         Of this link's angle; its squared angular rate.
-    beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta)
+    beyond : (axx, axy, ayy, fx, fy, bx, by, s, beta, ayx, ux, uy)
         Answer of everything beyond this link's far joint, where p is that joint's acceleration less gravity and
         alpha the acceleration of this link: force A p + f alpha + b, torque u.p + s alpha + beta.
 
@@ -119,7 +120,7 @@ def link_step(link, joint, free, reaction_factor, sin, cos, rate2, beyond):  # t
     """
     length, ma, inertia, mass = link
     torque, torque_back, kappa, kappa_back = joint
-    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = beyond
+    axx, axy, ayy, fx, fy, bx, by, s, beta, ayx, ux, uy = beyond
     lc = length * cos
     ls = length * sin
     lx = lc * axx + ls * axy
@@ -143,25 +144,24 @@ def link_step(link, joint, free, reaction_factor, sin, cos, rate2, beyond):  # t
     at = (
         axx + mass - (gx * ex) * inv,
         axy - (gx * ey) * inv,
-        ayx - (gy * ex) * inv,
         ayy + mass - (gy * ey) * inv,
         gx * k,
         gy * k,
         gx * turn - hx - pull * sin,
         gy * turn - hy + pull * cos,
-        k_back * ex,
-        k_back * ey,
         k_back * rigid,
         torque_back - k_back * r,
+        ayx - (gy * ex) * inv,
+        k_back * ex,
+        k_back * ey,
     )
     return at, (turn, ex * inv, ey * inv, k, inv)
 
 
 @inlined
 def mutual(beyond):  # type: ignore[no-untyped-def]
-    """Return the answer as it is where a joint's friction acts on both links: symmetric, so half of it is known."""
-    axx, axy, _, ayy, fx, fy, bx, by, _, _, s, beta = beyond
-    return axx, axy, axy, ayy, fx, fy, bx, by, fx, fy, s, beta
+    """Return the answer as it is where a joint's friction acts on both links: ayx = axy, (ux, uy) = (fx, fy)."""
+    return *beyond[:9], beyond[1], beyond[3], beyond[4]
 
 
 @inlined
@@ -222,8 +222,7 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
     reaction_factor = len(chain.reaction) - 1.0
     sines(q, work, 4 * n)
     air_x, air_y, _ = air_loads(chain, w, base, work, 0, 4)
-    zero = 0.0
-    at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, zero, zero, zero, zero, zero, zero)
+    at = (chain.tip_mass, 0.0, chain.tip_mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for way in range(n):
         i = n - 1 - way
         angle = relative(q, i, base[4])
@@ -238,21 +237,20 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
         at, back = link_step(
             link, joint, slip[i] * slip[i], reaction_factor, work[4 * n + i], work[5 * n + i], w[i] * w[i], at
         )
-        o = 4 * i
-        work[o], work[o + 1], work[o + 2], work[o + 3], _ = back
+        write(work, 1, 4 * i, WAY_BACK, back[:4])
     px = base[0] - chain.gx
     py = base[1] - chain.gy
     up = base[2]
-    fx = at[0] * px + at[1] * py + at[4] * up + at[6] - air_x
-    fy = at[2] * px + at[3] * py + at[5] * up + at[7] - air_y
-    moment = at[8] * px + at[9] * py + at[10] * up + at[11]
+    axx, axy, ayy, fx, fy, bx, by, s, beta, ayx, ux, uy = at
+    fx = axx * px + axy * py + fx * up + bx - air_x
+    fy = ayx * px + ayy * py + fy * up + by - air_y
+    moment = ux * px + uy * py + s * up + beta
     for i in range(n):
-        o = 4 * i
-        up = work[o] - work[o + 1] * px - work[o + 2] * py + work[o + 3] * up
-        alpha[i] = up
-        rate2 = w[i] * w[i]
-        px += chain.length[i] * (work[5 * n + i] * up - work[4 * n + i] * rate2)
-        py += chain.length[i] * (work[4 * n + i] * up + work[5 * n + i] * rate2)
+        r, ex, ey, k = read(work, 1, 4 * i, WAY_BACK)
+        alpha[i] = up = r - ex * px - ey * py + k * up
+        rate2, sin, cos = w[i] * w[i], work[4 * n + i], work[5 * n + i]
+        px += chain.length[i] * (cos * up - sin * rate2)
+        py += chain.length[i] * (sin * up + cos * rate2)
     return fx, fy, moment
 
 

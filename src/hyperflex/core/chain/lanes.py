@@ -19,8 +19,8 @@ import numpy as np
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
-from hyperflex.core.chain.articulated_body import link_step, mutual, sincos
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.chain.articulated_body import joint_of, link_step, mutual, sincos
+from hyperflex.core.jit import inlined, kernel, non_allocating, read, write
 
 COLUMNS = (0,) * 4
 MEMBERS = (0,) * 16
@@ -28,20 +28,26 @@ MEMBERS = (0,) * 16
 MORE, LAST = (0,), ()
 
 # parameters of a link
-LENGTH, MA, INERTIA, MASS, VISCOUS, STIFFNESS, REST, DRY = range(8)
+LINK = LENGTH, MA, INERTIA, MASS = tuple(range(4))
+JOINT = VISCOUS, DRY, STIFFNESS, REST = tuple(range(4, 8))
 # state, with the sense of slipping (0: stuck); sine, cosine; (r inv, ex inv, ey inv, k, inv) for the way back; step
-SLIP, Q, W, SIN, COS, RD, EX, EY, KD, INV, STEP = range(8, 19)
+SLIP, INV, STEP = range(8, 11)
+STATE = Q, W, SIN, COS = tuple(range(11, 15))
+BACK = RD, EX, EY, KD = tuple(range(15, 19))
 # on the way to the motor: the answer at the motor-side joint; AYX, UX and UY are not used where friction is mutual
-AXX, AXY, AYX, AYY, FX, FY, BX, BY, UX, UY, S, BETA = range(19, 31)
+ANSWER = AXX, AXY, AYY, FX, FY, BX, BY, S, BETA, AYX, UX, UY = tuple(range(19, 31))
+SYMMETRIC = ANSWER[:9]
 # on the way back: acceleration of the far joint (less gravity), and of the link; `advance` hands them on
-PX, PY, ALPHA = range(31, 34)
+MOTION = PX, PY, ALPHA = tuple(range(31, 34))
 # friction work of a step, summed up from the tip; torque of air and motor on the link; of the lane as a whole, in row
 # 0: work and loss
 DISSIPATED, EXTERNAL, WORK, LOST = range(34, 38)
 # extrapolation with whole rollouts in the lanes: state at the start, result and error estimate, lever of the link;
 # in the last row: error of the joint's position and velocity, and the largest squares of both so far
-Q_START, W_START, SIN_START, COS_START, Q_SUM, W_SUM, Q_GAP, W_GAP, LEVER = range(38, 47)
-ERR_X, ERR_Y, ERR_VX, ERR_VY, WORST, WORST_V = range(47, 53)
+START = Q_START, W_START, _, _ = tuple(range(38, 42))
+SUMS = Q_SUM, W_SUM, Q_GAP, W_GAP = tuple(range(42, 46))
+LEVER = 46
+ERRORS = tuple(range(47, 53))
 DRAG = 53  # of the link; in row 0 more than 0.0 where any link of the lane has drag
 ROW = 54
 UP, AT, DOWN = 0, ROW, 2 * ROW
@@ -76,15 +82,12 @@ def load(width, chain, lanes, tip):  # type: ignore[no-untyped-def]
 def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
     """Copy the parameters of a chain into lane j, whose joints all slip; no air has moved there yet."""
     k = len(width)
-    for slot in (DRAG, FX, FY, S):
-        lanes[slot * k + j] = 0.0
+    write(lanes, k, j, (DRAG, FX, FY, S), (0.0, 0.0, 0.0, 0.0))
     for i in range(chain.length.size):
         ma, at = chain.mass[i] * chain.com[i], (i + 1) * ROW * k + j
-        lanes[at + LENGTH * k], lanes[at + MA * k], lanes[at + MASS * k] = chain.length[i], ma, chain.mass[i]
-        lanes[at + INERTIA * k] = chain.inertia[i] + ma * chain.com[i]
-        lanes[at + VISCOUS * k], lanes[at + DRY * k] = chain.viscous[i], chain.dry[i]
-        lanes[at + STIFFNESS * k], lanes[at + REST * k] = chain.stiffness[i], chain.rest[i]
-        lanes[at + DRAG * k], lanes[at + EXTERNAL * k], lanes[at + SLIP * k] = chain.drag[i], 0.0, 1.0
+        write(lanes, k, at, LINK, (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i]))
+        write(lanes, k, at, JOINT, joint_of(chain, i))
+        write(lanes, k, at, (DRAG, EXTERNAL, SLIP), (chain.drag[i], 0.0, 1.0))
         lanes[DRAG * k + j] += chain.drag[i]
     tip[MASS * k + j] = chain.tip_mass
 
@@ -108,13 +111,7 @@ def set_state(j, q, w, trig, lanes):  # type: ignore[no-untyped-def]
     """Write angles and rates (n,), and sines and cosines `trig` (2 n,), to lane j of COLUMNS."""
     k, n = len(COLUMNS), q.size
     for i in range(n):
-        at = (i + 1) * ROW * k + j
-        lanes[at + Q * k], lanes[at + W * k], lanes[at + SIN * k], lanes[at + COS * k] = (
-            q[i],
-            w[i],
-            trig[i],
-            trig[n + i],
-        )
+        write(lanes, k, (i + 1) * ROW * k + j, STATE, (q[i], w[i], trig[i], trig[n + i]))
 
 
 @inlined
@@ -127,18 +124,11 @@ def set_base(j, chain, motion, base):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def joint_in(row, k, at):  # type: ignore[no-untyped-def]
-    """Joint of the link at the offset `at` as ``joint_law`` takes it."""
-    return row[at + VISCOUS * k], row[at + DRY * k], row[at + STIFFNESS * k], row[at + REST * k]
-
-
-@inlined
 def load_joint(row, k, up, at, h, reaction_factor):  # type: ignore[no-untyped-def]
     """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
-    joint, slip = joint_in(row, k, at), row[at + SLIP * k]
-    w, w_up = row[at + W * k], row[up + W * k]
-    angle = row[at + Q * k] - row[up + Q * k]
-    t, t_back, kappa, kappa_back = joint_law.torques(joint, reaction_factor, angle, w - w_up, slip, h)
+    joint, slip = read(row, k, at, JOINT), row[at + SLIP * k]
+    (q, w), (q_up, w_up) = read(row, k, at, (Q, W)), read(row, k, up, (Q, W))
+    t, t_back, kappa, kappa_back = joint_law.torques(joint, reaction_factor, q - q_up, w - w_up, slip, h)
     lost = h * joint_law.power(joint, reaction_factor, w, w_up, slip)
     return (t + row[at + EXTERNAL * k], t_back, kappa, kappa_back), lost
 
@@ -146,39 +136,15 @@ def load_joint(row, k, up, at, h, reaction_factor):  # type: ignore[no-untyped-d
 @inlined
 def load_answer(row, k, at, reaction_factor):  # type: ignore[no-untyped-def]
     """Answer at the offset `at`, as ``link_step`` takes the answer of the link beyond."""
-    answer = (
-        row[at + AXX * k],
-        row[at + AXY * k],
-        row[at + AYX * k],
-        row[at + AYY * k],
-        row[at + FX * k],
-        row[at + FY * k],
-        row[at + BX * k],
-        row[at + BY * k],
-        row[at + UX * k],
-        row[at + UY * k],
-        row[at + S * k],
-        row[at + BETA * k],
-    )
-    return mutual(answer) if reaction_factor == 1.0 else answer
+    return mutual(read(row, k, at, SYMMETRIC)) if reaction_factor == 1.0 else read(row, k, at, ANSWER)
 
 
 @inlined
 def store_answer(row, k, at, reaction_factor, answer):  # type: ignore[no-untyped-def]
     """Keep an answer at the offset `at`."""
-    row[at + AXX * k] = answer[0]
-    row[at + AXY * k] = answer[1]
-    row[at + AYY * k] = answer[3]
-    row[at + FX * k] = answer[4]
-    row[at + FY * k] = answer[5]
-    row[at + BX * k] = answer[6]
-    row[at + BY * k] = answer[7]
-    row[at + S * k] = answer[10]
-    row[at + BETA * k] = answer[11]
+    write(row, k, at, SYMMETRIC, answer[:9])
     if reaction_factor == 0.0:  # else they are AXY, FX and FY
-        row[at + AYX * k] = answer[2]
-        row[at + UX * k] = answer[8]
-        row[at + UY * k] = answer[9]
+        write(row, k, at, (AYX, UX, UY), answer[9:])
 
 
 @non_allocating
@@ -190,35 +156,28 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
     k = len(width)
     n = lanes.size // (ROW * k) - 2
     for j in range(k):
-        lanes[PX * k + j] = base[5, j]
-        lanes[PY * k + j] = base[6, j]
+        write(lanes, k, j, (PX, PY), (base[5, j], base[6, j]))
     for i in range(1, n + 1):
         row = lanes[(i - 1) * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
             up, at = UP * k + j, AT * k + j
-            turn = row[at + LENGTH * k] * row[at + W * k]
-            row[at + PX * k] = row[up + PX * k] + turn * row[at + COS * k]
-            row[at + PY * k] = row[up + PY * k] + turn * row[at + SIN * k]
+            (vx, vy), (length, w, sin, cos) = read(row, k, up, (PX, PY)), read(row, k, at, (LENGTH, W, SIN, COS))
+            write(row, k, at, (PX, PY), (vx + length * w * cos, vy + length * w * sin))
     for way in range(n):
         i = n - way
         first = 1.0 if i == 1 else 0.0
         row = lanes[(i - 1) * ROW * k : (i + 2) * ROW * k]
         for j in range(k):
             up, at, down = UP * k + j, AT * k + j, DOWN * k + j
-            sin, cos = row[at + SIN * k], row[at + COS * k]
-            length, w = row[at + LENGTH * k], row[at + W * k]
-            across = row[up + PX * k] * cos + row[up + PY * k] * sin
-            force, moment = link_drag(row[at + DRAG * k], length, across, length * w)
-            fx, fy = row[down + BX * k], row[down + BY * k]
-            torque = length * (cos * fx + sin * fy) - moment
-            row[at + EXTERNAL * k] = torque + first * row[at + EXTERNAL * k]
-            row[at + BX * k] = fx - force * cos
-            row[at + BY * k] = fy - force * sin
-            row[at + BETA * k] = row[down + BETA * k] + force * across + moment * w
+            drag, length, w, sin, cos, external = read(row, k, at, (DRAG, LENGTH, W, SIN, COS, EXTERNAL))
+            (vx, vy), (fx, fy, power) = read(row, k, up, (PX, PY)), read(row, k, down, (BX, BY, BETA))
+            across = vx * cos + vy * sin
+            force, moment = link_drag(drag, length, across, length * w)
+            row[at + EXTERNAL * k] = length * (cos * fx + sin * fy) - moment + first * external
+            whole = fx - force * cos, fy - force * sin, power + force * across + moment * w
+            write(row, k, at, (BX, BY, BETA), whole)
     for j in range(k):
-        lanes[FX * k + j] = lanes[(ROW + BX) * k + j]
-        lanes[FY * k + j] = lanes[(ROW + BY) * k + j]
-        lanes[S * k + j] = lanes[(ROW + BETA) * k + j]
+        write(lanes, k, j, (FX, FY, S), read(lanes, k, ROW * k + j, (BX, BY, BETA)))
 
 
 @non_allocating
@@ -233,7 +192,7 @@ def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
     n = lanes.size // (ROW * k) - 2
     for j in range(k):
         mass = tip[MASS * k + j]
-        store_answer(tip, k, j, reaction_factor, (mass, 0.0, 0.0, mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        store_answer(tip, k, j, reaction_factor, (mass, 0.0, mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         tip[DISSIPATED * k + j] = 0.0
     for way in range(n):
         i = n - way
@@ -244,12 +203,11 @@ def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
             near, far = (j, j) if one_place else (at, DOWN * k + j)
             h = answers[far + STEP * k]
             joint, lost = load_joint(row, k, up, at, h, reaction_factor)
-            link = row[at + LENGTH * k], row[at + MA * k], row[at + INERTIA * k], row[at + MASS * k]
-            slip, w, sin, cos = row[at + SLIP * k], row[at + W * k], row[at + SIN * k], row[at + COS * k]
-            beyond = load_answer(answers, k, far, reaction_factor)
+            slip, w, sin, cos = read(row, k, at, (SLIP, W, SIN, COS))
+            link, beyond = read(row, k, at, LINK), load_answer(answers, k, far, reaction_factor)
             answer, back = link_step(link, joint, slip * slip, reaction_factor, sin, cos, w * w, beyond)
             store_answer(answers, k, near, reaction_factor, answer)
-            row[at + RD * k], row[at + EX * k], row[at + EY * k], row[at + KD * k] = back[:4]
+            write(row, k, at, BACK, back[:4])
             answers[near + DISSIPATED * k] = answers[far + DISSIPATED * k] + lost
             if not one_place:
                 row[at + INV * k] = back[4]
@@ -268,29 +226,27 @@ def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
         for j in range(k):
             at = AT * k + j
             near, far = (j, j) if one_place else (UP * k + j, at)
-            px, py, h = place[near + PX * k], place[near + PY * k], place[far + STEP * k]
-            w, length, sin, cos = row[at + W * k], row[at + LENGTH * k], row[at + SIN * k], row[at + COS * k]
-            alpha = row[at + RD * k] - row[at + EX * k] * px - row[at + EY * k] * py
-            alpha += row[at + KD * k] * place[near + ALPHA * k]
-            place[far + ALPHA * k] = alpha
-            place[far + PX * k] = px + length * (cos * alpha - sin * w * w)
-            place[far + PY * k] = py + length * (sin * alpha + cos * w * w)
+            (px, py, alpha_up), h = read(place, k, near, MOTION), place[far + STEP * k]
+            (q, w, sin, cos), length = read(row, k, at, STATE), row[at + LENGTH * k]
+            rd, ex, ey, kd = read(row, k, at, BACK)
+            alpha = rd - ex * px - ey * py + kd * alpha_up
+            x, y = px + length * (cos * alpha - sin * w * w), py + length * (sin * alpha + cos * w * w)
+            write(place, k, far, MOTION, (x, y, alpha))
             w += h * alpha
-            q = row[at + Q * k] + h * w
-            row[at + W * k] = w
-            row[at + Q * k] = q
+            q += h * w
+            write(row, k, at, (Q, W), (q, w))
             if len(more) > 0:
-                row[at + SIN * k], row[at + COS * k] = sincos(q)
+                write(row, k, at, (SIN, COS), sincos(q))
 
 
 @inlined
 def base_load(top, answers, k, j, reaction_factor, base):  # type: ignore[no-untyped-def]
     """Force x, y on lane j's chain at its first joint, which moves as `base` (9, k), and torque through it."""
     px, py, up = base[0, j], base[1, j], base[2, j]
-    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, reaction_factor)
-    fx = axx * px + axy * py + fx * up + bx - top[FX * k + j]
-    fy = ayx * px + ayy * py + fy * up + by - top[FY * k + j]
-    return fx, fy, ux * px + uy * py + s * up + beta
+    axx, axy, ayy, fx, fy, bx, by, s, beta, ayx, ux, uy = load_answer(answers, k, j, reaction_factor)
+    air_x, air_y = read(top, k, j, (FX, FY))
+    moment = ux * px + uy * py + s * up + beta
+    return axx * px + axy * py + fx * up + bx - air_x, ayx * px + ayy * py + fy * up + by - air_y, moment
 
 
 @non_allocating
@@ -309,8 +265,7 @@ def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-d
     k = len(width)
     top = lanes[: ROW * k]
     for j in range(k):
-        top[W * k + j] = base[3, j]
-        top[Q * k + j] = base[4, j]
+        write(top, k, j, (W, Q), (base[3, j], base[4, j]))
         lanes[(ROW + EXTERNAL) * k + j] = tip[EXTERNAL * k + j]
     if top[DRAG * k : (DRAG + 1) * k].any():
         air(width, lanes, base)
@@ -325,5 +280,5 @@ def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-d
         h = answers[STEP * k + j]
         top[WORK * k + j] += h * power
         top[LOST * k + j] += answers[DISSIPATED * k + j] + h * top[S * k + j]
-        start[PX * k + j], start[PY * k + j], start[ALPHA * k + j] = base[0, j], base[1, j], base[2, j]
+        write(start, k, j, MOTION, (base[0, j], base[1, j], base[2, j]))
     advance(width, more, lanes, tip)

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.jit import kernel, non_allocating, zeros
@@ -22,16 +21,14 @@ class Impulses(NamedTuple):
 
     normal: Array  # (K,) N s
     tangent: Array
-    normal0: Array  # where the proximal method starts from
-    tangent0: Array
+    start: Array  # (2, K) N s, normal and tangential, where the proximal method starts from
+    good: Array  # (2, K) and where it started for the last solution found
     target: Array  # (K,) m/s, the normal velocity may be as low as minus this
     tangent_target: Array  # (K,) m/s, and what sticks has the tangential velocity minus this, against the peg
     vn: Array  # (K,) velocity of the point at the end of the step, m/s
     vt: Array  # less that of a peg that turns, without `tangent_target`
-    good_normal: Array  # normal0, tangent0 and mode of the last solution found
-    good_tangent: Array
     mode: Index
-    good_mode: Index
+    good_mode: Index  # of the last solution found
     closed: Index  # how often each closed in this search
     penalty: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
     residual_power: float  # W, power that residual velocities may have
@@ -84,7 +81,7 @@ class Motion(NamedTuple):
 def new_impulses(most, residual_power, loose):  # type: ignore[no-untyped-def]
     """Impulses of at most so many contacts; `residual_power` and `loose` as in Impulses."""
     modes = np.zeros((3, most), np.int64)
-    values = zeros(most, most, most, most, most, most, most, most, most, most)
+    values = zeros(most, most, (2, most), (2, most), most, most, most, most)
     return Impulses(*values, modes[0], modes[1], modes[2], np.zeros(1), residual_power, loose)  # type: ignore[call-arg]
 
 
@@ -138,37 +135,12 @@ def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def copy_memory(memory, out):  # type: ignore[no-untyped-def]
-    """Copy a ContactMemory to another of the same shapes."""
-    assign_rows(out.normal, memory.normal)
-    assign_rows(out.tangent, memory.tangent)
-    assign_rows(out.mode, memory.mode)
-    assign(out.penalty, memory.penalty)
-    assign(out.torque, memory.torque)
-    assign(out.bent, memory.bent)
-
-
-@non_allocating
 def clear_memory(memory):  # type: ignore[no-untyped-def]
     """Clear the modes and forces of the last step."""
     memory.penalty[0] = 0.0
-    for i in range(memory.mode.shape[0]):
-        for p in range(memory.mode.shape[1]):
-            memory.normal[i, p] = memory.tangent[i, p] = 0.0
-            memory.mode[i, p] = OPEN
-        memory.torque[i], memory.bent[i] = 0.0, OPEN
-
-
-@non_allocating
-def is_empty(memory):  # type: ignore[no-untyped-def]
-    """Whether nothing was held in the last step."""
-    for i in range(memory.mode.shape[0]):
-        if memory.bent[i] != OPEN:
-            return False
-        for p in range(memory.mode.shape[1]):
-            if memory.mode[i, p] != OPEN:
-                return False
-    return True
+    memory.normal[:] = memory.tangent[:] = memory.torque[:] = 0.0
+    memory.mode[:] = OPEN
+    memory.bent[:] = OPEN
 
 
 @non_allocating
@@ -178,20 +150,17 @@ def warm_start(memory, contacts, impulses, h):  # type: ignore[no-untyped-def]
     for c in range(contacts.total[0]):
         i, p = contacts.link[c], contacts.peg[c]
         impulses.mode[c] = memory.mode[i, p] if impulses.target[c] < UNHELD else OPEN
-        impulses.normal0[c] = RELAXED * h * memory.normal[i, p]
-        impulses.tangent0[c] = RELAXED * h * memory.tangent[i, p]
+        impulses.start[0, c] = RELAXED * h * memory.normal[i, p]
+        impulses.start[1, c] = RELAXED * h * memory.tangent[i, p]
 
 
 @non_allocating
 def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyped-def]
     """Save modes and forces for the next step; `joints` are the Joints."""
+    clear_memory(memory)
+    memory.penalty[0] = impulses.penalty[0]
     for i in joints.which:
         memory.torque[i], memory.bent[i] = joints.of[IMPULSE, i] / h, joints.mode[i]
-    memory.penalty[0] = impulses.penalty[0]
-    for i in range(memory.mode.shape[0]):
-        for p in range(memory.mode.shape[1]):
-            memory.normal[i, p] = memory.tangent[i, p] = 0.0
-            memory.mode[i, p] = OPEN
     for c in range(contacts.total[0]):
         i, p = contacts.link[c], contacts.peg[c]
         memory.mode[i, p] = impulses.mode[c]

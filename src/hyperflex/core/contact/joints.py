@@ -84,7 +84,7 @@ def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no
 def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-untyped-def]
     """Say what each joint may do in a step `h`, s, and begin with the modes and torques of the last step.
 
-    A gap to a limit may be closed, not more. As for contacts (``step.find_contacts``), a joint that closes faster than
+    A gap to a limit may be closed, not more. As for contacts (``run.find_contacts``), a joint that closes faster than
     ``workspace.brisk`` is left free, and ``workspace.touch`` is the time until it is there; in an impact (h = 0.0)
     those that are there are held.
     """

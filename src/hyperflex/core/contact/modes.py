@@ -8,6 +8,7 @@ on the cone. Its residual velocity is (P - P0) / M and dies out where the load i
 import math
 from typing import Final, NamedTuple
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import (
@@ -29,9 +30,9 @@ from hyperflex.core.contact.sweep import (
     changes,
     clear,
     resolved,
+    turn_pegs,
     velocity,
 )
-from hyperflex.core.contact.turning_pegs import turn_pegs
 from hyperflex.core.jit import absorbed, inlined, non_allocating
 
 
@@ -97,8 +98,8 @@ def write_modes(contacts, impulses, motion, joints, penalty):  # type: ignore[no
         i, speed, turned = contacts.link[c], motion.speed, motion.turned
         vx, vy = speed[0, i] + turned[0, i], speed[1, i] + turned[1, i]
         vn, vt = resolved(contacts, motion, c, vx, vy, motion.w[i])
-        pn = impulses.normal0[c] - penalty * (vn + impulses.target[c])
-        pt = impulses.tangent0[c] - penalty * (vt + impulses.tangent_target[c])
+        pn = impulses.start[0, c] - penalty * (vn + impulses.target[c])
+        pt = impulses.start[1, c] - penalty * (vt + impulses.tangent_target[c])
         add_contact_impulse(contacts, impulses, motion, c, penalty, pn, pt)
 
 
@@ -116,8 +117,8 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
         vt -= spin.reach[contacts.peg[c]] * spin.after[contacts.peg[c]]
         impulses.vn[c], impulses.vt[c] = vn, vt
         vt += impulses.tangent_target[c]
-        pn = impulses.normal0[c] - penalty * (vn + impulses.target[c])
-        pt = impulses.tangent0[c] - penalty * vt
+        pn = impulses.start[0, c] - penalty * (vn + impulses.target[c])
+        pt = impulses.start[1, c] - penalty * vt
         mode, mu = impulses.mode[c], contacts.mu[c]
         new_mode = mode
         if mode == OPEN:
@@ -259,23 +260,21 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
 
 
 @non_allocating
-def store(contacts, impulses, joints):  # type: ignore[no-untyped-def]
+def store(impulses, joints):  # type: ignore[no-untyped-def]
     """Remember where the proximal method starts from, and the modes; `joints` are the Joints."""
-    for i in joints.which:
-        joints.good_mode[i], joints.of[GOOD, i] = joints.mode[i], joints.of[START, i]
-    for c in range(contacts.total[0]):
-        impulses.good_mode[c] = impulses.mode[c]
-        impulses.good_normal[c], impulses.good_tangent[c] = impulses.normal0[c], impulses.tangent0[c]
+    assign(joints.good_mode, joints.mode)
+    assign(joints.of[GOOD], joints.of[START])
+    assign(impulses.good_mode, impulses.mode)
+    assign_rows(impulses.good, impulses.start)
 
 
 @non_allocating
-def restore(contacts, impulses, joints):  # type: ignore[no-untyped-def]
+def restore(impulses, joints):  # type: ignore[no-untyped-def]
     """Go back to what was stored last."""
-    for i in joints.which:
-        joints.mode[i], joints.of[START, i] = joints.good_mode[i], joints.of[GOOD, i]
-    for c in range(contacts.total[0]):
-        impulses.mode[c] = impulses.good_mode[c]
-        impulses.normal0[c], impulses.tangent0[c] = impulses.good_normal[c], impulses.good_tangent[c]
+    assign(joints.mode, joints.good_mode)
+    assign(joints.of[START], joints.of[GOOD])
+    assign(impulses.mode, impulses.good_mode)
+    assign_rows(impulses.start, impulses.good)
 
 
 @non_allocating
@@ -286,23 +285,23 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
     ``most_growth``, or by less where the residual is large: M times the residual is then the mean of the contacts'
     impulses, weighted by themselves. A larger M would make the next round open most contacts.
     """
-    store(contacts, impulses, joints)
+    store(impulses, joints)
     worst, given = update_joint_multipliers(joints, penalty)
     squares = borne = 0.0
     for c in range(contacts.total[0]):
         pn, pt = impulses.normal[c], impulses.tangent[c]
         if impulses.mode[c] != OPEN:
             squares, borne = squares + pn * pn, borne + abs(pn)
-            left = abs(pn - impulses.normal0[c]) / penalty
+            left = abs(pn - impulses.start[0, c]) / penalty
             worst, given = max(worst, left), given + left * abs(pn)
         if impulses.mode[c] == STICK:
-            left = abs(pt - impulses.tangent0[c]) / penalty
+            left = abs(pt - impulses.start[1, c]) / penalty
             worst, given = max(worst, left), given + left * abs(pt)
         elif impulses.mode[c] != OPEN and contacts.mu[c] > 0.0:
             sense = 1.0 if impulses.mode[c] == AHEAD else -1.0
             left = max(0.0, -sense * (impulses.vt[c] + impulses.tangent_target[c]))
             worst, given = max(worst, left), given + left * abs(pt)
-        impulses.normal0[c], impulses.tangent0[c] = pn, pt
+        impulses.start[0, c], impulses.start[1, c] = pn, pt
     if borne * SOLVER.most_growth * penalty * worst <= squares:
         return worst, given, SOLVER.most_growth * penalty
     return worst, given, max(penalty, squares / (borne * worst))
@@ -329,7 +328,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     -------
     int : rounds, negative if the law is not obeyed to within SOLVER.slight, or more where `impulses` are loose.
     """
-    store(contacts, impulses, joints)
+    store(impulses, joints)
     penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else SOLVER.stiff * whole
     last, residual, given = 0.0, math.inf, math.inf
     slight, most = SOLVER.slight * impulses.loose, SOLVER.stiffest * whole
@@ -338,7 +337,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         rounds = search(chain, contacts, impulses, motion, joints, spin, h, penalty)
         total += abs(rounds)
         if rounds < 0:
-            restore(contacts, impulses, joints)
+            restore(impulses, joints)
             if last == 0.0:
                 penalty *= SOLVER.softer
             elif climbs and penalty < SOLVER.least_growth * last:
@@ -361,7 +360,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         climbs = climbs or (penalty >= most and residual > SOLVER.stale * before)
         penalty = min(SOLVER.most_growth * penalty, SOLVER.stiffest * whole) if climbs else min(stiffer, most)
     if rounds < 0:
-        restore(contacts, impulses, joints)
+        restore(impulses, joints)
         if last == 0.0:  # nothing was found at all: let go
             release_joints(joints)
             for c in range(contacts.total[0]):

@@ -1,7 +1,7 @@
-"""A rollout with contact: step-size control, impacts, outputs within steps, and where the rope leaves.
+"""A rollout with contact: Moreau-Jean steps, their control, impacts, outputs, and where the rope leaves.
 
-A step is tried, and shorter ones, until its energy, depth and error are accepted. A sample within a step is reached by
-a shorter step, or by several.
+A step has angles at its middle and rates at its ends. It is tried, and shorter ones, until its energy, depth and error
+are accepted. A sample within a step is reached by steps of its own.
 """
 
 import math
@@ -11,37 +11,411 @@ import numpy as np
 
 from hyperflex.core import status
 from hyperflex.core.assign import assign, assign_rows
-from hyperflex.core.chain.articulated_body import Array, sines
-from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.air import air_loads
+from hyperflex.core.chain.articulated_body import Array, Chain, energies, relative, sines
+from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.chain.torque_peaks import watch_torque
 from hyperflex.core.contact.arrays import (
     OPEN,
+    STEADY,
+    UNHELD,
     ContactMemory,
+    Impulses,
+    Joints,
+    Motion,
     clear_memory,
-    copy_memory,
-    is_empty,
     keeps_modes,
     new_contact_memory,
+    new_impulses,
+    new_joints,
+    new_motion,
     save_memory,
     save_trend,
     trend_factor,
+    warm_start,
 )
-from hyperflex.core.contact.gaps import find, joint_positions, new_contacts, speeds
-from hyperflex.core.contact.joints import JOINTS, bend_clearance
-from hyperflex.core.contact.modes import USUAL_TOL
-from hyperflex.core.contact.step import (
-    CONTACT,
-    FRICTION,
-    WORK,
-    begin_step,
-    energy,
-    finish_step,
-    new_contact_workspace,
-    try_step,
+from hyperflex.core.contact.gaps import NOWHERE, Contacts, Pegs, find, joint_positions, nearest, new_contacts, speeds
+from hyperflex.core.contact.joints import (
+    JOINTS,
+    bend_clearance,
+    bound_joint_rates,
+    friction_impulse,
+    joint_impulses,
+    joint_losses,
 )
-from hyperflex.core.contact.turning_pegs import turning_energy
+from hyperflex.core.contact.modes import USUAL_TOL, looseness, solve
+from hyperflex.core.contact.sweep import TX, TY, Spin, lost_in_bearings, new_spin, prepare_spin, resolved
 from hyperflex.core.integrate.step_size import allowed, fitted, lasting
-from hyperflex.core.jit import absorbed, kernel, non_allocating
+from hyperflex.core.jit import absorbed, kernel, non_allocating, zeros
+
+
+class Scene(NamedTuple):
+    """What moves, and what acts on it."""
+
+    chain: Chain
+    drive: Drive
+    pegs: Pegs
+    pull: Array  # (2,) force on the tip in addition to gravity, N
+
+
+@non_allocating
+def add_drag_impulses(chain, workspace, h):  # type: ignore[no-untyped-def]
+    """Add the impulses of air drag in a step h, s, to those of the joints, as the accelerations before predict it.
+
+    A torque on link i alone equals torques of all joints up to i, each on its link and back on its parent. What
+    the first joint bears so, :func:`drag_work` subtracts from the load on the base.
+    """
+    motion, work, total, rate = workspace.motion, workspace.air, workspace.drag, workspace.ahead_q  # scratch here
+    n = motion.w.size
+    for i in range(n):
+        rate[i] = motion.w[i] + 0.5 * motion.change[i]
+        work[4 * n + i], work[5 * n + i] = motion.trig[i], motion.trig[n + i]
+    total[0], total[1], _ = air_loads(chain, rate, workspace.base[1], work, 0, 1)
+    total[2] = 0.0
+    for way in range(n):
+        i = n - 1 - way
+        total[2] += work[i]
+        motion.joint[i, 0] += h * total[2]
+
+
+@non_allocating
+def drag_work(workspace, h):  # type: ignore[no-untyped-def]
+    """Subtract the drag from the impulses at the first joint; returns the energy lost to drag in the step, J."""
+    motion, total, base = workspace.motion, workspace.drag, workspace.base
+    n = motion.w.size
+    given = 0.5 * (total[0] * (base[0, 5] + base[2, 5]) + total[1] * (base[0, 6] + base[2, 6]))
+    for k in range(3):
+        motion.load[k] -= h * total[k]
+    for i in range(n):
+        given += 0.5 * workspace.air[i] * (motion.w[i] + workspace.out[n + i])
+    return -h * given
+
+
+# of ContactWorkspace.account, J: lost in joints, air, axles; in contacts, limits; put in
+FRICTION, CONTACT, WORK = range(3)
+
+
+@non_allocating
+def mean_velocities(chain, motion, base, out):  # type: ignore[no-untyped-def]
+    """Mean velocities of the joints in a step, m/s, to ``out`` (2, n + 1), along which forces acted; `base` (3, 9)."""
+    n = motion.w.size
+    out[0, 0], out[1, 0] = 0.5 * (base[0, 5] + base[2, 5]), 0.5 * (base[0, 6] + base[2, 6])
+    for i in range(n):
+        way = chain.length[i] * (motion.w[i] + 0.5 * motion.change[i])
+        out[0, i + 1] = out[0, i] + way * motion.frame[i, TX]
+        out[1, i + 1] = out[1, i] + way * motion.frame[i, TY]
+
+
+@non_allocating
+def account_step(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
+    """Energy that joints, air, axles and contacts took in a step, and work put in: impulses times mean velocities."""
+    motion, base, spin = workspace.motion, workspace.base, workspace.spin
+    contacts, impulses, mean = workspace.contacts, workspace.impulses, workspace.ahead_speed
+    n = motion.w.size
+    mean_velocities(chain, motion, base, mean)
+    taken, steady = 0.0, workspace.pace[STEADY]
+    for i in range(n):
+        change = relative(motion.change, i, motion.base[2])
+        rate = relative(motion.w, i, base[0, 3]) + 0.5 * change
+        impulse, slope = friction_impulse(chain, motion, workspace.trend, steady, base, h, i)
+        taken -= (impulse - slope * change) * rate
+    taken += drag_work(workspace, h)
+    rubbed, limited = joint_losses(workspace.joints)
+    workspace.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
+    taken = limited
+    for c in range(contacts.total[0]):
+        if impulses.mode[c] == OPEN:
+            continue
+        i, p = contacts.link[c], contacts.peg[c]
+        vn, vt = resolved(contacts, motion, c, mean[0, i], mean[1, i], motion.w[i] + 0.5 * motion.change[i])
+        vt -= 0.5 * spin.reach[p] * (spin.before[p] + spin.after[p])
+        taken -= impulses.normal[c] * vn + impulses.tangent[c] * vt
+    workspace.account[CONTACT] = taken
+    work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
+    work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])
+    work += 0.5 * h * torque * (motion.w[0] + workspace.out[n])
+    for k, g in ((0, chain.gx), (1, chain.gy)):
+        fallen = 0.5 * h * (base[0, 5 + k] + base[2, 5 + k]) - (base[2, 7 + k] - base[0, 7 + k])
+        work += workspace.whole * g * fallen + motion.tip[k] * mean[k, n]
+    workspace.account[WORK] = work
+
+
+@non_allocating
+def energy(chain, y, base, spin, rate, trig):  # type: ignore[no-untyped-def]
+    """Energy of angles and rates y (2 n or more,), and of pegs that turn at rates (m,), J.
+
+    `base` (9,) motion of the first joint; `trig` is scratch, as in ``energies``.
+    """
+    n = chain.length.size
+    kinetic, potential = energies(chain, y[:n], y[n : 2 * n], base, trig)
+    for p in spin.which:
+        kinetic += 0.5 * spin.inertia[p] * rate[p] * rate[p]
+    return kinetic + potential
+
+
+class Approach(NamedTuple):
+    """Numbers that decide which links touch in a step, and how a rope is pushed out of a peg."""
+
+    # m/s, speed above which a link touches in an impact of its own, and
+    fast: float = 0.01
+    # m/s^2, the same in proportion to the longest step
+    fall: float = 50.0
+    # m, gap that counts as touching in an impact
+    touch: float = 1e-6
+    # m/s, largest speed at which a rope is pushed out of a peg
+    recovery: float = 1e-3
+    # W, largest power with which it is pushed out
+    push: float = 5e-7
+    # m, depth that stays as it is: neighbours pushed at speeds of their own let contacts change modes in every
+    # step, for which half of all rounds were made
+    shallow: float = 2e-6
+    # m, depth from which the speed is `recovery`; from `shallow` to here it is proportional and its power is limited
+    deep: float = 2e-5
+    # N, added to the contact force by which `push` is divided
+    slight_force: float = 1e-6
+    # part of the power allowed from nowhere that the residual velocities of contacts may have
+    residual_share: float = 0.25
+    # m, gap below which a link is watched even at rest
+    near: float = 1e-4
+    # m, by which a gap may change more than its rate predicts
+    bend: float = 2e-5
+    # how many times faster than before a step links may be after it
+    faster: float = 2.0
+
+
+APPROACH: Final = Approach()
+
+
+class ContactWorkspace(NamedTuple):
+    """Working arrays of the stepper for a chain of n links."""
+
+    contacts: Contacts
+    impulses: Impulses
+    motion: Motion
+    joints: Joints
+    spin: Spin
+    xy: Array  # (2, n + 1) joints there
+    ahead: Array  # (2, n + 1) and where they would be a step later
+    ahead_q: Array
+    ahead_trig: Array
+    ahead_speed: Array  # (2, n + 1)
+    margin: Array  # (n,)
+    trend: Array  # (2, n) rad/s^2, accelerations of the last step, where the next one begins to search, and before it
+    pace: Array  # (3,) s, lengths of these steps, 0.0 where there was none; 1.0 where the last one changed no mode
+    out: Array  # (2 n,) angles and rates after the step
+    base: Array  # (3, 9) motion of the first joint before, in the middle and after
+    air: Array  # (6 n,) torque of the air on each link first, N m
+    drag: Array  # (3,) its force x, y on the rope, N, and all torques together, N m
+    account: Array  # (3,) of ``account_step``
+    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches, or a joint its limit
+    bend: Array  # (2,) rad, smallest gap of a joint to its limit after the step, and the smallest gap soon after
+    whole: float  # kg, mass of the rope
+    fast: float  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
+    brisk: float  # rad/s; likewise a joint its limit
+
+
+@kernel
+def new_contact_workspace(scene, rate, longest, tol):  # type: ignore[no-untyped-def]
+    """Working arrays for a Scene, and `rate`, `longest` step and `tol` as in ``run.Bounds``."""
+    chain, pegs = scene.chain, scene.pegs
+    n, whole = chain.length.size, chain.tip_mass
+    for mass in chain.mass:
+        whole += mass
+    most = n * pegs.reach.size
+    links = zeros((2, n + 1), (2, n + 1), n, 2 * n, (2, n + 1), n, (2, n), 3, 2 * n, (3, 9))
+    return ContactWorkspace(  # type: ignore[call-arg]
+        new_contacts(most),
+        new_impulses(most, APPROACH.residual_share * rate, looseness(tol)),
+        new_motion(chain),
+        new_joints(chain),
+        new_spin(n, pegs),
+        *links,
+        *zeros(6 * n, 3, 3, 1, 2),
+        whole,
+        max(APPROACH.fast, APPROACH.fall * longest),
+        JOINTS.beyond / longest,
+    )
+
+
+@non_allocating
+def velocity_before(contacts, motion, c):  # type: ignore[no-untyped-def]
+    """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
+    i = contacts.link[c]
+    return resolved(contacts, motion, c, motion.speed[0, i], motion.speed[1, i], motion.w[i])
+
+
+@non_allocating
+def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # type: ignore[no-untyped-def]
+    """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
+
+    A gap may be closed, not more. Without `push`, or where it is shallow (``APPROACH``), a link inside a peg stays as
+    deep as it is; deeper ones are pushed out, the faster the deeper. `bounce` is the part of the restitution that takes
+    place in an impact. Where an impact was made already (`struck`), a link that touches is held by the step,
+    however it moves: only links further away may be left free. What was held in the last step (`memory`) is never
+    left free: it may be pressed on, and would sink.
+    """
+    contacts, impulses, motion = workspace.contacts, workspace.impulses, workspace.motion
+    n = motion.w.size
+    workspace.touch[0] = np.inf
+    for i in range(n):
+        a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
+        b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
+        workspace.margin[i] = APPROACH.near + 1.5 * APPROACH.faster * h * max(a, b)
+    least = find(chain, pegs, motion.q, motion.trig, workspace.xy, workspace.margin, contacts)
+    count = contacts.total[0]
+    if count == 0:
+        return least
+    if h > 0.0:
+        look_ahead(chain, workspace, h)
+    for c in range(count):
+        i, p = contacts.link[c], contacts.peg[c]
+        closing, _ = velocity_before(contacts, motion, c)
+        impulses.tangent_target[c] = 0.0
+        if h == 0.0:
+            rebound = bounce * pegs.bounce[p] * closing if closing < -workspace.fast else 0.0
+            impulses.target[c] = rebound if contacts.gap[c] <= 2.0 * APPROACH.touch else UNHELD
+            continue
+        held, fast = memory.mode[i, p] != OPEN, workspace.fast
+        if held and pegs.bounce[p] == 0.0:
+            fast = max(fast, 2.0 * APPROACH.touch / h)  # held again, it sinks by half a step at that speed
+        away = contacts.gap[c] - 0.5 * h * closing  # at the beginning of the step
+        if closing < -fast and (away > APPROACH.touch or not struck):
+            workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= APPROACH.touch else -away / closing)
+            if not held:
+                impulses.target[c] = UNHELD
+                continue
+        bend, impulses.tangent_target[c] = second_order(chain, pegs, workspace, h, c)
+        out, depth = APPROACH.recovery if push else 0.0, -contacts.gap[c]
+        if depth < APPROACH.deep:
+            limit = APPROACH.push / (abs(memory.normal[i, p]) + APPROACH.slight_force)
+            out = min(out, limit) * max(0.0, (depth - APPROACH.shallow) / (APPROACH.deep - APPROACH.shallow))
+        impulses.target[c] = max(contacts.gap[c] / h, -out) + bend / h
+    return least
+
+
+@non_allocating
+def look_ahead(chain, workspace, h):  # type: ignore[no-untyped-def]
+    """Find where the rates before the step take the links from its middle in a step h, s."""
+    motion, base, trig = workspace.motion, workspace.base, workspace.ahead_trig
+    for i in range(motion.w.size):
+        workspace.ahead_q[i] = motion.q[i] + h * motion.w[i]
+    sines(workspace.ahead_q, trig, 0)
+    vx, vy = base[0, 5], base[0, 6]  # as the joints' velocities, which are those before the step
+    joint_positions(chain, trig, base[1, 7] + h * vx, base[1, 8] + h * vy, workspace.ahead)
+    speeds(chain, trig, motion.w, vx, vy, workspace.ahead_speed)
+
+
+@non_allocating
+def second_order(chain, pegs, workspace, h, c):  # type: ignore[no-untyped-def]
+    """What the turning of the rope changes in a step, where contact c is near, as the rates before it predict it.
+
+    Left out, it would let what is inside a peg sink at every step.
+
+    Returns
+    -------
+    bend : float, change of the gap in excess of its rate, m
+    drift : float, half of the change of the tangential velocity, m/s
+    """
+    contacts, motion, trig = workspace.contacts, workspace.motion, workspace.ahead_trig
+    i, p, n = contacts.link[c], contacts.peg[c], motion.w.size
+    tx, ty, speed = workspace.ahead[0], workspace.ahead[1], workspace.ahead_speed
+    link = (tx[i], ty[i], tx[i + 1], ty[i + 1], chain.length[i], trig[i], trig[n + i])
+    s, gap, nx, ny = nearest(link, (pegs.x[p], pegs.y[p], pegs.ux[p], pegs.uy[p], pegs.span[p], pegs.reach[p]))
+    if contacts.gap[c] >= APPROACH.near or gap >= NOWHERE:
+        return 0.0, 0.0
+    closing, sliding = velocity_before(contacts, motion, c)
+    lever = s * motion.w[i]
+    wx, wy = speed[0, i] + lever * trig[n + i], speed[1, i] + lever * trig[i]
+    return max(-APPROACH.bend, min(gap - contacts.gap[c] - h * closing, APPROACH.bend)), 0.5 * (
+        (wy * nx - wx * ny) - sliding
+    )
+
+
+@non_allocating
+def scale_pull(motion, h):  # type: ignore[no-untyped-def]
+    """Scale the impulses ``motion.pull`` of the last step that was tried to a step h, s; of a short one take none."""
+    ratio = h / motion.span[0] if motion.span[0] > 0.25 * h else 0.0
+    for k in range(2):
+        for i in range(motion.w.size):
+            pull = ratio * motion.pull[k, i]
+            motion.pull[k, i] = pull if abs(pull) < np.inf else 0.0
+    motion.span[0] = h
+
+
+@absorbed
+def begin_step(scene, part, t, h, y, memory, workspace, push, bounce, struck):  # type: ignore[no-untyped-def]
+    """Prepare a step, with arguments as for :func:`try_step`, for :func:`finish_step`.
+
+    ``workspace.touch`` is its longest length.
+
+    Returns
+    -------
+    least : float, smallest gap in the middle of the step, m
+    torque : float, of the motor, N m
+    """
+    motion, base, chain, drive = workspace.motion, workspace.base, scene.chain, scene.drive
+    n = motion.w.size
+    torque = base_state(drive, part, t + 0.5 * h, base[1])
+    base_state(drive, part, t, base[0])
+    base_state(drive, part, t + h, base[2])
+    further = trend_factor(workspace.pace, h)
+    for i in range(n):
+        motion.w[i] = y[n + i]
+        motion.q[i] = y[i] + 0.5 * h * y[n + i]
+        motion.change[i] = h * (workspace.trend[0, i] + further * (workspace.trend[0, i] - workspace.trend[1, i]))
+    scale_pull(motion, h)
+    sines(motion.q, motion.trig, 0)
+    joint_positions(chain, motion.trig, base[1, 7], base[1, 8], workspace.xy)
+    speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
+    joint_impulses(chain, motion, workspace.trend, workspace.pace[STEADY], base, h, torque)
+    add_drag_impulses(chain, workspace, h)
+    motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
+    motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
+    motion.base[2] = base[2, 3] - base[0, 3]
+    motion.tip[0], motion.tip[1] = h * scene.pull[0], h * scene.pull[1]
+    least = find_contacts(chain, scene.pegs, memory, workspace, h, push, bounce, struck)
+    bound_joint_rates(chain, workspace, memory, h, struck)
+    warm_start(memory, workspace.contacts, workspace.impulses, h)
+    prepare_spin(workspace.spin, motion, h)
+    return least, torque
+
+
+@absorbed
+def finish_step(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
+    """Take the step that :func:`begin_step` prepared; returns the rounds, as :func:`try_step`."""
+    motion, whole = workspace.motion, workspace.whole
+    n = motion.w.size
+    rounds = solve(chain, workspace.contacts, workspace.impulses, motion, workspace.joints, workspace.spin, h, whole)
+    for i in range(n):
+        rate = motion.w[i] + motion.change[i]
+        workspace.out[i] = motion.q[i] + 0.5 * h * rate
+        workspace.out[n + i] = rate
+    bend, out = workspace.bend, workspace.out
+    bend[0], bend[1] = bend_clearance(chain, out[:n], out[n:], workspace.base[2, 4], workspace.base[2, 3])
+    account_step(chain, workspace, torque, h)
+    return rounds
+
+
+@non_allocating
+def try_step(scene, part, t, h, y, memory, workspace, push, bounce, struck):  # type: ignore[no-untyped-def]
+    """Take a step from y (2 n or more,) at time t to ``workspace.out``; h = 0.0: an impact, in which nothing else acts.
+
+    Parameters
+    ----------
+    scene, part : Scene, Segment of its drive that holds t..t + h
+    memory, workspace : ContactMemory (not changed), ContactWorkspace with the rates of the pegs before the step
+    push : bool, whether contacts may push the rope out of a peg
+    bounce : float, part of the restitution that takes place in an impact
+    struck : bool, an impact was made already at time t
+
+    Returns
+    -------
+    least : float, smallest gap in the middle of the step, m
+    rounds : int, of the search for the modes; negative if it failed
+    """
+    least, torque = begin_step(scene, part, t, h, y, memory, workspace, push, bounce, struck)
+    return least, finish_step(scene.chain, workspace, torque, h)
+
 
 MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
 SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
@@ -76,18 +450,6 @@ class ContactState(NamedTuple):
     spin: Array  # (2, m) angles, rad, and rates, rad/s, of the pegs; 0 of fixed ones
     memory: ContactMemory
     torque: Array  # (k, COLUMNS) windows of ``core.chain.torque_peaks``
-
-
-@non_allocating
-def energy_allowance(bounds, h):  # type: ignore[no-untyped-def]
-    """Energy that may appear from nowhere in a step, J."""
-    return bounds.rate * max(h, SLIGHT) + ROUNDING
-
-
-@non_allocating
-def energy_balanced(surplus, allowed):  # type: ignore[no-untyped-def]
-    """Whether the energy that appears from nowhere in a step, J, or vanishes where it is negative, may do so."""
-    return -LOSS * allowed <= surplus <= allowed
 
 
 class Control(NamedTuple):
@@ -129,37 +491,45 @@ class Chosen(NamedTuple):
     touch: float  # s, until a link touches
     rounds: int  # of the search; negative if it failed
     surplus: float  # J, energy from nowhere
-    had: float  # J, energy before it
     has: float  # J, and after it
     good: bool  # False where the shortest step had to be taken as it was
     error: float  # of positions, relative to what is allowed
-    push: bool  # whether contacts might push the rope out
     struck: bool  # whether an impact was made at the instant at which it begins
+
+
+@non_allocating
+def follow(workspace, h, x, state):  # type: ignore[no-untyped-def]
+    """Take a state to the part x of the step in `workspace`, of the length h, s: rates straight between its ends."""
+    y, spin, account, change = state.y, workspace.spin, workspace.account, workspace.motion.change
+    n = change.size
+    for i in range(n):
+        y[i] += x * h * (y[n + i] + 0.5 * x * change[i])
+        y[n + i] += x * change[i]
+    y[2 * n] += x * account[WORK]
+    y[2 * n + 1] += x * (account[FRICTION] + account[CONTACT])
+    state.clock[LOST] += x * account[CONTACT]
+    for p in spin.which:
+        more = x * (spin.after[p] - spin.before[p])
+        state.spin[0, p] += x * h * (spin.before[p] + 0.5 * more)
+        state.spin[1, p] = spin.before[p] + more
 
 
 @absorbed
 def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
     """Accept the step to ``workspace.out``."""
-    load, angle = workspace.motion.load, workspace.base[1, 4]
+    load, angle, clock = workspace.motion.load, workspace.base[1, 4], state.clock
     about_shaft = load[2] + drive.arm_length * (math.cos(angle) * load[0] + math.sin(angle) * load[1])
-    watch_torque(state.torque, about_shaft, state.clock[T], h)
-    y, clock, account = state.y, state.clock, workspace.account
-    n = workspace.motion.w.size
-    for i in range(2 * n):
-        y[i] = workspace.out[i]
-    y[2 * n] += account[WORK]
-    y[2 * n + 1] += account[FRICTION] + account[CONTACT]
-    clock[LOST] += account[CONTACT]
-    clock[GIVEN] = max(0.0, clock[GIVEN] - account[CONTACT])
+    watch_torque(state.torque, about_shaft, clock[T], h)
+    follow(workspace, h, 1.0, state)
+    assign(state.y[: workspace.out.size], workspace.out)
+    assign(workspace.spin.before, workspace.spin.after)
+    assign(state.spin[1], workspace.spin.after)
+    clock[GIVEN] = max(0.0, clock[GIVEN] - workspace.account[CONTACT])
     clock[SPENT] += h
     clock[DEEPEST] = max(clock[DEEPEST], -least)
     clock[BEND] = max(clock[BEND], -workspace.bend[0])
     clock[TAKEN] += 1.0
-    if rounds < 0:
-        clock[UNSOLVED] += 1.0
-    for p in workspace.spin.which:
-        state.spin[0, p] += 0.5 * h * (workspace.spin.before[p] + workspace.spin.after[p])
-        state.spin[1, p] = workspace.spin.before[p] = workspace.spin.after[p]
+    clock[UNSOLVED] += rounds < 0
     long = h > MOMENT
     save_trend(state.memory, workspace, h if long else 0.0)
     if long:
@@ -167,29 +537,22 @@ def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-u
 
 
 @non_allocating
-def impact(chain, drive, part, pegs, pull, state, workspace):  # type: ignore[no-untyped-def]
+def impact(scene, part, state, workspace):  # type: ignore[no-untyped-def]
     """Let the links that touch a peg come to rest on it, or bounce, in no time, in the last step's modes if they do.
 
     Newton's restitution with friction may give energy; where it does, nothing bounces.
     """
-    t, y, memory = state.clock[T], state.y, state.memory
-    least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, memory, workspace, True, 1.0, True)
-    if pegs.bounce.any() and workspace.account[CONTACT] < 0.0:
-        least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, memory, workspace, True, 0.0, True)
-    accept_step(drive, state, workspace, 0.0, rounds, least)
-    state.clock[IMPACTS] += 1.0
-    state.clock[IMPACT_DUE] = 0.0
+    clock, y, memory = state.clock, state.y, state.memory
+    least, rounds = try_step(scene, part, clock[T], 0.0, y, memory, workspace, True, 1.0, True)
+    if scene.pegs.bounce.any() and workspace.account[CONTACT] < 0.0:
+        least, rounds = try_step(scene, part, clock[T], 0.0, y, memory, workspace, True, 0.0, True)
+    accept_step(scene.drive, state, workspace, 0.0, rounds, least)
+    clock[IMPACTS] += 1.0
+    clock[IMPACT_DUE] = 0.0
 
 
 @non_allocating
-def gives_little(bounds, clock, workspace, h):  # type: ignore[no-untyped-def]
-    """Whether contacts give back no more of what they took than may come from nowhere in all the time."""
-    given = clock[GIVEN] - workspace.account[CONTACT]
-    return given <= bounds.rate * (clock[SPENT] + h) or workspace.account[CONTACT] >= -energy_allowance(bounds, h)
-
-
-@non_allocating
-def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
+def longest_safe_step(scene, workspace):  # type: ignore[no-untyped-def]
     """Longest step, s, in which no link near a peg moves by more than CONTROL.safe of the smallest reach."""
     speed = workspace.motion.speed
     fastest = 0.0
@@ -198,20 +561,19 @@ def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
         for j in range(i, i + 2):
             fastest = max(fastest, abs(speed[0, j]), abs(speed[1, j]))
     smallest = np.inf
-    for p in range(pegs.reach.size):
-        smallest = min(smallest, pegs.reach[p])
+    for reach in scene.pegs.reach:
+        smallest = min(smallest, reach)
     return CONTROL.safe * smallest / fastest if fastest > 0.0 else np.inf
 
 
 @non_allocating
-def step_error(chain, workspace, h):  # type: ignore[no-untyped-def]
-    """Error that a step makes in the velocity of any joint, m/s, where no mode changed for three steps; else 0.0.
+def relative_error(chain, bounds, memory, workspace, h):  # type: ignore[no-untyped-def]
+    """Error of a step in units of what is allowed, as in free flight; 0.0 unless no mode changed for three steps.
 
-    A twelfth of the difference from the extrapolation of the last two steps.
+    The error of the velocity of any joint is a twelfth of the difference from the extrapolation of the last two steps.
     """
-    motion, trend, pace = workspace.motion, workspace.trend, workspace.pace
-    further = trend_factor(pace, h)
-    if further == 0.0:
+    motion, trend, further = workspace.motion, workspace.trend, trend_factor(workspace.pace, h)
+    if further == 0.0 or not keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints):
         return 0.0
     n = motion.w.size
     x = y = worst = 0.0
@@ -220,30 +582,16 @@ def step_error(chain, workspace, h):  # type: ignore[no-untyped-def]
         x += chain.length[i] * motion.trig[n + i] * off
         y += chain.length[i] * motion.trig[i] * off
         worst = max(worst, x * x + y * y)
-    return math.sqrt(worst) / 12.0
+    return math.sqrt(worst) / 12.0 * lasting(h) / allowed(bounds.tol, h, 0.0)
 
 
 @non_allocating
-def relative_error(chain, bounds, memory, workspace, h):  # type: ignore[no-untyped-def]
-    """Error of a step in units of what is allowed, as in free flight; 0.0 where modes change."""
-    if not keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints):
-        return 0.0
-    return step_error(chain, workspace, h) * lasting(h) / allowed(bounds.tol, h, 0.0)
-
-
-@non_allocating
-def growth(error):  # type: ignore[no-untyped-def]
-    """Factor from a step with a relative error to the next one."""
-    return CONTROL.growth if error < CONTROL.easy else 1.0 if error < 1.0 else 1.0 / CONTROL.growth
-
-
-@non_allocating
-def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, end, struck, had):  # type: ignore[no-untyped-def]
+def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had):  # type: ignore[no-untyped-def]
     """Try a step, and shorter ones, until one will do; it is left in `workspace`.
 
     Parameters
     ----------
-    chain, drive, part, pegs, pull, bounds, state, workspace : as for ``run.run`` and :func:`try_step`
+    scene, part, bounds, state, workspace : as for :func:`try_step` and :func:`run`
     nothing : ContactMemory, empty
     end : s, time that no step goes beyond
     struck : bool, an impact was made already at this instant
@@ -253,18 +601,19 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
     -------
     Chosen
     """
-    y, clock, t, trig = state.y, state.clock, state.clock[T], workspace.ahead_trig
+    y, clock, account, spin = state.y, state.clock, workspace.account, workspace.spin
+    chain, base, trig = scene.chain, workspace.base, workspace.ahead_trig
     wanted = min(clock[STEP], bounds.step)
-    h = fitted(wanted, end - t)
+    h = fitted(wanted, end - clock[T])
     coarse = max(1.0, min(bounds.tol / USUAL_TOL, CONTROL.coarsest))
     finest, shortest = CONTROL.shortest * bounds.step, min(coarse * CONTROL.shortest * bounds.step, h)
     push, anew, back, stale = True, False, False, np.inf
     while True:
         begin = nothing if anew else state.memory
-        least, torque = begin_step(chain, drive, part, pegs, pull, t, h, y, begin, workspace, push, 0.0, struck)
+        least, torque = begin_step(scene, part, clock[T], h, y, begin, workspace, push, 0.0, struck)
         touch = workspace.touch[0]
         if touch == 0.0:
-            impact(chain, drive, part, pegs, pull, state, workspace)
+            impact(scene, part, state, workspace)
             struck, had = True, math.nan
             continue
         if touch < 0.999 * h:
@@ -272,30 +621,26 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
             shortest = min(shortest, h)
             continue
         rounds = finish_step(chain, workspace, torque, h)
-        given = energy_allowance(bounds, h)
-        if push and workspace.account[CONTACT] < -CONTROL.generous * given:
-            push = False
-            continue
-        longest = longest_safe_step(chain, pegs, workspace)
+        given, taken = bounds.rate * max(h, SLIGHT) + ROUNDING, account[CONTACT]
+        # whether contacts give back no more of what they took than may come from nowhere in all the time
+        little = taken >= -given or clock[GIVEN] - taken <= bounds.rate * (clock[SPENT] + h)
+        longest = longest_safe_step(scene, workspace)
         if h > longest:  # a peg may be passed: no tolerance allows that
             shortest = min(finest, shortest)
+        if push and (taken < -CONTROL.generous * given or not little):
+            push = False  # a shorter step would be pushed out with as much power
+            continue
         error = relative_error(chain, bounds, state.memory, workspace, h)
         if math.isnan(had):
-            had = energy(chain, y, workspace.base[0], trig) + turning_energy(workspace.spin, workspace.spin.before)
-        has = energy(chain, workspace.out, workspace.base[2], trig)
-        has += turning_energy(workspace.spin, workspace.spin.after)
-        surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
-        good = energy_balanced(surplus, given) and rounds > 0 and h <= longest
-        good = good and (least > -CONTROL.deeper or -least <= CONTROL.sinking * clock[DEEPEST])
+            had = energy(chain, y, base[0], spin, spin.before, trig)
+        has = energy(chain, workspace.out, base[2], spin, spin.after, trig)
+        surplus = has - had + account[FRICTION] + taken - account[WORK]
+        good = -LOSS * given <= surplus <= given and little and rounds > 0 and h <= longest
         good = good and (error <= CONTROL.rejected_error or h <= CONTROL.resolved * bounds.step)
-        little = gives_little(bounds, clock, workspace, h)
-        if push and not little:  # a shorter step would be pushed out with as much power
-            push = False
-            continue
-        good = good and little
-        good = good and (workspace.bend[0] > -JOINTS.beyond or -workspace.bend[0] <= CONTROL.sinking * clock[BEND])
+        good = good and (-least < CONTROL.deeper or -least <= CONTROL.sinking * clock[DEEPEST])
+        good = good and (-workspace.bend[0] < JOINTS.beyond or -workspace.bend[0] <= CONTROL.sinking * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
-            return Chosen(h, wanted, least, touch, rounds, surplus, had, has, good, error, push, struck)
+            return Chosen(h, wanted, least, touch, rounds, surplus, has, good, error, struck)
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
             anew, back, stale = not anew, anew, surplus
             continue
@@ -307,15 +652,14 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
 @non_allocating
 def complete_step(drive, bounds, state, workspace, chosen, end):  # type: ignore[no-untyped-def]
     """Accept what :func:`choose_step` returned, and set the clock for the next step; none goes beyond `end`, s."""
-    clock, h = state.clock, chosen.h
-    t = clock[T]
-    if not chosen.good:
-        clock[FORCED] += 1.0
+    clock, h, error = state.clock, chosen.h, chosen.error
+    clock[FORCED] += not chosen.good
     clock[ENERGY_GAIN] += chosen.surplus
     accept_step(drive, state, workspace, h, chosen.rounds, chosen.least)
     clock[IMPACT_DUE] = 1.0 if chosen.touch <= 1.001 * h else 0.0
-    clock[T] = end if h >= end - t else t + h
-    clock[STEP] = max(chosen.wanted * growth(chosen.error), min(chosen.wanted, CONTROL.resolved * bounds.step))
+    clock[T] = end if h >= end - clock[T] else clock[T] + h
+    growth = CONTROL.growth if error < CONTROL.easy else 1.0 if error < 1.0 else 1.0 / CONTROL.growth
+    clock[STEP] = max(chosen.wanted * growth, min(chosen.wanted, CONTROL.resolved * bounds.step))
 
 
 MOST_STEPS = 100  # to a sample
@@ -329,56 +673,27 @@ def new_branch(state):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def copy_before(workspace, aside):  # type: ignore[no-untyped-def]
-    """Copy what a step begins with, except the state, from its workspace to another.
+def branch_off(scene, part, bounds, workspace, aside, branch, nothing, chosen, end):  # type: ignore[no-untyped-def]
+    """Go from `branch`, a copy of the state before the step `chosen`, to a time `end`, s, within it.
 
-    Of ``motion.pull`` that is what the step itself found, the best guess at hand: what it began with is gone.
+    The steps, in `aside`, are chosen as those of a run, and start with the modes and forces that the whole step found.
+    Returns whether they get there with their energy kept. The run itself continues from the end of its step.
     """
     assign_rows(aside.trend, workspace.trend)
     assign(aside.pace, workspace.pace)
-    assign_rows(aside.motion.pull, workspace.motion.pull)
+    assign_rows(aside.motion.pull, workspace.motion.pull)  # what it began with is gone; this is the best guess at hand
     aside.motion.span[0] = workspace.motion.span[0]
     assign(aside.spin.before, workspace.spin.before)
-
-
-@non_allocating
-def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, chosen, x):  # type: ignore[no-untyped-def]
-    """Take the part x of the step `chosen`, in `workspace`, to `aside`; returns whether that keeps the energy.
-
-    The rates are off the straight line between the ends of a step by a term of second order, and their energy with
-    them, so a sample within a step is a shorter step: from the modes and forces that the whole step found, which go to
-    ``branch.memory``. Links that touch are held: the whole step found no impact to make.
-    """
-    copy_before(workspace, aside)
-    found, h = branch.memory, chosen.h
-    save_memory(found, workspace.contacts, workspace.impulses, workspace.joints, h)
-    try_step(chain, drive, part, pegs, pull, state.clock[T], x * h, state.y, found, aside, chosen.push, 0.0, True)
-    taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
-    has = energy(chain, aside.out, aside.base[2], aside.ahead_trig) + turning_energy(aside.spin, aside.spin.after)
-    return energy_balanced(has - chosen.had + taken, energy_allowance(bounds, h))
-
-
-@non_allocating
-def branch_off(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, struck, end):  # type: ignore[no-untyped-def]
-    """Go from before the step of `workspace` to the time `end`, s, by steps chosen as those of a run, in `branch`.
-
-    Returns whether it gets there with its energy kept. The run itself continues from the end of its step. `struck`:
-    whether an impact was made where the step begins.
-    """
-    copy_before(workspace, aside)
-    assign(branch.y, state.y)
-    assign(branch.clock, state.clock)
-    assign_rows(branch.spin, state.spin)
-    assign_rows(branch.torque, state.torque)
-    copy_memory(state.memory, branch.memory)
+    save_memory(branch.memory, workspace.contacts, workspace.impulses, workspace.joints, chosen.h)
+    struck = chosen.struck
     for _ in range(MOST_STEPS):
         if branch.clock[IMPACT_DUE] == 1.0:
-            impact(chain, drive, part, pegs, pull, branch, aside)
+            impact(scene, part, branch, aside)
             struck = True
-        chosen = choose_step(chain, drive, part, pegs, pull, bounds, branch, aside, nothing, end, struck, math.nan)
-        if not (chosen.good and abs(chosen.surplus) < math.inf):
+        tried = choose_step(scene, part, bounds, branch, aside, nothing, end, struck, math.nan)
+        if not (tried.good and abs(tried.surplus) < math.inf):
             return False
-        complete_step(drive, bounds, branch, aside, chosen, end)
+        complete_step(scene.drive, bounds, branch, aside, tried, end)
         if branch.clock[T] >= end - MOMENT:
             return True
         struck = False
@@ -386,63 +701,46 @@ def branch_off(chain, drive, part, pegs, pull, bounds, state, workspace, aside, 
 
 
 @non_allocating
-def write_state(state, n, k, y_out, seen_out):  # type: ignore[no-untyped-def]
-    """Write a ContactState of n links as output k."""
-    for i in range(state.y.size):
-        y_out[k, i] = state.y[i]
+def copy_state(state, out):  # type: ignore[no-untyped-def]
+    """Copy a ContactState, all but its memory, to another of the same shapes."""
+    assign(out.y, state.y)
+    assign(out.clock, state.clock)
+    assign_rows(out.spin, state.spin)
+    assign_rows(out.torque, state.torque)
+
+
+@non_allocating
+def write_output(workspace, h, state, clock, y_out, seen_out):  # type: ignore[no-untyped-def]
+    """Write a state as the next output of `clock`; accelerations and forces are means over the step in `workspace`."""
+    k, y, n = int(clock[INDEX]), state.y, workspace.motion.w.size
+    assign(y_out[k], y)
+    step_means(workspace, h, seen_out[k])
     seen_out[k, 3 * n + 3] = state.clock[LOST]
     m = state.spin.shape[1]
-    for p in range(m):
-        seen_out[k, 3 * n + 4 + p], seen_out[k, 3 * n + 4 + m + p] = state.spin[0, p], state.spin[1, p]
+    assign(seen_out[k, 3 * n + 4 : 3 * n + 4 + m], state.spin[0])
+    assign(seen_out[k, 3 * n + 4 + m :], state.spin[1])
+    clock[INDEX] += 1
 
 
 @non_allocating
-def write_sample(workspace, h, x, state, k, y_out, seen_out):  # type: ignore[no-untyped-def]
-    """Write the part x of the step in `workspace`, of length h, as output k: rates straight between its ends."""
-    y, clock, change = state.y, state.clock, workspace.motion.change
-    n = change.size
-    for i in range(n):
-        y_out[k, i] = y[i] + x * h * (y[n + i] + 0.5 * x * change[i])
-        y_out[k, n + i] = y[n + i] + x * change[i]
-    y_out[k, 2 * n] = y[2 * n] + x * workspace.account[WORK]
-    y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (workspace.account[FRICTION] + workspace.account[CONTACT])
-    seen_out[k, 3 * n + 3] = clock[LOST] + x * workspace.account[CONTACT]
-    o, m = 3 * n + 4, workspace.spin.reach.size
-    for p in range(m):
-        more = workspace.spin.after[p] - workspace.spin.before[p]
-        seen_out[k, o + p] = state.spin[0, p] + x * h * (workspace.spin.before[p] + 0.5 * x * more)
-        seen_out[k, o + m + p] = workspace.spin.before[p] + x * more
-
-
-@non_allocating
-def write(  # type: ignore[no-untyped-def]
-    chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, chosen, t_out, y_out, seen_out
+def write_within(  # type: ignore[no-untyped-def]
+    scene, part, bounds, state, workspace, aside, branch, nothing, chosen, t_out, y_out, seen_out
 ):
     """Write the outputs within the step `chosen` to ``workspace.out``.
 
-    A sample is a partial step; where that does not keep the energy it is reached by steps of its own, in `aside` and
-    `branch`, a workspace and a state, and `nothing` is as for :func:`choose_step`. Where these fail, too, it lies on
-    the straight line between the ends of the step. Accelerations and forces are the means over the whole step.
+    The rates are off the straight line between the ends of a step by a term of second order, and their energy with
+    them, so a sample within a step is reached by steps of its own, in `aside` and `branch`, a workspace and a state;
+    `nothing` is as for :func:`choose_step`. Where these fail, it lies on the straight line between the step's ends.
     """
     clock, h = state.clock, chosen.h
-    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + h:
-        k = int(clock[INDEX])
-        x = (t_out[k] - clock[T]) / h
-        if x * h <= MOMENT:  # the ends of a step keep the energy
-            x = 0.0
-        elif (1.0 - x) * h <= MOMENT:
-            x = 1.0
-        step = chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch
-        if x == 0.0 or x == 1.0:
-            write_sample(workspace, h, x, state, k, y_out, seen_out)
-        elif partial_step(*step, chosen, x):
-            write_sample(aside, x * h, 1.0, state, k, y_out, seen_out)
-        elif branch_off(*step, nothing, chosen.struck, t_out[k]):
-            write_state(branch, chain.length.size, k, y_out, seen_out)
-        else:
-            write_sample(workspace, h, x, state, k, y_out, seen_out)
-        step_means(workspace, h, seen_out[k])
-        clock[INDEX] += 1
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < clock[T] + h - MOMENT:
+        end = t_out[int(clock[INDEX])]
+        copy_state(state, branch)
+        given = scene, part, bounds, workspace, aside, branch, nothing, chosen, end
+        if end > clock[T] + MOMENT and not branch_off(*given):
+            copy_state(state, branch)
+            follow(workspace, h, (end - clock[T]) / h, branch)
+        write_output(workspace, h, branch, clock, y_out, seen_out)
 
 
 @non_allocating
@@ -467,48 +765,45 @@ def step_means(workspace, h, out):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def take_steps(  # type: ignore[no-untyped-def]
-    chain, drive, pegs, pull, bounds, state, workspace, aside, branch, nothing, t_out, y_out, seen_out
-):
+def take_steps(scene, bounds, state, workspace, aside, branch, nothing, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Take the steps of :func:`run`, apart: a function that makes arrays counts references to all that it handles."""
-    clock, memory = state.clock, state.memory
+    clock, memory, drive = state.clock, state.memory, scene.drive
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known
     for _ in range(bounds.budget):
-        t = clock[T]
-        if t >= bounds.stop:
-            break
-        if t >= part.end:
-            part = segment(drive, t)
+        if clock[T] >= bounds.stop:
+            return status.OK
+        if clock[T] >= part.end:
+            part = segment(drive, clock[T])
         struck = clock[IMPACT_DUE] == 1.0
         if struck:
-            impact(chain, drive, part, pegs, pull, state, workspace)
+            impact(scene, part, state, workspace)
             had = math.nan
         end = min(part.end, bounds.stop)
-        chosen = choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, end, struck, had)
+        chosen = choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had)
         if not (abs(chosen.surplus) < math.inf):
-            if not is_empty(memory):  # begin anew, from nothing
-                clear_memory(memory)
-                continue
-            return status.NOT_FINITE
-        if clock[INDEX] < t_out.size:
-            rest = nothing, chosen, t_out, y_out, seen_out
-            write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, *rest)
+            if not (memory.mode.any() or memory.bent.any()):  # OPEN is 0
+                return status.NOT_FINITE
+            clear_memory(memory)  # begin anew, from nothing
+            continue
+        rest = nothing, chosen, t_out, y_out, seen_out
+        write_within(scene, part, bounds, state, workspace, aside, branch, *rest)
         had = chosen.has
         complete_step(drive, bounds, state, workspace, chosen, end)
+        while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + MOMENT:
+            write_output(workspace, chosen.h, state, clock, y_out, seen_out)
         if chosen.least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK
 
 
 @kernel
-def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
+def run(scene, bounds, state, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Run until ``bounds.stop`` or until the budget is spent.
 
     Parameters
     ----------
-    chain, drive, pegs, bounds, state : Chain, Drive, Pegs, Bounds, ContactState
-    pull : (2,) force on the tip in addition to gravity, N
+    scene, bounds, state : Scene, Bounds, ContactState
     t_out : (k,) increasing times, s; y_out : (k, 2 n + 2) out, as in ``rollout.run``
     seen_out : (k, 3 n + 4 + 2 m) out: ``see``, energy lost to contact, J, angles, rad, and rates, rad/s, of the m pegs
 
@@ -516,12 +811,11 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
     -------
     int : OK, RUNNING (call again), LEFT (no link is near a peg, no joint near its limit), or why it failed
     """
-    workspace = new_contact_workspace(chain, pegs, bounds.rate, bounds.step, bounds.tol)
-    aside = new_contact_workspace(chain, pegs, bounds.rate, bounds.step, bounds.tol)
+    workspace = new_contact_workspace(scene, bounds.rate, bounds.step, bounds.tol)
+    aside = new_contact_workspace(scene, bounds.rate, bounds.step, bounds.tol)
     assign(workspace.spin.before, state.spin[1])
-    nothing = new_contact_memory(chain.length.size, pegs.x.size)
-    rest = new_branch(state), nothing, t_out, y_out, seen_out
-    return take_steps(chain, drive, pegs, pull, bounds, state, workspace, aside, *rest)
+    nothing = new_contact_memory(scene.chain.length.size, scene.pegs.x.size)
+    return take_steps(scene, bounds, state, workspace, aside, new_branch(state), nothing, t_out, y_out, seen_out)
 
 
 @kernel

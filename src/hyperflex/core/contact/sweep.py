@@ -3,10 +3,24 @@
 A contact with fixed mode answers the velocity of its point by an impulse P = C - B v, where B is so large that v stays
 next to nothing. That is one more linear term on its link, so the sweep solves rope and all contacts at once, with no
 contact matrix: (M.8)-(M.13) with the terms of B and C.
+
+Pegs may turn on an axle; their rates after a step are solved together with the rope. A contact sees the tangential
+velocity of its point less that of the peg, ``reach`` times the peg's rate, and its tangential impulse turns the peg
+with the same lever: contacts act on the rope's axis, so peg and rope exchange no more than action and reaction in one
+point. With fixed modes the rope's answer is linear in the rates of the pegs. One more sweep for each peg that a link
+sticks to, and one equation a peg, give them all.
 """
 
-from hyperflex.core.contact.arrays import AHEAD, STICK
-from hyperflex.core.jit import inlined, non_allocating
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.assign import assign
+from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.contact.arrays import AHEAD, FRAME, OPEN, STICK
+from hyperflex.core.contact.gaps import Index
+from hyperflex.core.jit import inlined, kernel, non_allocating, read, write, zeros
 
 # of a row of `touch`: sums over the contacts of a link at places s, n the direction across the link
 BXX, BXY, BYX, BYY = range(4)  # B, kg
@@ -17,6 +31,7 @@ CX, CY, RC = range(9, 12)  # C, N s, and s n.C, N m s
 # changes by its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; TURN,
 # N m s, less SLOPE x, kg m^2, turns the link alone. At rest T = V = n, the rest is 0
 TX, TY, VX, VY, SLOPE, KX, KY, TURN = range(8)
+WAY_BACK = tuple(range(12))  # of ``work``, for each link: how it answers, and what the links beyond it answer
 
 
 @inlined
@@ -96,36 +111,29 @@ def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  
     (px, py, l) : impulse on the rope at its first joint, N s, and angular impulse through that joint, N m s
     """
     n = change.size
-    zero = 0.0
-    at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, -tip[0], -tip[1], zero, zero, zero, zero)
+    at = (chain.tip_mass, 0.0, 0.0, chain.tip_mass, 0.0, 0.0, -tip[0], -tip[1], 0.0, 0.0, 0.0, 0.0)
     for way in range(n):
         i = n - 1 - way
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, ma * chain.com[i], chain.inertia[i], chain.mass[i])
-        o = 12 * i
-        work[o + 4], work[o + 5], work[o + 6], work[o + 7], work[o + 8], work[o + 9], work[o + 10], work[o + 11] = at[
-            :8
-        ]
-        at, back = link_change(link, (joint[i, 0], joint[i, 1]), frame[i], touch[i], at)
-        work[o], work[o + 1], work[o + 2], work[o + 3] = back
+        beyond = at
+        at, back = link_change(link, (joint[i, 0], joint[i, 1]), frame[i], touch[i], beyond)
+        write(work, 1, 12 * i, WAY_BACK, (*back, *beyond[:8]))
     px, py, up = base[0], base[1], base[2]
-    fx = at[0] * px + at[1] * py + at[4] * up + at[6]
-    fy = at[2] * px + at[3] * py + at[5] * up + at[7]
-    moment = at[8] * px + at[9] * py + at[10] * up + at[11]
+    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = at
+    load = axx * px + axy * py + fx * up + bx, ayx * px + ayy * py + fy * up + by, ux * px + uy * py + s * up + beta
     for i in range(n):
-        o = 12 * i
+        r, ex, ey, k, axx, axy, ayx, ayy, fx, fy, bx, by = read(work, 1, 12 * i, WAY_BACK)
         place[0, i], place[1, i] = px, py
-        up = work[o] - work[o + 1] * px - work[o + 2] * py + work[o + 3] * up
-        change[i] = up
+        change[i] = up = r - ex * px - ey * py + k * up
         length, ma = chain.length[i], chain.mass[i] * chain.com[i]
         vx, vy = frame[i, VX] * up + frame[i, KX], frame[i, VY] * up + frame[i, KY]
-        pull[0, i] = ma * (px + chain.com[i] * vx)
-        pull[1, i] = ma * (py + chain.com[i] * vy)
+        com_x, com_y = ma * (px + chain.com[i] * vx), ma * (py + chain.com[i] * vy)
         px += length * vx
         py += length * vy
-        pull[0, i] += length * (work[o + 4] * px + work[o + 5] * py + work[o + 8] * up + work[o + 10])
-        pull[1, i] += length * (work[o + 6] * px + work[o + 7] * py + work[o + 9] * up + work[o + 11])
-    return fx, fy, moment
+        pull[0, i] = com_x + length * (axx * px + axy * py + fx * up + bx)
+        pull[1, i] = com_y + length * (ayx * px + ayy * py + fy * up + by)
+    return load
 
 
 @non_allocating
@@ -198,3 +206,165 @@ def velocity(contacts, motion, c):  # type: ignore[no-untyped-def]
     i, speed, turned, place = contacts.link[c], motion.speed, motion.turned, motion.place
     vx, vy = speed[0, i] + turned[0, i] + place[0, i], speed[1, i] + turned[1, i] + place[1, i]
     return resolved(contacts, motion, c, vx, vy, motion.w[i] + motion.change[i])
+
+
+class Spin(NamedTuple):
+    """Pegs that turn, k of m, and the answer of n links to each."""
+
+    which: Index  # (k,) pegs that turn
+    row: Index  # (m,) index of each in `which`; -1 if it is fixed
+    reach: Array  # (m,) m, lever of the rope's axis about the axle
+    inertia: Array  # (m,) kg m^2
+    bearing: Array  # (m,) N m s, viscous friction of the axle
+    before: Array  # (m,) rad/s, rates before the step; 0 of fixed ones
+    after: Array  # (m,) and after it
+    stay: Array  # (m,) part of its rate that a peg keeps in the step where nothing touches it
+    penalty: Array  # (m,) kg m^2, angular impulse over the change of the rate that it makes
+    system: Array  # (k, k + 1) equations of the rates after the step
+    change: Array  # (k, n) answers to a rate of 1 rad/s: of the links' rates
+    place: Array  # (k, 2, n) of the joints' velocities
+    pull: Array  # (2, n)
+    load: Array  # (k, 3) of the impulse at the first joint
+    joint: Array  # (n, 2) angular impulse of each joint in these answers: 0, and its slope
+    frame: Array  # (n, 8) as ``Motion.frame``, without K and TURN
+    none: Array  # (3,) nothing
+
+
+@kernel
+def new_spin(n, pegs):  # type: ignore[no-untyped-def]
+    """Working arrays for n links and the Pegs `pegs`, all at rest."""
+    m = pegs.reach.size
+    row, k = np.full(m, -1), 0
+    which = np.zeros(m, np.int64)
+    for p in range(m):
+        if pegs.inertia[p] < np.inf:
+            row[p], which[k] = k, p
+            k += 1
+    links = n if k > 0 else 0
+    pegs_alone = zeros(m, m, m, m, (k, k + 1))
+    answers = zeros((k, links), (k, 2, links), (2, links), (k, 3), (links, 2), (links, FRAME), 3)
+    return Spin(which[:k].copy(), row, pegs.reach, pegs.inertia, pegs.bearing, *pegs_alone, *answers)
+
+
+@non_allocating
+def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
+    """Part of its rate that a free peg keeps for h s, and angular impulse over change of rate, kg m^2; both exact."""
+    x = bearing * h / inertia
+    if x == 0.0:
+        return 1.0, inertia
+    return math.exp(-x), -bearing * h / math.expm1(-x)
+
+
+@non_allocating
+def prepare_spin(spin, motion, h):  # type: ignore[no-untyped-def]
+    """Prepare a step h, s; 0.0: an impact."""
+    for p in spin.which:
+        spin.stay[p], spin.penalty[p] = coasting(spin.inertia[p], spin.bearing[p], h)
+    if spin.which.size > 0:
+        assign(spin.joint[:, 1], motion.joint[:, 1])
+
+
+@non_allocating
+def peg_response(chain, contacts, impulses, motion, spin, penalty, k):  # type: ignore[no-untyped-def]
+    """Find what a rate of 1 rad/s of turning peg k alone does to the rope, in these modes; `penalty` is M, kg."""
+    p = spin.which[k]
+    clear(motion.touch, contacts.link, contacts.total[0])
+    sticks = False
+    for c in range(contacts.total[0]):
+        if impulses.mode[c] != OPEN:
+            here = impulses.mode[c] == STICK and contacts.peg[c] == p
+            sticks = sticks or here
+            add_contact_impulse(contacts, impulses, motion, c, penalty, 0.0, penalty * spin.reach[p] if here else 0.0)
+    if not sticks:
+        spin.change[k] = spin.load[k] = 0.0
+        spin.place[k] = 0.0
+        return
+    base, tip = spin.none, spin.none[:2]
+    spin.load[k, 0], spin.load[k, 1], spin.load[k, 2] = changes(
+        chain, spin.joint, spin.frame, motion.touch, base, tip, spin.change[k], spin.place[k], spin.pull, motion.work
+    )
+
+
+@non_allocating
+def add_peg_equation(contacts, impulses, motion, spin, penalty, c):  # type: ignore[no-untyped-def]
+    """Enter the tangential impulse of contact c into the equation of its peg, at present rates and per rad/s of each.
+
+    ``motion`` holds the rope's answer to pegs at rest.
+    """
+    last = spin.which.size
+    i, k, lever = contacts.link[c], spin.row[contacts.peg[c]], spin.reach[contacts.peg[c]]
+    vn, vt = velocity(contacts, motion, c)
+    sticks, ratio = impulses.mode[c] == STICK, friction_ratio(contacts, impulses, c)
+    if sticks:
+        pt = impulses.start[1, c] - penalty * (vt + impulses.tangent_target[c])
+        spin.system[k, k] += lever * penalty * lever
+    else:
+        pt = ratio * (impulses.start[0, c] - penalty * (vn + impulses.target[c]))
+    spin.system[k, last] -= lever * pt
+    for j in range(last):
+        vn, vt = resolved(contacts, motion, c, spin.place[j, 0, i], spin.place[j, 1, i], spin.change[j, i])
+        spin.system[k, j] -= lever * penalty * (vt if sticks else ratio * vn)
+
+
+@non_allocating
+def eliminate(system):  # type: ignore[no-untyped-def]
+    """Solve equations (k, k + 1), the right-hand side last, which becomes the solution."""
+    k = system.shape[0]
+    for i in range(k):
+        best = i
+        for j in range(i + 1, k):
+            if abs(system[j, i]) > abs(system[best, i]):
+                best = j
+        for col in range(k + 1):
+            system[i, col], system[best, col] = system[best, col], system[i, col]
+        for j in range(k):
+            if j != i:
+                factor = system[j, i] / system[i, i]
+                for col in range(i, k + 1):
+                    system[j, col] -= factor * system[i, col]
+    for i in range(k):
+        system[i, k] /= system[i, i]
+
+
+@non_allocating
+def turn_pegs(chain, contacts, impulses, motion, joints, spin, penalty):  # type: ignore[no-untyped-def]
+    """Find the pegs' rates after the step with the present modes, and add what they do to the rope.
+
+    ``motion`` holds the rope's answer to pegs at rest; what ``motion.touch`` holds is lost.
+    """
+    last = spin.which.size
+    for i in joints.which:
+        spin.joint[i, 1] = motion.joint[i, 1]
+    for i in range(motion.w.size):
+        for k in range(TX, KX):
+            spin.frame[i, k] = motion.frame[i, k]
+    for k in range(last):
+        p = spin.which[k]
+        peg_response(chain, contacts, impulses, motion, spin, penalty, k)
+        spin.system[k] = 0.0
+        spin.system[k, k] = spin.penalty[p]
+        spin.system[k, last] = spin.penalty[p] * spin.stay[p] * spin.before[p]
+    for c in range(contacts.total[0]):
+        if impulses.mode[c] != OPEN and spin.row[contacts.peg[c]] >= 0:
+            add_peg_equation(contacts, impulses, motion, spin, penalty, c)
+    eliminate(spin.system)
+    for k in range(last):
+        rate = spin.system[k, last]
+        spin.after[spin.which[k]] = rate
+        for i in range(motion.w.size):
+            motion.change[i] += rate * spin.change[k, i]
+            motion.place[0, i] += rate * spin.place[k, 0, i]
+            motion.place[1, i] += rate * spin.place[k, 1, i]
+        for j in range(3):
+            motion.load[j] += rate * spin.load[k, j]
+
+
+@non_allocating
+def lost_in_bearings(spin):  # type: ignore[no-untyped-def]
+    """Energy that the axles took in the step, J: their angular impulse times the mean rate."""
+    taken = 0.0
+    for p in spin.which:
+        penalty, inertia, before, after = spin.penalty[p], spin.inertia[p], spin.before[p], spin.after[p]
+        impulse = (penalty - inertia) * after + (inertia - penalty * spin.stay[p]) * before
+        taken += impulse * 0.5 * (before + after)
+    return taken

@@ -30,7 +30,6 @@ from hyperflex.core.integrate.events import (
     search_of,
     watched_sense,
 )
-from hyperflex.core.integrate.interpolation import interpolate
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
     LONGEST_WATCHED,
@@ -52,12 +51,13 @@ from hyperflex.core.integrate.steps import (
     MOST_SUBSTEPS,
     add_substeps,
     extrapolate,
+    interpolate,
     new_substeps,
     rates,
     runge_kutta,
     weigh_terms,
 )
-from hyperflex.core.jit import inlined, kernel, non_allocating, zeros
+from hyperflex.core.jit import kernel, non_allocating, zeros
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
@@ -264,18 +264,6 @@ SETTLED = 0.3  # first part of the step after a switch, where the dense output o
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 
 
-@inlined
-def turned(vector, sin, cos, by):  # type: ignore[no-untyped-def]
-    """Return a vector (x, y) plus `by` across a link."""
-    return vector[0] + cos * by, vector[1] + sin * by
-
-
-@inlined
-def squared(vector):  # type: ignore[no-untyped-def]
-    """Squared length of a vector (x, y)."""
-    return vector[0] * vector[0] + vector[1] * vector[1]
-
-
 @non_allocating
 def error_norm(limits, trig, errors, step, energy, limit):  # type: ignore[no-untyped-def]
     """Size of the `errors` (2 n + 2,) of a step in units of what is allowed, `limit`; inf if not finite.
@@ -286,14 +274,13 @@ def error_norm(limits, trig, errors, step, energy, limit):  # type: ignore[no-un
     """
     n = limits.lever.size
     time = lasting(step)
-    shift = drift = (0.0, 0.0)  # of the joint: error of its position, and what that of its rate makes
-    worst = total = 0.0
+    x = y = vx = vy = worst = total = 0.0  # of the joint: error of its position, and what that of its velocity makes
     for i in range(n):
-        sin, cos, lever = trig[i], trig[n + i], limits.lever[i]
-        shift = turned(shift, sin, cos, lever * errors[i])
-        drift = turned(drift, sin, cos, lever * errors[n + i] * time)
-        worst = max(worst, squared(shift), squared(drift))
-        total += squared(shift) + squared(drift)
+        shift, drift = limits.lever[i] * errors[i], limits.lever[i] * errors[n + i] * time
+        x, vx = x + trig[n + i] * shift, vx + trig[n + i] * drift
+        y, vy = y + trig[i] * shift, vy + trig[i] * drift
+        worst = max(worst, x * x + y * y, vx * vx + vy * vy)
+        total += x * x + y * y + (vx * vx + vy * vy)
     off = abs(errors[2 * n] - errors[2 * n + 1]) * limits.reach / (ENERGY * energy + TINY)
     if not (total + off < np.inf):  # also where one is not a number
         return np.inf

@@ -5,7 +5,8 @@ The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated.
 Dense output: a column that takes j substeps h = H / j has the states Y_j(t) = y(t) + h e_1(t) + h^2 e_2(t) + ... in the
 step, where all e_k are zero at its beginning (Hairer and Ostermann 1990, doi:10.1007/BF01386410). The p (p + 1) / 2
 substeps of the columns 1..p determine all terms in h^k (t - t_0)^m with k + m <= p, and so y(t) to the order of the
-step, at the cost of sums.
+step, at the cost of sums. Where that is not accurate enough, Hermite interpolation takes states and derivatives at the
+beginning, middle and end of the step.
 """
 
 import math
@@ -16,9 +17,9 @@ import numpy.typing as npt
 
 from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import accelerations, lost_power, sines
+from hyperflex.core.chain.articulated_body import Array, accelerations, lost_power, sines
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.jit import inlined, kernel, non_allocating, summing, zeros
+from hyperflex.core.jit import inlined, kernel, non_allocating, read, summing, write, zeros
 
 MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
 # Parts of the step at which the error is evaluated, where friction settles and in the middle, and its weight there:
@@ -53,9 +54,10 @@ def write_increments(lanes, j, y, out):  # type: ignore[no-untyped-def]
     """Write what lane j has reached, less the state y (2 n + 2,) that the step began with, to ``out`` (2 n + 2,)."""
     k, n = len(ln.COLUMNS), (y.size - 2) // 2
     for i in range(n):
-        at = (i + 1) * ln.ROW * k + j
-        out[i], out[n + i] = lanes[at + ln.Q * k] - y[i], lanes[at + ln.W * k] - y[n + i]
-    out[2 * n], out[2 * n + 1] = lanes[ln.WORK * k + j] - y[2 * n], lanes[ln.LOST * k + j] - y[2 * n + 1]
+        q, w = read(lanes, k, (i + 1) * ln.ROW * k + j, (ln.Q, ln.W))
+        out[i], out[n + i] = q - y[i], w - y[n + i]
+    work, lost = read(lanes, k, j, (ln.WORK, ln.LOST))
+    out[2 * n], out[2 * n + 1] = work - y[2 * n], lost - y[2 * n + 1]
 
 
 @summing
@@ -94,18 +96,15 @@ class Scheme(NamedTuple):
     order: int
     column: npt.NDArray[np.int64]  # (rounds, lanes) column that a lane works on in a round, 0: idle
     done: npt.NDArray[np.int64]  # (rounds, lanes) substeps of that column taken before
-    best: npt.NDArray[np.float64]  # (p + 1,) weights of the columns in the result of order p
-    gap: npt.NDArray[np.float64]  # (p + 1,) in its difference to a result of order p - 1: the error estimate
-    lower_gap: npt.NDArray[np.float64]  # (p + 1,) the same for the result of order p - 1 from the first p - 1 columns
+    best: Array  # (p + 1,) weights of the columns in the result of order p
+    gap: Array  # (p + 1,) in its difference to a result of order p - 1: the error estimate
+    lower_gap: Array  # (p + 1,) the same for the result of order p - 1 from the first p - 1 columns
     rounding: float  # m, what the weights make of rounding errors in places some metres away
 
 
 def scheme(order: int) -> Scheme:
     """Build the table of the given order (2 or more)."""
-    column = _packed(order)
-    done = np.zeros_like(column)
-    for turn in range(1, column.shape[0]):
-        done[turn] = np.where(column[turn] == column[turn - 1], done[turn - 1] + 1, 0)
+    column, done = _packed(order)
     best, lower = _weights(1, order, order), _weights(1, order - 1, order)
     return Scheme(
         order,
@@ -118,7 +117,7 @@ def scheme(order: int) -> Scheme:
     )
 
 
-def _weights(first: int, last: int, order: int) -> npt.NDArray[np.float64]:
+def _weights(first: int, last: int, order: int) -> Array:
     """Weights (order + 1,) of columns first..last in the value that they extrapolate to (Neville's at step 0)."""
     weights = np.zeros(order + 1)
     for j in range(first, last + 1):
@@ -126,25 +125,23 @@ def _weights(first: int, last: int, order: int) -> npt.NDArray[np.float64]:
     return weights
 
 
-def _packed(order: int) -> npt.NDArray[np.int64]:
-    """Columns (rounds, lanes) in as few rounds as will do: each, the longest first, where it fits best."""
+def _packed(order: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Columns (rounds, lanes) in as few rounds as will do, and the substeps taken before.
+
+    Each, the longest first, is where it fits best.
+    """
     lanes = len(ln.COLUMNS)
     rounds = max(order, -(-order * (order + 1) // 2 // lanes))
-    while True:
-        column, used = np.zeros((rounds, lanes), dtype=np.int64), np.zeros(lanes, dtype=np.int64)
-        for j in range(order, 0, -1):
-            fits = [lane for lane in range(lanes) if used[lane] + j <= rounds]
-            if not fits:
-                break
-            lane = max(fits, key=lambda lane: int(used[lane]))
-            column[used[lane] : used[lane] + j, lane] = j
-            used[lane] += j
-        else:
-            return column
-        rounds += 1
+    column, done, used = np.zeros((rounds, lanes), int), np.zeros((rounds, lanes), int), [0] * lanes
+    for j in range(order, 0, -1):
+        lane = max((lane for lane in range(lanes) if used[lane] + j <= rounds), key=used.__getitem__)
+        rows = slice(used[lane], used[lane] + j)
+        column[rows, lane], done[rows, lane] = j, range(j)
+        used[lane] += j
+    return column, done
 
 
-def _courses(most: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _courses(most: int) -> tuple[Array, Array]:
     """Weights of the substeps of each order up to `most`: their polynomials, and those in the errors at LOOKS."""
     course = np.zeros((most + 1, most, MOST_SUBSTEPS))
     errors = np.zeros((most + 1, len(LOOKS), MOST_SUBSTEPS))
@@ -174,7 +171,7 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
         col, done = table.column[turn, j], table.done[turn, j]
         if col > 0 and done == 0:
             ln.set_state(j, y[:n], y[n : 2 * n], trig, lanes)
-            lanes[ln.WORK * k + j], lanes[ln.LOST * k + j] = y[2 * n], y[2 * n + 1]
+            write(lanes, k, j, (ln.WORK, ln.LOST), (y[2 * n], y[2 * n + 1]))
         h = step / col if col > 0 else 0.0
         tip[ln.STEP * k + j] = h
         tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done * h, motion)
@@ -252,3 +249,64 @@ def runge_kutta(chain, drive, part, t, step, y, slip, out, stage, work):  # type
             total[i] += slope[i] if k == 2 else 2.0 * slope[i]
     for i in range(y.size):
         out[i] = y[i] + (step / 6.0) * total[i]
+
+
+def _hermite(derivatives: int) -> Array:
+    """Coefficients (basis, power) of the Hermite basis on -1, 0, 1 with the given derivatives (0..k) at each node."""
+    count = 3 * (derivatives + 1)
+    rows = [
+        [math.perm(power, d) * node ** (power - d) if power >= d else 0.0 for power in range(count)]
+        for d in range(derivatives + 1)
+        for node in (-1.0, 0.0, 1.0)
+    ]
+    return np.linalg.inv(np.array(rows)).T.copy()
+
+
+_ANGLES = _hermite(2)  # (9, 9): value, first and second derivative at three nodes
+_SUMS = _hermite(1)  # (6, 6): value and first derivative
+
+
+@non_allocating
+def basis(order, theta, weight):  # type: ignore[no-untyped-def]
+    """Derivative of the given order of the interpolation's basis (9,) at theta; of values, rates and accelerations."""
+    for b in range(9):
+        total = 0.0
+        for k in range(order, 9):
+            factor = 1.0
+            for m in range(order):
+                factor *= k - m
+            total += _ANGLES[b, k] * factor * theta ** (k - order)
+        weight[b] = total
+
+
+@kernel
+def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
+    """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
+
+    Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work
+    and dissipation follow one of degree 5. Not for the step behind a switch, where friction settles (docs/models.md).
+    """
+    n = (ys.shape[1] - 2) // 2
+    half = 0.5 * step
+    value = np.empty(9)
+    slope = np.empty(9)
+    basis(0, theta, value)
+    basis(1, theta, slope)
+    for i in range(n):
+        q = w = 0.0
+        for k in range(3):
+            rate = half * ys[k, n + i]
+            bend = half * half * dys[k, n + i]
+            q += value[k] * ys[k, i] + value[3 + k] * rate + value[6 + k] * bend
+            w += slope[k] * ys[k, i] + slope[3 + k] * rate + slope[6 + k] * bend
+        out[i] = q
+        out[n + i] = w / half
+    for i in range(2 * n, 2 * n + 2):
+        total = 0.0
+        for b in range(6):
+            node = b % 3
+            weight = 0.0
+            for k in range(6):
+                weight += _SUMS[b, k] * theta**k
+            total += weight * (ys[node, i] if b < 3 else half * dys[node, i])
+        out[i] = total

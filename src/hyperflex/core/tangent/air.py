@@ -9,14 +9,16 @@ import numpy as np
 
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.air import drag_slopes, link_drag
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating, read, write
 from hyperflex.core.tangent import step as tg
 
-# of a link: sine, cosine, length, rate; force across it and moment, N and N m, for a unit of drag; its drag
-SIN, COS, LENGTH, W, FORCE, MOMENT, DRAG = range(7)
-# integrals of ``drag_slopes``; velocity along the normal's derivative, m/s; drag |v| v at the far joint, N/m; the air's
-# force on all beyond the link, across it and along its normal's derivative, N
-FIRST, SECOND, THIRD, SIDE, END, BEYOND, ASIDE = range(7, 14)
+# of a link: sine, cosine, length, rate and drag
+LINK = SIN, COS, LENGTH, W, DRAG = tuple(range(5))
+# force across it and moment, N and N m, for a unit of drag; integrals of ``drag_slopes``; velocity along the normal's
+# derivative, m/s; drag |v| v at the far joint, N/m
+SLOPES = FORCE, MOMENT, FIRST, SECOND, THIRD, SIDE, END = tuple(range(5, 12))
+# the air's force on all beyond the link, across it and along its normal's derivative, N
+BEYOND, ASIDE = range(12, 14)
 # velocity of the far joint, force on the link and all beyond it
 VX, VY, FX, FY = range(14, 18)
 # changes, of both directions: of angle, rate, velocity of the far joint, force across the link, moment, force on it
@@ -37,38 +39,29 @@ def begin(lanes, base, air):  # type: ignore[no-untyped-def]
     """Work out what all directions share from the lanes after ``tangent.step.prepare``; `base` (9, K) as there."""
     n = air.size // (ROW * K) - 2
     for j in range(K):
-        air[VX * K + j] = base[5, j]
-        air[VY * K + j] = base[6, j]
+        write(air, K, j, (VX, VY), (base[5, j], base[6, j]))
     for i in range(1, n + 1):
         for j in range(K):
-            at, own = i * ROW * K + j, i * ln.ROW * K + j
-            air[at + SIN * K], air[at + COS * K] = lanes[own + tg.SIN * K], lanes[own + tg.COS * K]
-            air[at + LENGTH * K], air[at + W * K] = lanes[own + ln.LENGTH * K], lanes[own + tg.BEFORE * K]
-            air[at + DRAG * K] = lanes[own + ln.DRAG * K]
+            link = read(lanes, K, i * ln.ROW * K + j, (tg.SIN, tg.COS, ln.LENGTH, tg.BEFORE, ln.DRAG))
+            write(air, K, i * ROW * K + j, LINK, link)
     for i in range(1, n + 1):
         row = air[(i - 1) * ROW * K : (i + 1) * ROW * K]
         for up in range(K):
             at = ROW * K + up
-            sin, cos, drag = row[at + SIN * K], row[at + COS * K], row[at + DRAG * K]
-            vx, vy, length = row[up + VX * K], row[up + VY * K], row[at + LENGTH * K]
-            turn = length * row[at + W * K]
-            across = vx * cos + vy * sin
-            row[at + FORCE * K], row[at + MOMENT * K] = link_drag(1.0, length, across, turn)
-            first, second, third = drag_slopes(drag, length, across, turn)
-            row[at + FIRST * K], row[at + SECOND * K], row[at + THIRD * K] = first, second, third
-            row[at + SIDE * K] = vy * cos - vx * sin
-            row[at + END * K] = drag * abs(across + turn) * (across + turn)
-            row[at + VX * K] = vx + turn * cos
-            row[at + VY * K] = vy + turn * sin
+            (sin, cos, length, w, drag), (vx, vy) = read(row, K, at, LINK), read(row, K, up, (VX, VY))
+            turn, across = length * w, vx * cos + vy * sin
+            write(row, K, at, (FORCE, MOMENT), link_drag(1.0, length, across, turn))
+            write(row, K, at, (FIRST, SECOND, THIRD), drag_slopes(drag, length, across, turn))
+            end = drag * abs(across + turn) * (across + turn)
+            write(row, K, at, (SIDE, END, VX, VY), (vy * cos - vx * sin, end, vx + turn * cos, vy + turn * sin))
     for way in range(n):
         i = n - way
         row = air[i * ROW * K : (i + 2) * ROW * K]
         for at in range(K):
-            down = ROW * K + at
-            sin, cos, force = row[at + SIN * K], row[at + COS * K], row[at + DRAG * K] * row[at + FORCE * K]
-            fx, fy = row[down + FX * K], row[down + FY * K]
-            row[at + BEYOND * K], row[at + ASIDE * K] = fx * cos + fy * sin, fy * cos - fx * sin
-            row[at + FX * K], row[at + FY * K] = fx - force * cos, fy - force * sin
+            sin, cos, drag, force = read(row, K, at, (SIN, COS, DRAG, FORCE))
+            fx, fy = read(row, K, ROW * K + at, (FX, FY))
+            write(row, K, at, (BEYOND, ASIDE), (fx * cos + fy * sin, fy * cos - fx * sin))
+            write(row, K, at, (FX, FY), (fx - drag * force * cos, fy - drag * force * sin))
 
 
 @inlined
@@ -78,31 +71,29 @@ def outward(row, j, d, longer, more):  # type: ignore[no-untyped-def]
     `d` is 0, or K for the second direction.
     """
     at, own, up = ROW * K + j, ROW * K + j + d, j + d
-    sin, cos, length = row[at + SIN * K], row[at + COS * K], row[at + LENGTH * K]
-    w, second, end = row[at + W * K], row[at + SECOND * K], row[at + END * K]
-    dq, dw = row[own + DQ * K], row[own + DW * K]
-    vx, vy = row[up + DVX * K], row[up + DVY * K]
-    across = vx * cos + vy * sin + row[at + SIDE * K] * dq
-    force = row[at + FIRST * K] * across + second * dw + end * longer
-    moment = second * across + row[at + THIRD * K] * dw + length * end * longer
-    row[own + DFORCE * K] = force + row[at + FORCE * K] * more
-    row[own + DMOMENT * K] = moment + row[at + MOMENT * K] * more
+    sin, cos, length, w, _ = read(row, K, at, LINK)
+    unit_force, unit_moment, first, second, third, aside, end = read(row, K, at, SLOPES)
+    (dq, dw), (vx, vy) = read(row, K, own, (DQ, DW)), read(row, K, up, (DVX, DVY))
+    across = vx * cos + vy * sin + aside * dq
+    force = first * across + second * dw + end * longer + unit_force * more
+    moment = second * across + third * dw + length * end * longer + unit_moment * more
     turn, side = longer * w + length * dw, length * w * dq
-    row[own + DVX * K] = vx + (turn * cos - side * sin)
-    row[own + DVY * K] = vy + (turn * sin + side * cos)
+    velocity = vx + (turn * cos - side * sin), vy + (turn * sin + side * cos)
+    write(row, K, own, (DFORCE, DMOMENT, DVX, DVY), (force, moment, *velocity))
 
 
 @inlined
 def inward(row, j, d, longer):  # type: ignore[no-untyped-def]
     """One link and direction from tip to motor: the change of the torque on it; `d` as for :func:`outward`."""
-    own, down = j + d, ROW * K + j + d
-    sin, cos, length = row[j + SIN * K], row[j + COS * K], row[j + LENGTH * K]
-    dq, change, force = row[own + DQ * K], row[own + DFORCE * K], row[j + DRAG * K] * row[j + FORCE * K]
-    fx, fy = row[down + DFX * K], row[down + DFY * K]
-    torque = length * (fx * cos + fy * sin + row[j + ASIDE * K] * dq) + longer * row[j + BEYOND * K]
-    row[own + TORQUE * K] = torque - row[own + DMOMENT * K]
-    row[own + DFX * K] = fx - (change * cos - force * dq * sin)
-    row[own + DFY * K] = fy - (change * sin + force * dq * cos)
+    sin, cos, length, _, drag = read(row, K, j, LINK)
+    (dq, change, moment), (fx, fy) = (
+        read(row, K, j + d, (DQ, DFORCE, DMOMENT)),
+        read(row, K, ROW * K + j + d, (DFX, DFY)),
+    )
+    unit_force, beyond, aside = read(row, K, j, (FORCE, BEYOND, ASIDE))
+    force, torque = drag * unit_force, length * (fx * cos + fy * sin + aside * dq) + longer * beyond - moment
+    fx, fy = fx - (change * cos - force * dq * sin), fy - (change * sin + force * dq * cos)
+    write(row, K, j + d, (TORQUE, DFX, DFY), (torque, fx, fy))
 
 
 @non_allocating

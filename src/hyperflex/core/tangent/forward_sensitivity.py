@@ -1,26 +1,26 @@
-"""Forward sensitivity of a recorded run, for any number of directions, with the tangents of outputs and events.
+"""Forward sensitivity of a recorded run along any directions: changes of chain, drive and base, outputs and events.
 
 The steps stay as they were, so the result is the derivative of the numbers that the run returned: each step keeps its
 length, except a step that ends at a switch, at an event or at an output whose time depends on a direction.
 
 A stuck joint keeps its angle in every direction. A step that ends at an event is as long as the event's margin takes to
 fall to zero (``integrate.events``), so its length has a derivative: minus that of the margin over the margin's slope.
-The slope is the derivative along one more direction, in which nothing changes but the step's length.
+The slope is the derivative along one more direction, the last but one, in which nothing changes but the step's length.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, sines
-from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.integrate.interpolation import basis
+from hyperflex.core.chain.articulated_body import Array, sincos, sines
+from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, base_state, polynomial, segment, within
 from hyperflex.core.integrate.observation import enter_state
 from hyperflex.core.integrate.rollout import DEGREE, END, JOINT, LENGTH, MODES
-from hyperflex.core.integrate.steps import rates
-from hyperflex.core.jit import inlined, kernel, non_allocating, zeros
+from hyperflex.core.integrate.steps import basis, begin_columns, end_columns, rates
+from hyperflex.core.jit import inlined, kernel, non_allocating, read, write, zeros
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
@@ -32,27 +32,294 @@ from hyperflex.core.stiction import (
     stop_joints,
     stops,
 )
+from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import step as tg
-from hyperflex.core.tangent.extrapolation import (
-    ALPHA,
-    CELL,
-    CHANGES,
-    PARTS,
-    RATE,
-    TURN,
-    Directions,
-    TangentWorkspace,
-    base_change,
-    begin_pairs,
-    end_shift,
-    enter,
-    new_tangent_workspace,
-    set_ends,
-    set_start,
-    step_pair,
-    tangent_step,
-)
 from hyperflex.core.tangent.step import K
+
+TIP_MASS, GRAVITY_X, GRAVITY_Y = range(3)  # columns of Directions.whole
+# what base_change writes
+ACC_X, ACC_Y, ALPHA, RATE, TURN, MOTOR, PLACE_X, PLACE_Y, SPEED_X, SPEED_Y = range(10)
+CHANGES = 10
+
+
+class Directions(NamedTuple):
+    """Changes of everything that a run depends on but its start; p = 2 b directions, in b pairs."""
+
+    links: Array  # (b, 2, n, SEEDS): of the links' parameters, see core/tangent/step.py
+    whole: Array  # (p, 3): of tip mass, kg, and gravity, m/s^2
+    parameters: npt.NDArray[np.bool_]  # (b,) whether links, or the torque on the first one, change
+    driven: npt.NDArray[np.int64]  # (p,) row of the following that changes the drive, -1: none does
+    breaks: Array  # (m, k + 1), s
+    coef: Array  # (m, k, 4, 6)
+    arm: Array  # (m,) of the arm's length, m
+
+
+@kernel
+def cycle_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
+    """Change of the beginning of the period that the Segment `part` lies in, s; `breaks` (k + 1,) as in Directions."""
+    if part.offset == 0.0:
+        return 0.0
+    last, first = drive.breaks.size - 1, drive.loop
+    cycle = round(part.offset / (drive.breaks[last] - drive.breaks[first]))
+    return cycle * (breaks[last] - breaks[first])
+
+
+@non_allocating
+def end_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
+    """Change of the time at which the Segment `part` ends, s."""
+    return cycle_shift(drive, part, breaks) + breaks[part.last + 1]
+
+
+@inlined
+def moved(c, dc, s, ds):  # type: ignore[no-untyped-def]
+    """Change of a polynomial c (6,), of its rate and of its second derivative at s by dc (6,) and ds."""
+    _, rate, second = polynomial(c, s)
+    third = 6.0 * c[3] + s * (24.0 * c[4] + s * 60.0 * c[5])
+    value, slope, bend = polynomial(dc, s)
+    return value + rate * ds, slope + second * ds, bend + third * ds
+
+
+@non_allocating
+def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-untyped-def]
+    """Change of the first joint's motion at time t within the Segment `part`.
+
+    Parameters
+    ----------
+    drive, part, directions : Drive, Segment, Directions
+    t, shift : float, s, and its own change
+    m : int, row of ``directions.breaks``, ``coef`` and ``arm``
+    out : (CHANGES,) out: acceleration x, y (m/s^2); of the arm alpha (rad/s^2), rate, angle; motor torque (N m);
+        position x, y (m); velocity x, y (m/s)
+    """
+    j, s, still = within(drive, part, t)
+    breaks = directions.breaks[m]
+    k = drive.breaks.size - 1
+    if still:
+        ds = breaks[k] - breaks[k - 1] if s > 0.0 else 0.0
+    else:
+        ds = shift - cycle_shift(drive, part, breaks) - breaks[j]
+    angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
+    turn, d_rate, d_alpha = moved(drive.coef[j, ANGLE], directions.coef[m, j, ANGLE], s, ds)
+    x, vx, ax = moved(drive.coef[j, X], directions.coef[m, j, X], s, ds)
+    y, vy, ay = moved(drive.coef[j, Y], directions.coef[m, j, Y], s, ds)
+    torque = polynomial(drive.coef[j, TORQUE], s)[0]
+    motor = moved(drive.coef[j, TORQUE], directions.coef[m, j, TORQUE], s, ds)[0]
+    if still:
+        rate = alpha = d_rate = d_alpha = vx = vy = ax = ay = motor = 0.0
+    if abs(torque) >= drive.torque_limit:
+        motor = 0.0
+    sin, cos = sincos(angle)
+    length, longer = drive.arm_length, directions.arm[m]
+    zx, zy = cos * alpha - sin * rate * rate, sin * alpha + cos * rate * rate
+    out[ACC_X] = ax + longer * zx + length * (cos * d_alpha - zy * turn - 2.0 * sin * rate * d_rate)
+    out[ACC_Y] = ay + longer * zy + length * (sin * d_alpha + zx * turn + 2.0 * cos * rate * d_rate)
+    out[ALPHA] = d_alpha
+    out[RATE] = d_rate
+    out[TURN] = turn
+    out[MOTOR] = motor
+    out[PLACE_X] = x + longer * sin + length * cos * turn
+    out[PLACE_Y] = y - longer * cos + length * sin * turn
+    out[SPEED_X] = vx + (longer * rate + length * d_rate) * cos - length * sin * turn * rate
+    out[SPEED_Y] = vy + (longer * rate + length * d_rate) * sin + length * cos * turn * rate
+
+
+@kernel
+def place_changes(drive, directions, t, out):  # type: ignore[no-untyped-def]
+    """Change of the first joint's position at times t (T,) to out (T, 2, p), m."""
+    moved = np.zeros(CHANGES)
+    for k in range(t.size):
+        part = segment(drive, t[k])
+        for x, m in enumerate(directions.driven):
+            if m >= 0:
+                base_change(drive, part, t[k], 0.0, directions, m, moved)
+                out[k, 0, x], out[k, 1, x] = moved[PLACE_X], moved[PLACE_Y]
+
+
+CELL = 4 * K  # a pair's numbers of one link in the lanes: angle and rate, two directions each
+START, NOW, SUM = 0, CELL, 2 * CELL  # the parts of what is kept of them
+PARTS = 3
+
+
+class TangentWorkspace(NamedTuple):
+    """Working arrays of a replay; b pairs of directions, p = 2 b."""
+
+    lanes: Array  # ((n + 2) ROW K,), and its last row
+    tip: Array
+    base: Array  # (9, K)
+    work: Array  # (6 n,)
+    errors: Array  # (2, 2 n + 2)
+    store: Array  # (b, n PARTS CELL) derivatives in every lane: at the start of the step, now, summed over the columns
+    weight: Array  # (CELL,) of each lane's column in the sum, where it is complete
+    anew: Array  # (CELL,) 1.0 where a lane begins a column, else 0.0
+    shift: Array  # (p,) change of the time at which the step starts, s
+    change: Array  # (p,) change of its length, s
+    stretch: Array  # (p,) the same as a part of its length
+    into: Array  # (K,) how far each lane is within the step, as a part of it
+    when: Array  # (K,) time of each lane, s
+    moved: Array  # (CHANGES,)
+    ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives in time
+    dys: Array
+    nodes: Array  # (3, 2 n, p) derivatives of angles and rates there
+    bends: Array  # (3, n, p) of accelerations
+    out: Array  # (2 n + 2,) result of a step
+    air: Array  # ((n + 2) ROW K,) as in tangent.air; empty without drag
+
+
+@kernel
+def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain and a number of pairs."""
+    n = chain.length.size
+    lanes, tip = ln.rows(ln.COLUMNS, n)
+    ln.load(ln.COLUMNS, chain, lanes, tip)
+    p, width, of_pairs = 2 * pairs, 2 * n + 2, (pairs, n * PARTS * CELL)
+    step = zeros((9, K), 6 * n, (2, width), of_pairs, CELL, CELL, p, p, p, K, K, CHANGES, (3, width), (3, width))
+    nodes = zeros((3, 2 * n, p), (3, n, p), width)
+    return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain))  # type: ignore[call-arg]
+
+
+@non_allocating
+def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-def]
+    """Put the changes of the base's motion and of the tip mass into the first and the last row of the lanes."""
+    lanes, moved, air = workspace.lanes, workspace.moved, workspace.air
+    beyond = lanes.size - ln.ROW * K
+    far = lanes[beyond - ln.ROW * K : beyond]
+    for d in range(2):
+        moved[:] = 0.0
+        x = 2 * b + d
+        m, (heavier, gx, gy) = directions.driven[x], directions.whole[x]
+        for j in range(K):
+            if m >= 0:
+                late = workspace.shift[x] + workspace.into[j] * workspace.change[x]
+                base_change(drive, part, workspace.when[j], late, directions, m, moved)
+            at = d * K + j
+            write(lanes, K, at, (tg.DQ, tg.DW, tg.RHS), (moved[TURN], moved[RATE], moved[MOTOR]))
+            write(lanes, K, at, (tg.PX, tg.PY, tg.ALPHA), (moved[ACC_X] - gx, moved[ACC_Y] - gy, moved[ALPHA]))
+            if air.size > 0:
+                write(air, K, at, (dg.DVX, dg.DVY), (moved[SPEED_X], moved[SPEED_Y]))
+            px, py = read(far, K, j, (ln.PX, ln.PY))
+            write(lanes, K, beyond + at, (tg.BX, tg.BY), (heavier * px, heavier * py))
+
+
+@non_allocating
+def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
+    """Put the derivatives of a pair, `own` (n PARTS CELL,), into the lanes, from their start where a column begins."""
+    n = own.size // (PARTS * CELL)
+    for i in range(n):
+        cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
+        kept = own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
+        if begins:
+            for x in range(anew.size):  # a length that the compiler does not know: it would write a short loop out
+                cell[x] = kept[NOW + x] + anew[x] * (kept[START + x] - kept[NOW + x])
+        else:
+            for x in range(CELL):
+                cell[x] = kept[NOW + x]
+
+
+@non_allocating
+def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
+    """Take the derivatives of one pair out of the lanes, and add the columns that are complete to their sum."""
+    n = own.size // (PARTS * CELL)
+    for i in range(n):
+        cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
+        kept = own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
+        if ends:
+            for x in range(weight.size):
+                kept[SUM + x] += weight[x] * cell[x]
+        for x in range(CELL):
+            kept[NOW + x] = cell[x]
+
+
+@non_allocating
+def set_start(values, store):  # type: ignore[no-untyped-def]
+    """Make derivatives (2 n, p) the start in every lane of `store` (b, n PARTS CELL)."""
+    n = values.shape[0] // 2
+    for b in range(store.shape[0]):
+        for i in range(n):
+            cell = store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
+            for j in range(K):
+                cell[j] = values[i, 2 * b]
+                cell[K + j] = values[i, 2 * b + 1]
+                cell[2 * K + j] = values[n + i, 2 * b]
+                cell[3 * K + j] = values[n + i, 2 * b + 1]
+
+
+@non_allocating
+def sum_columns(store, values):  # type: ignore[no-untyped-def]
+    """Sum the lanes of the sums in `store` to derivatives (2 n, p), and set them back."""
+    n = values.shape[0] // 2
+    for b in range(store.shape[0]):
+        for i in range(n):
+            cell = store[b, (i * PARTS + 2) * CELL : (i + 1) * PARTS * CELL]
+            for x in range(4):
+                part = 0.0
+                for j in range(K):
+                    part += cell[x * K + j]
+                values[i + n * (x // 2), 2 * b + x % 2] = part
+            cell[:] = 0.0
+
+
+@non_allocating
+def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
+    """Work out what the pairs have in common, after a step of ``lanes.euler``."""
+    tg.prepare(reaction, lanes)
+    if air.size > 0:
+        dg.begin(lanes, base, air)
+
+
+@non_allocating
+def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
+    """Derivatives of that step for changes of everything, see ``step.step``."""
+    if air.size > 0:
+        dg.write_torques(lanes, air, links)
+    tg.step(reaction, tg.ALL, lanes, links, stretch)
+
+
+@kernel
+def tangent_step(chain, drive, part, table, t, step, y, out, directions, result, workspace):  # type: ignore[no-untyped-def]
+    """One extrapolated step, as ``steps.extrapolate``, with the derivatives of its result.
+
+    Parameters
+    ----------
+    chain, drive, part, table, directions : Chain, Drive, Segment, Scheme, Directions
+    t, step : float, s
+    y, out : (2 n + 2,) state before the step, and after it (out)
+    result : (2 n, p) out, derivatives of the angles and rates after the step
+    workspace : TangentWorkspace
+        ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
+    """
+    for x in range(workspace.stretch.size):
+        workspace.stretch[x] = workspace.change[x] / step
+    n = chain.length.size
+    assign(out, y)
+    sines(y[:n], workspace.work, 0)
+    # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
+    lanes, store, anew, weight = workspace.lanes, workspace.store, workspace.anew, workspace.weight
+    reaction = chain.reaction
+    own, links, stretch, air = directions.parameters, directions.links, workspace.stretch, workspace.air
+    for turn in range(table.column.shape[0]):
+        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, workspace.tip, workspace.base, workspace.work)
+        tg.save_trig(lanes)
+        ln.euler(ln.COLUMNS, reaction, ln.MORE, lanes, workspace.tip, workspace.base)
+        begin_pairs(reaction, lanes, air, workspace.base)
+        for x in range(CELL):
+            col, done = table.column[turn, x % K], table.done[turn, x % K]
+            weight[x] = table.best[col] if col > 0 and done == col - 1 else 0.0
+            anew[x] = 1.0 if turn == 0 or (col > 0 and done == 0) else 0.0
+        for j in range(K):
+            workspace.into[j] = table.done[turn, j] / max(table.column[turn, j], 1)
+            workspace.when[j] = t + workspace.into[j] * step
+        begins, ends = anew.any(), weight.any()
+        for b in range(own.size):
+            enter(lanes, store[b], anew, begins)
+            set_ends(drive, part, directions, b, workspace)
+            longer = stretch[2 * b : 2 * b + 2]
+            if air.size > 0 or own[b] or longer[0] != 0.0 or longer[1] != 0.0:
+                step_pair(reaction, lanes, air, links[b], longer)
+            else:
+                tg.step(reaction, tg.STATE, lanes, links[b], longer)
+            leave(lanes, store[b], weight, ends)
+        end_columns(table, turn, y, out, workspace.errors, lanes, workspace.work[2 * n : 4 * n + 2])
+    sum_columns(workspace.store, result)
 
 
 @kernel
@@ -179,8 +446,6 @@ def write_within_step(chain, drive, part, table, t, step, y, t_out, directions, 
 class EventWorkspace(NamedTuple):
     """Working arrays of a replay with stiction."""
 
-    workspace: TangentWorkspace  # of the step whose length alone changes
-    longer: Directions  # a pair without any change of its own
     stiction: StictionWorkspace
     before: Array  # (9,) motion of the first joint at the beginning of the step, and at another time
     after: Array
@@ -189,15 +454,17 @@ class EventWorkspace(NamedTuple):
 
 
 @kernel
-def new_event_workspace(chain, drive, directions):  # type: ignore[no-untyped-def]
-    """Working arrays for a chain, its drive and a number of directions."""
-    n, p, k = chain.length.size, 2 * directions.parameters.size, drive.breaks.size - 1
-    links, whole = zeros((1, 2, n, directions.links.shape[3]), (2, 3))
-    parameters, driven = np.ones(1, dtype=np.bool_), np.zeros(2, dtype=np.int64)
-    longer = Directions(links, whole, parameters, driven, *zeros((1, k + 1), (1, k, 4, 6), 1))
-    workspace = new_tangent_workspace(chain, 1)
-    workspace.change[0] = 1.0
-    return EventWorkspace(workspace, longer, new_stiction_workspace(n), *zeros(9, 9, (p, CHANGES), (p, CHANGES)))
+def new_event_workspace(n, p):  # type: ignore[no-untyped-def]
+    """Working arrays for n links and p directions."""
+    return EventWorkspace(new_stiction_workspace(n), *zeros(9, 9, (p, CHANGES), (p, CHANGES)))
+
+
+def with_step_length(directions):  # type: ignore[no-untyped-def]
+    """Return Directions with one more pair, for :func:`event_sensitivity`: nothing changes but the length of steps."""
+    more = zip(directions, (1, 2, 1, 2, 1, 1, 1), strict=True)
+    longer = Directions(*(np.concatenate([each, np.zeros((k, *each.shape[1:]), each.dtype)]) for each, k in more))
+    longer.driven[-2:] = directions.arm.size  # with the steps' ends the base moves
+    return longer
 
 
 @non_allocating
@@ -243,37 +510,29 @@ def relative(values, row, i, x, moved, kind):  # type: ignore[no-untyped-def]
 
 @kernel
 def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace, turn):  # type: ignore[no-untyped-def]
-    """Derivatives (p,) of the margin of `joint` at the end of the step, and along the step's length.
+    """Derivatives (p,) of the margin of `joint` at the end of the step.
 
     A stuck joint is at its limit where, let go, it would not accelerate: its margin is that acceleration.
     """
     n = slip.size
-    row, kind = n + joint, RATE
-    values, grown = workspace.nodes[2], turn.workspace.nodes[2]
+    row, kind, values = n + joint, RATE, workspace.nodes[2]
     if slip[joint] == 0.0:
         out = workspace.ys[2]
         torque = base_state(drive, part, min(t + step, part.end), turn.after)
         constraint_torques(chain, out[:n], out[n : 2 * n], slip, turn.after, torque, turn.stiction)
         free = slip.copy()
         free[joint] = -1.0 if turn.stiction.load[joint] > 0.0 else 1.0
-        for one, way in ((workspace, directions), (turn.workspace, turn.longer)):
-            assign(one.ys[0], y)
-            assign(one.ys[1], out)
-            assign(one.ys[2], out)
-            assign_rows(one.nodes[1], one.nodes[2])
-            ln.set_slip(ln.COLUMNS, one.lanes, free)
-            acceleration_derivatives(chain, drive, part, t, step, way, one)
-            ln.set_slip(ln.COLUMNS, one.lanes, slip)
-        row, kind = joint, ALPHA
-        values, grown = workspace.bends[2], turn.workspace.bends[2]
-    moved = np.zeros((1, CHANGES))
-    base_change(drive, part, t + step, 1.0, turn.longer, 0, moved[0])
-    slope = relative(grown, row, joint, 0, moved, kind)
-    base_changes(drive, part, t + step, workspace.shift, directions, turn.moved)
+        assign(workspace.ys[1], out)
+        assign_rows(workspace.nodes[1], workspace.nodes[2])
+        ln.set_slip(ln.COLUMNS, workspace.lanes, free)
+        acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
+        ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
+        row, kind, values = joint, ALPHA, workspace.bends[2]
+    base_changes(drive, part, t + step, workspace.shift + workspace.change, directions, turn.moved)
     result = np.empty(values.shape[1])
     for x in range(result.size):
         result[x] = relative(values, row, joint, x, turn.moved, kind)
-    return result, slope
+    return result
 
 
 @non_allocating
@@ -285,18 +544,16 @@ def is_chatter(drive, part, t, step, y, slip, joint, turn):  # type: ignore[no-u
 
 
 @kernel
-def event_sensitivity(chain, drive, part, table, t, step, y, values, slip, joint, directions, workspace, turn):  # type: ignore[no-untyped-def]
+def event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn):  # type: ignore[no-untyped-def]
     """Let the step in ``workspace.nodes`` end where `joint` changes its mode; sets ``workspace.change``."""
-    extra = turn.workspace
-    set_start(np.zeros((2 * slip.size, 2)), extra.store)
-    tangent_step(chain, drive, part, table, t, step, y, extra.out, turn.longer, extra.nodes[2], extra)
-    margin, slope = margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace, turn)
+    margin = margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace, turn)
     set_start(values, workspace.store)  # where it was before
-    for x in range(margin.size):
+    slope, nodes = margin[-2], workspace.nodes[2]
+    for x in range(margin.size - 2):
         change = -margin[x] / slope if slope != 0.0 else 0.0
         workspace.change[x] = change
         for i in range(2 * slip.size):
-            workspace.nodes[2, i, x] += change * extra.nodes[2, i, 0]
+            nodes[i, x] += change * nodes[i, margin.size - 2]
 
 
 @kernel
@@ -367,14 +624,14 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
     tables : tuple of Scheme, of successive orders
     steps : (m, 3) or (m, 4 + n), as in ``rollout.Progress.log``
     begin : float, s
-    start : (2 n, p) derivatives of angles and rates at `begin`
+    start : (2 n, p) derivatives of angles and rates at `begin`; with stiction as of :func:`with_step_length`
     t_out : (T,) increasing times, s
     y_out : (T, 2 n + 2) out, angles and rates; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
     dy_out : (T, 2 n, p) out, but for row 0
     halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
     workspace = new_tangent_workspace(chain, directions.parameters.size)
-    turn = new_event_workspace(chain, drive, directions)
+    turn = new_event_workspace(chain.length.size, start.shape[1])
     sticks = steps.shape[1] > JOINT
     slip, joint = np.ones(chain.length.size), -1
     y = y_out[0].copy()
@@ -394,15 +651,17 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
             assign(slip, steps[m, MODES:])
             joint = int(steps[m, JOINT])
             ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
-            ln.set_slip(ln.COLUMNS, turn.workspace.lanes, slip)
+            workspace.shift[-2:] = values[:, -2:] = 0.0
+            workspace.change[-2:] = 1.0 if joint >= 0 else 0.0
         set_start(values, workspace.store)
         tangent_step(chain, drive, part, table, t, step, y, workspace.out, directions, workspace.nodes[2], workspace)
         assign(workspace.ys[0], y)
         assign(workspace.ys[2], workspace.out)
         assign_rows(workspace.nodes[0], values)
         if joint >= 0 and t_new < min(part.end, stop) and not is_chatter(drive, part, t, step, y, slip, joint, turn):
-            event_sensitivity(chain, drive, part, table, t, step, y, values, slip, joint, directions, workspace, turn)
+            event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn)
         if sticks:
+            workspace.change[-2:] = 0.0
             tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn)
         last = index
         while last < t_out.size and t_out[last] < t_new:

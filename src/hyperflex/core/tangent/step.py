@@ -10,7 +10,7 @@ quantity is at its slot times K from the offset of its row and lane, and at K mo
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.jit import inlined, non_allocating
+from hyperflex.core.jit import inlined, non_allocating, read, write
 
 K = len(ln.COLUMNS)
 # derivatives of angle and rate, of the right-hand side over D; on the way to the motor those of the answer's constant
@@ -21,7 +21,7 @@ PX, PY, ALPHA = BX, BY, BETA
 BEFORE, SIN, COS = range(DQ + 12, DQ + 15)
 # what multiplies the derivatives of angle and rate in the moment and in the force (M.21), in slots that are free
 # once a step is taken
-BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.LOST, ln.WORK
+BY_STATE = BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.LOST, ln.WORK
 # the seeds of a direction for one link: changes of its parameters
 LENGTH, MASS, MA, INERTIA, VISCOUS, STIFFNESS, REST, DRY, DRAG = range(9)
 SEEDS = 9
@@ -31,11 +31,10 @@ STATE, ALL = (), (0,)  # tuples, for the compiler to know: see ``step``
 @inlined
 def joint_motion(row, up, at, first):  # type: ignore[no-untyped-def]
     """Difference of a joint's angle at the end of the step, less the rest angle, and of its rate before the step."""
-    h, alpha_up = row[at + ln.STEP * K], row[up + ln.ALPHA * K]
-    up_end = row[up + ln.W * K] + first * h * alpha_up  # row 0 is the parent's motion before the step
-    rate = row[at + BEFORE * K] - up_end + h * alpha_up
-    bend = row[at + ln.Q * K] - row[up + ln.Q * K] - row[at + ln.REST * K]
-    return bend - first * h * up_end, rate
+    q, rest, w, h = read(row, K, at, (ln.Q, ln.REST, BEFORE, ln.STEP))
+    q_up, w_up, alpha_up = read(row, K, up, (ln.Q, ln.W, ln.ALPHA))
+    up_end = w_up + first * h * alpha_up  # row 0 is the parent's motion before the step
+    return q - q_up - rest - first * h * up_end, w - up_end + h * alpha_up
 
 
 @non_allocating
@@ -45,8 +44,7 @@ def save_trig(lanes):  # type: ignore[no-untyped-def]
     for i in range(1, n + 1):
         row = lanes[i * ln.ROW * K : (i + 1) * ln.ROW * K]
         for j in range(K):
-            row[SIN * K + j] = row[ln.SIN * K + j]
-            row[COS * K + j] = row[ln.COS * K + j]
+            write(row, K, j, (SIN, COS), read(row, K, j, (ln.SIN, ln.COS)))
 
 
 @non_allocating
@@ -58,46 +56,40 @@ def prepare(reaction, lanes):  # type: ignore[no-untyped-def]
         row = lanes[(i - 1) * ln.ROW * K : (i + 2) * ln.ROW * K]
         for j in range(K):
             up, at, down = ln.UP * K + j, ln.AT * K + j, ln.DOWN * K + j
-            length, ma = row[at + ln.LENGTH * K], row[at + ln.MA * K]
-            sin, cos, alpha = row[at + SIN * K], row[at + COS * K], row[at + ln.ALPHA * K]
-            w = row[at + ln.W * K] - row[at + ln.STEP * K] * alpha
-            axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, _, _ = ln.load_answer(row, K, down, reaction_factor)
-            far_x, far_y = row[at + ln.PX * K], row[at + ln.PY * K]
+            length, ma, w_end, h = read(row, K, at, (ln.LENGTH, ln.MA, ln.W, ln.STEP))
+            sin, cos, far_x, far_y, alpha = read(row, K, at, (SIN, COS, *ln.MOTION))
+            w, (px, py) = w_end - h * alpha, read(row, K, up, (ln.PX, ln.PY))
+            axx, axy, ayy, fx, fy, bx, by, _, _, ayx, ux, uy = ln.load_answer(row, K, down, reaction_factor)
             force_x = axx * far_x + axy * far_y + fx * alpha + bx
             force_y = ayx * far_x + ayy * far_y + fy * alpha + by
             vx, vy = sin * alpha + cos * w * w, sin * w * w - cos * alpha
             avx, avy = axx * vx + axy * vy, ayx * vx + ayy * vy
             adx, ady = axx * sin - axy * cos, ayx * sin - ayy * cos
-            by_q = ma * (row[up + ln.PX * K] * sin - row[up + ln.PY * K] * cos)
-            by_q += length * (sin * force_x - cos * force_y + ux * vx + uy * vy)
-            row[at + BY_Q * K] = by_q + length * length * (cos * avx + sin * avy)
-            row[at + BY_W * K] = 2.0 * length * w * (ux * sin - uy * cos + length * (cos * adx + sin * ady))
-            row[at + QX * K] = length * avx + ma * vx
-            row[at + QY * K] = length * avy + ma * vy
-            row[at + WX * K] = 2.0 * w * (length * adx + ma * sin)
-            row[at + WY * K] = 2.0 * w * (length * ady - ma * cos)
-            row[at + BEFORE * K] = w
+            by_q = ma * (px * sin - py * cos) + length * (sin * force_x - cos * force_y + ux * vx + uy * vy)
+            by_q += length * length * (cos * avx + sin * avy)
+            by_w = 2.0 * length * w * (ux * sin - uy * cos + length * (cos * adx + sin * ady))
+            force_by_q = length * avx + ma * vx, length * avy + ma * vy
+            force_by_w = 2.0 * w * (length * adx + ma * sin), 2.0 * w * (length * ady - ma * cos)
+            write(row, K, at, (*BY_STATE, BEFORE), (by_q, by_w, *force_by_q, *force_by_w, w))
 
 
 @inlined
 def link_factors(row, at, down, reaction_factor):  # type: ignore[no-untyped-def]
     """What multiplies the derivatives of a link's state and of the answer beyond it, (M.21)."""
-    length, inv = row[at + ln.LENGTH * K], row[at + ln.INV * K]
-    nx, ny = length * row[at + COS * K], length * row[at + SIN * K]
-    h, joint = row[at + ln.STEP * K], ln.joint_in(row, K, at)
-    gx, gy, back = row[at + ln.EX * K], row[at + ln.EY * K], row[at + ln.KD * K]
+    length, inv, h, sin, cos = read(row, K, at, (ln.LENGTH, ln.INV, ln.STEP, SIN, COS))
+    nx, ny, joint = length * cos, length * sin, read(row, K, at, ln.JOINT)
+    gx, gy, back = read(row, K, at, (ln.EX, ln.EY, ln.KD))
+    by_q, by_w, qx, qy, wx, wy = read(row, K, at, BY_STATE)
     if reaction_factor == 0.0:  # else A is symmetric and f = u
-        _, axy, ayx, _, fx, fy, _, _, ux, uy, _, _ = ln.load_answer(row, K, down, reaction_factor)
+        axy, fx, fy, ayx, ux, uy = read(row, K, down, (ln.AXY, ln.FX, ln.FY, ln.AYX, ln.UX, ln.UY))
         gx += inv * (ny * (axy - ayx) + fx - ux)
         gy += inv * (nx * (ayx - axy) + fy - uy)
         back = joint_law.jacobian(joint, reaction_factor, h, h * h)[1] * inv
-    return (
-        (row[at + BY_Q * K], row[at + BY_W * K], nx, ny),
-        (row[at + QX * K], row[at + QY * K]),
-        (row[at + WX * K], row[at + WY * K]),
-        (gx, gy, inv, back),
-        (*joint_law.jacobian(joint, reaction_factor, 1.0, h), joint_law.jacobian(joint, reaction_factor, 0.0, 1.0)[0]),
+    slopes = (
+        *joint_law.jacobian(joint, reaction_factor, 1.0, h),
+        joint_law.jacobian(joint, reaction_factor, 0.0, 1.0)[0],
     )
+    return (by_q, by_w, nx, ny), (qx, qy), (wx, wy), (gx, gy, inv, back), slopes
 
 
 @inlined
@@ -108,20 +100,17 @@ def link_sources(row, up, at, down, seed, bend, rate, external, reaction_factor)
     link. Returns (moment, joint torque, the same back on the parent, force x, y).
     """
     length, mass, ma, inertia, viscous, stiffness, rest, dry, stretch = seed
-    sin, cos, alpha, h = row[at + SIN * K], row[at + COS * K], row[at + ln.ALPHA * K], row[at + ln.STEP * K]
-    w = row[at + BEFORE * K]
-    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, _, _ = ln.load_answer(row, K, down, reaction_factor)
-    px, py = row[up + ln.PX * K], row[up + ln.PY * K]
-    far_x, far_y = row[at + ln.PX * K], row[at + ln.PY * K]
+    sin, cos, w, far_x, far_y, alpha = read(row, K, at, (SIN, COS, BEFORE, *ln.MOTION))
+    axx, axy, ayy, fx, fy, bx, by, _, _, ayx, ux, uy = ln.load_answer(row, K, down, reaction_factor)
+    px, py, alpha_up = read(row, K, up, ln.MOTION)
+    lever, slip, h = read(row, K, at, (ln.LENGTH, ln.SLIP, ln.STEP))
     zx, zy = cos * alpha - sin * w * w, sin * alpha + cos * w * w
     azx, azy = axx * zx + axy * zy, ayx * zx + ayy * zy
-    lever = row[at + ln.LENGTH * K]
     pull_x = axx * far_x + axy * far_y + fx * alpha + bx + lever * azx
     pull_y = ayx * far_x + ayy * far_y + fy * alpha + by + lever * azy
     moment = external - inertia * alpha - ma * (cos * px + sin * py)
     moment -= length * (ux * zx + uy * zy + cos * pull_x + sin * pull_y)
-    change = alpha - row[up + ln.ALPHA * K]
-    joint, own, slip = ln.joint_in(row, K, at), (viscous, dry, stiffness, rest), row[at + ln.SLIP * K]
+    joint, own, change = read(row, K, at, ln.JOINT), (viscous, dry, stiffness, rest), alpha - alpha_up
     torque, torque_back = joint_law.variation(joint, own, reaction_factor, bend, rate, change, slip, h, stretch)
     fx, fy = mass * px + ma * zx + length * azx, mass * py + ma * zy + length * azy
     return moment, torque, torque_back, fx, fy
@@ -135,16 +124,14 @@ def up_one(row, up, at, down, factors, source):  # type: ignore[no-untyped-def]
     """
     (by_q, by_w, nx, ny), (qx, qy), (wx, wy), (gx, gy, inv, back), (slope, slope_back, stiffness) = factors
     moment, torque, torque_back, fx, fy = source
-    dq, dw = row[at + DQ * K], row[at + DW * K]
-    turn = dw - row[up + DW * K]
-    bend = stiffness * (dq - row[up + DQ * K])
-    bx, by = row[down + BX * K], row[down + BY * K]
+    (dq, dw), (dq_up, dw_up) = read(row, K, at, (DQ, DW)), read(row, K, up, (DQ, DW))
+    turn, bend = dw - dw_up, stiffness * (dq - dq_up)
+    bx, by, beta = read(row, K, down, (BX, BY, BETA))
     early = by_q * dq + by_w * dw - slope * turn - bend + (moment + torque)  # what comes late enters last
-    r = (early - row[down + BETA * K]) - (nx * bx + ny * by)
-    row[at + RHS * K] = inv * r
-    row[at + BX * K] = (bx - (qx * dq + wx * dw - fx)) + gx * r
-    row[at + BY * K] = (by - (qy * dq + wy * dw - fy)) + gy * r
-    row[at + BETA * K] = (torque_back - slope_back * turn - bend) - back * r
+    r = (early - beta) - (nx * bx + ny * by)
+    bx, by = (bx - (qx * dq + wx * dw - fx)) + gx * r, (by - (qy * dq + wy * dw - fy)) + gy * r
+    beta = (torque_back - slope_back * turn - bend) - back * r
+    write(row, K, at, (RHS, BX, BY, BETA), (inv * r, bx, by, beta))
 
 
 @inlined
@@ -154,20 +141,16 @@ def back_one(row, j, d, change, stretch):  # type: ignore[no-untyped-def]
     `d` is 0, or K for the second direction.
     """
     at, own, up = ln.AT * K + j, ln.AT * K + j + d, ln.UP * K + j + d
-    h, length, w = row[at + ln.STEP * K], row[at + ln.LENGTH * K], row[at + BEFORE * K]
-    sin, cos, alpha = row[at + SIN * K], row[at + COS * K], row[at + ln.ALPHA * K]
+    h, length, alpha, w_end = read(row, K, at, (ln.STEP, ln.LENGTH, ln.ALPHA, ln.W))
+    w, sin, cos, kd, ex, ey = read(row, K, at, (BEFORE, SIN, COS, ln.KD, ln.EX, ln.EY))
     zx, zy = cos * alpha - sin * w * w, sin * alpha + cos * w * w
-    dq, dw = row[own + DQ * K], row[own + DW * K]
-    px, py = row[up + PX * K], row[up + PY * K]
-    change_alpha = row[own + RHS * K] + row[at + ln.KD * K] * row[up + ALPHA * K]
-    change_alpha -= row[at + ln.EX * K] * px + row[at + ln.EY * K] * py
+    (dq, dw, rhs), (px, py, alpha_up) = read(row, K, own, (DQ, DW, RHS)), read(row, K, up, (PX, PY, ALPHA))
+    change_alpha = rhs + kd * alpha_up - (ex * px + ey * py)
     turn = 2.0 * w * dw
-    row[own + ALPHA * K] = change_alpha
-    row[own + PX * K] = (px - (length * (zy * dq + sin * turn) - change * zx)) + length * cos * change_alpha
-    row[own + PY * K] = (py + (length * (zx * dq + cos * turn) + change * zy)) + length * sin * change_alpha
+    px = (px - (length * (zy * dq + sin * turn) - change * zx)) + length * cos * change_alpha
+    py = (py + (length * (zx * dq + cos * turn) + change * zy)) + length * sin * change_alpha
     dw += h * (change_alpha + stretch * alpha)
-    row[own + DW * K] = dw
-    row[own + DQ * K] = dq + h * (dw + stretch * row[at + ln.W * K])
+    write(row, K, own, (PX, PY, ALPHA, DQ, DW), (px, py, change_alpha, dq + h * (dw + stretch * w_end), dw))
 
 
 @inlined
