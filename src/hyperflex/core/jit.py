@@ -55,7 +55,7 @@ def _compiled(function: _F, counts: bool = True, more: AbstractSet[str] = frozen
     KERNELS.append((function.__module__, function.__qualname__))
     options = {"error_model": "numpy", "fastmath": _FASTMATH | more, "nogil": True, "nopython": True, **how}
     inner = {"boundscheck": None, "no_cfunc_wrapper": True, "_nrt": counts}
-    return compiler.Door(function, targetoptions=options | inner)  # type: ignore[return-value]
+    return compiler.Door(function, targetoptions=options | inner)
 
 
 class _Inlined:
