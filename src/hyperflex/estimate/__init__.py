@@ -5,20 +5,19 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.estimate.bars import BarMeasurement, bar_arc_lengths
     from hyperflex.estimate.changes import Change, ChangeTests
     from hyperflex.estimate.filter import RopeFilter
     from hyperflex.estimate.live.frames import FrameThread, open_frames
     from hyperflex.estimate.live.page import PicturePage
     from hyperflex.estimate.live.state_source import CameraStateSource, TrackingTask
     from hyperflex.estimate.live.watch import LiveEstimate, Watch, WatchLog
-    from hyperflex.estimate.markers import MarkerMeasurement
+    from hyperflex.estimate.measurements import BarMeasurement, MarkerMeasurement, bar_arc_lengths
     from hyperflex.estimate.moving_horizon import MovingHorizon, SmoothedTrack, smooth
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
     from hyperflex.estimate.picture import draw_frame
     from hyperflex.estimate.process import Disturbances
-    from hyperflex.estimate.tracker import Measured, Measurement, RopeTracker, TrackedFrame, View
+    from hyperflex.estimate.tracker import Measurement, Prediction, RopeTracker, TrackedFrame
     from hyperflex.estimate.video_track import VideoTrack, track_video
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -151,6 +151,68 @@ class Found(NamedTuple):
     rows: Array
 
 
+class Bank:
+    """Changes that may have begun at some moments: their effects on the state, and what innovations tell of them.
+
+    Each of K kinds of change has a size of D components. It acts in V ways: since its moment, or only until the next
+    moment if V is 2.
+
+    Attributes
+    ----------
+    moments : (W,) float64
+        s.
+    effects : (N, W, K, D) float64
+        Errors of the state by a unit of each change.
+    score, information : (V, W, K, D), (V, W, K, D, D) float64
+        Sums ``b = G' nu`` and ``A = G' G``, G: effects on the whitened innovations nu.
+    """
+
+    def __init__(self, states: int, kinds: int, components: int, ways: int) -> None:
+        self.moments, self.effects = np.zeros(0), np.zeros((states, 0, kinds, components))
+        self.score = np.zeros((ways, 0, kinds, components))
+        self.information = np.zeros((ways, 0, kinds, components, components))
+
+    @property
+    def flat(self) -> Array:
+        """The effects as columns (N, W K D)."""
+        return self.effects.reshape(len(self.effects), -1)
+
+    def add(self, t: float, effects: Array) -> None:
+        """Add a moment t, s, with effects (N, K, D)."""
+        self.moments = np.append(self.moments, t)
+        self.effects = np.concatenate([self.effects, effects[:, None]], axis=1)
+        self.score, self.information = (
+            np.concatenate([each, np.zeros_like(each, shape=(len(each), 1, *each.shape[2:]))], axis=1)
+            for each in (self.score, self.information)
+        )
+
+    def keep(self, kept: npt.NDArray[np.bool_]) -> None:
+        """Drop the other moments."""
+        self.moments, self.effects = self.moments[kept], self.effects[:, kept]
+        self.score, self.information = self.score[:, kept], self.information[:, kept]
+
+    def see(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
+        """Add an innovation; see :meth:`ChangeDetector.update`."""
+        seen = jacobian @ self.flat
+        self.effects = (self.flat - gain @ seen).reshape(self.effects.shape)
+        moved = sr.solved(upper, seen, transposed=True).T.reshape(*self.score.shape[1:], whitened.size)
+        ways = np.stack([moved, moved[::-1].cumsum(axis=0)[::-1]][: len(self.score)])
+        self.score = self.score + ways @ whitened
+        self.information = self.information + ways @ ways.swapaxes(-1, -2)
+
+    def sizes(self, allowed: Array | float) -> tuple[Array, Array, Array]:
+        """Return precisions (V, W, K, D, D), sizes (V, W, K, D), and how clear these are, in standard deviations.
+
+        `allowed` (V, W, K) are sizes that do not count.
+        """
+        ridge = 1e-9 * np.trace(self.information, axis1=-2, axis2=-1) + 1e-150
+        precision = self.information + ridge[..., None, None] * np.eye(self.score.shape[-1])
+        size = np.linalg.solve(precision, self.score[..., None])[..., 0]
+        clear = np.sqrt(np.maximum((size * self.score).sum(axis=-1), 0.0))
+        length = np.maximum(np.linalg.norm(size, axis=-1), 1e-300)
+        return precision, size, clear * np.maximum(1.0 - allowed / length, 0.0)
+
+
 class ChangeDetector:
     """Tests the innovations of a filter for the effects of changes.
 
@@ -166,8 +228,8 @@ class ChangeDetector:
     A change of size theta moves the mean of the whitened innovations by ``G theta``, where G is propagated through the
     filter: an error d of the prediction becomes ``F (I - K H) d`` in the next one (Willsky and Jones 1976, IEEE
     Transactions on Automatic Control 21, 108-112). A parameter jumps at one of some moments in its history, denser the
-    later; a touch is a force along x and y at one of some places, in one interval between two frames or from then until
-    now. With the sums ``A = G' G`` and ``b = G' nu``, theta is ``A^-1 b`` of covariance ``A^-1``, and
+    later; a touch is a force along x and y at one of some places, in one interval between two moments or from then
+    until now. With the sums ``A = G' G`` and ``b = G' nu``, theta is ``A^-1 b`` of covariance ``A^-1``, and
     ``(|theta| - tolerance)^2 A`` is at most a chi square if nothing more than the tolerance has changed.
     A sign counts as an alarm if its probability is less than 1 / (false alarms allowed per frame x number of tests),
     by Bonferroni's bound; the tests are correlated, so that false alarms are rarer than stated.
@@ -206,13 +268,8 @@ class ChangeDetector:
 
     def begin(self, t: float) -> None:
         """Test nothing before `t`, s."""
-        p, places = len(self.names), self.places.size
         self._since = t
-        # of w moments: errors of the state (N, w p) per unit of each change, sums of squares and of products (w, p)
-        self._moments, self.effects, self._sums = np.zeros(0), np.zeros((self._size, 0)), np.zeros((2, 0, p))
-        # of touches that begin at w moments (N, w places 2); sums if they last one interval or until now (2, w, ...)
-        self._begun, self.touches = np.zeros(0), np.zeros((self._size, 0))
-        self._information, self._score = np.zeros((2, 0, places, 2, 2)), np.zeros((2, 0, places, 2))
+        self.jumps, self.touches = Bank(self._size, len(self.names), 1, 1), Bank(self._size, self.places.size, 2, 2)
 
     def predict(self, x: tuple[Array, Array], t: float, until: float, transition: Array) -> None:
         """Predict from time t, s, to `until`.
@@ -227,28 +284,26 @@ class ChangeDetector:
         """
         if t < self._since:
             return
-        self._values = x[1][self._columns]
-        moved, begun = transition @ self.effects, transition[:, self._columns]
+        self._values, begun = x[1][self._columns], transition[:, self._columns]
+        before = self.jumps.effects
+        for bank in (self.jumps, self.touches):
+            bank.effects = (transition @ bank.flat).reshape(bank.effects.shape)
         if "tip_mass" in self.names:
-            k, p = self.names.index("tip_mass"), len(self.names)
-            begun[:, [k]], moved[:, k::p] = self._with_mass(x, t, until, transition, k, self.effects[:, k::p])
-        self.effects = np.concatenate([moved, begun], axis=1)
-        self._moments = np.append(self._moments, t)
-        self._sums = np.pad(self._sums, ((0, 0), (0, 1), (0, 0)))
-        self.touches = transition @ self.touches
+            k = self.names.index("tip_mass")
+            begun[:, k], self.jumps.effects[:, :, k, 0] = self._with_mass(x, t, until, transition, before[:, :, k, 0])
+        self.jumps.add(t, begun[:, :, None])
         if not self.places.size:
             return
         dt, n = until - t, self._n
-        before, after = (self._process.kicks(each[:n], self._arms) for each in x)
-        pushed = 0.5 * dt * (transition[:, n : 2 * n] @ before)
-        pushed[n : 2 * n] += 0.5 * dt * after
-        if not self._begun.size or t >= self._begun[-1] + self.TOUCH_SPACING * (1.0 - 1e-6):
-            self.touches = np.concatenate([self.touches, pushed], axis=1)
-            self._begun = np.append(self._begun, t)
-            self._information = np.pad(self._information, ((0, 0), (0, 1), (0, 0), (0, 0), (0, 0)))
-            self._score = np.pad(self._score, ((0, 0), (0, 1), (0, 0), (0, 0)))
+        first, last = (self._process.kicks(each[:n], self._arms) for each in x)
+        pushed = 0.5 * dt * (transition[:, n : 2 * n] @ first)
+        pushed[n : 2 * n] += 0.5 * dt * last
+        pushed = pushed.reshape(self._size, -1, 2)
+        moments = self.touches.moments
+        if not moments.size or t >= moments[-1] + self.TOUCH_SPACING * (1.0 - 1e-6):
+            self.touches.add(t, pushed)
         else:
-            self.touches[:, -pushed.shape[1] :] += pushed
+            self.touches.effects[:, -1] += pushed
 
     def update(self, t: float, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> Found | None:
         """Add an innovation; return the change of which it is a sign, and its effect on the state.
@@ -274,30 +329,16 @@ class ChangeDetector:
         if self._interval > max(self.GAP, self.LONGER_GAP * usual):
             self.begin(t)
             return None
-        seen, touched = jacobian @ self.effects, jacobian @ self.touches
-        self.effects, self.touches = self.effects - gain @ seen, self.touches - gain @ touched
-        effect = sr.solved(upper, seen, transposed=True).T
-        sums = np.stack([(effect * effect).sum(axis=1), effect @ whitened])
-        self._sums = self._sums + sums.reshape(self._sums.shape)
-        one = sr.solved(upper, touched, transposed=True).T.reshape(*self._score.shape[1:], whitened.size)
-        both = np.stack([one, one[::-1].cumsum(axis=0)[::-1]])
-        self._score = self._score + both @ whitened
-        self._information = self._information + both @ both.swapaxes(-1, -2)
+        for bank in (self.jumps, self.touches):
+            bank.see(jacobian, gain, upper, whitened)
         found = self._evaluate(t)
         kept = self._kept_moments(t)
         if self._touched == latest:  # the touch is over
             self._shared_until = t
         if self._shared_until <= t:  # it was a touch: its effect on the innovations is not that of a parameter
             kept[:], self._shared_until = False, math.inf
-        self.effects = self.effects[:, np.repeat(kept, len(self.names))]
-        self._moments, self._sums = self._moments[kept], self._sums[:, kept]
-        kept = self._begun > t - self.tests.touch_history
-        self.touches = self.touches[:, np.repeat(kept, 2 * self.places.size)]
-        self._begun, self._information, self._score = (
-            self._begun[kept],
-            self._information[:, kept],
-            self._score[:, kept],
-        )
+        self.jumps.keep(kept)
+        self.touches.keep(self.touches.moments > t - self.tests.touch_history)
         if found is not None and found.moved.any():
             self.begin(t)
         return found
@@ -319,43 +360,48 @@ class ChangeDetector:
         return (Change(MISFIT, t, self._fitted, noise.value, noise.value * noise.log_std, 1.0, log_p),)
 
     def _with_mass(
-        self, x: tuple[Array, Array], t: float, until: float, transition: Array, k: int, effects: Array
+        self, x: tuple[Array, Array], t: float, until: float, transition: Array, effects: Array
     ) -> tuple[Array, Array]:
-        """Return the effect (N, 1) of a mass at the tip, and errors (N, c) of the state as they move with it.
+        """Return the effect (N,) of a mass at the tip, and errors (N, W) of the state as they move with it.
 
         A mass soon exceeds that of the last link many times, so that its effect is far from linear. With one, an error
         d of the state becomes ``F d`` and the effect of the mass itself, F being that of the heavier rope.
         """
-        start, others, column = x[0].copy(), effects.T.copy(), self._columns[k]
+        column = self._columns[self.names.index("tip_mass")]
+        start, others = x[0].copy(), effects.T.copy()
         start[column] += self._mass
         others[:, column] = 0.0
         try:
             end, rows = self._heavier.carry(start, others, t, until)
         except SimulationError:
-            return transition[:, [column]], transition @ effects
-        begun = ((end - x[1]) / self._mass)[:, None]
+            return transition[:, column], transition @ effects
+        begun = (end - x[1]) / self._mass
         begun[2 * self._n :] = 0.0
         begun[column] = 1.0
-        return begun, rows.T + begun * effects[column]
+        return begun, rows.T + np.outer(begun, effects[column])
 
     def _kept_moments(self, t: float) -> npt.NDArray[np.bool_]:
         """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
-        age = t - self._moments
+        moments = self.jumps.moments
+        age = t - moments
         kept = age < self.tests.history
-        apart = self._moments[2:] - self._moments[:-2]
-        crowded = (age[1:-1] > self.SPACING) & (apart <= np.maximum(self.SPACING, self.SHARE * age[1:-1]) + 1e-6)
+        crowded = (age[1:-1] > self.SPACING) & (
+            moments[2:] - moments[:-2] <= np.maximum(self.SPACING, self.SHARE * age[1:-1]) + 1e-6
+        )
         kept[1:-1][np.flatnonzero(crowded)[:1]] = False
         return kept
 
     def _evaluate(self, t: float) -> Found | None:
         """Return the clearest sign of a change, if it is clear enough."""
-        information, score = np.maximum(self._sums[0], 1e-300), self._sums[1]  # (w, p)
-        theta, std = score / information, 1.0 / np.sqrt(information)
-        clear = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
+        information, theta, clear = (each[0] for each in self.jumps.sizes(self._tolerances))
+        std, theta = 1.0 / np.sqrt(information[:, :, 0, 0]), theta[:, :, 0]  # (W, K)
         clear[self._values + theta + self.POSSIBLE * std < self._least] = 0.0
-        log_p = list((log_ndtr(-clear) + math.log(2.0)).T)
-        precisions, forces, touch = self._touch_scores()
-        log_p += [-0.5 * touch.ravel() ** 2] if touch.size else []
+        begun = self.touches.moments
+        ends = np.append(begun[1:], t)[: begun.size]
+        lasted = np.stack([ends - begun, t - begun])
+        allowed = self._force_tolerance * np.maximum(self.SHORT_TOUCH / lasted, 1.0)
+        precisions, forces, touch = self.touches.sizes(allowed[:, :, None])
+        log_p = [*(log_ndtr(-clear) + math.log(2.0)).T, *([-0.5 * touch.ravel() ** 2] if touch.size else [])]
         count = clear.size + 2 * touch.size
         if not count or not self._interval:
             return None
@@ -368,37 +414,21 @@ class ChangeDetector:
         best = int(log_p[k].argmin())
         if k < len(self.names):
             size, doubt = float(theta[best, k]), self.DOUBT * float(std[best, k])
-            effect = self.effects[:, best * len(self.names) + k]
-            change = Change(self.names[k], t, float(self._moments[best]), size, doubt, sure, alarm)
+            effect = self.jumps.effects[:, best, k, 0]
+            change = Change(self.names[k], t, float(self.jumps.moments[best]), size, doubt, sure, alarm)
             return Found(change, size * effect, doubt * effect[None])
-        lasting, since, place = np.unravel_index(best, touch.shape)
-        effects = self.touches.reshape(self._size, -1, self.places.size, 2)[:, :, place]
-        force = forces[lasting, since, place]
+        way, since, place = at = np.unravel_index(best, touch.shape)
+        force, effects = forces[at], self.touches.effects[:, :, place]
         size = float(np.linalg.norm(force))
         again, self._touched = t - self._touched < self.CALM, t
         if again:
             return Found(None, np.zeros(self._size), size * effects[:, -1].T)
         self._shared_until = t + self.SHARED
-        std = math.sqrt(force @ np.linalg.solve(precisions[lasting, since, place], force)) / size
-        begun = float(self._begun[since])
-        lasted = (t if lasting else float(self._ends[since])) - begun
-        impulse, at = (float(force[0] * lasted), float(force[1] * lasted)), float(self.places[place])
-        change = Change(TOUCH, t, begun, size * lasted, std * lasted, sure, alarm, at, impulse)
-        whole = effects[:, since:].sum(axis=1) if lasting else effects[:, since]
+        touch_std, duration = (
+            math.sqrt(force @ np.linalg.solve(precisions[at], force)) / size,
+            float(lasted[way, since]),
+        )
+        impulse, arc = (float(force[0] * duration), float(force[1] * duration)), float(self.places[place])
+        change = Change(TOUCH, t, float(begun[since]), size * duration, touch_std * duration, sure, alarm, arc, impulse)
+        whole = effects[:, since:].sum(axis=1) if way else effects[:, since]
         return Found(change, np.zeros(self._size), size * whole.T)
-
-    def _touch_scores(self) -> tuple[Array, Array, Array]:
-        """Return information, 1/N^2, and forces (2, w, places, 2), N, of touches, and their size in deviations."""
-        ridge = 1e-9 * np.trace(self._information, axis1=-2, axis2=-1) + 1e-150
-        information = self._information + ridge[..., None, None] * np.eye(2)
-        force = np.linalg.solve(information, self._score[..., None])[..., 0]
-        size = np.maximum(np.linalg.norm(force, axis=-1), 1e-300)
-        clear = np.sqrt(np.maximum((force * self._score).sum(axis=-1), 0.0))
-        lasted = np.stack([self._ends - self._begun, self._latest - self._begun])
-        allowed = self._force_tolerance * np.maximum(self.SHORT_TOUCH / lasted, 1.0)
-        return information, force, clear * np.maximum(1.0 - allowed[:, :, None] / size, 0.0)
-
-    @property
-    def _ends(self) -> Array:
-        """Ends of the intervals in which touches may be (w,), s."""
-        return np.append(self._begun[1:], self._latest)[: self._begun.size]

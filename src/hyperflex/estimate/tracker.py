@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate.changes import Change
 from hyperflex.estimate.filter import RopeFilter, each_covariance, spread
-from hyperflex.estimate.observations import MarkerModel, Observations
+from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.process import swing_rate
 from hyperflex.interfaces import RopeState
 from hyperflex.vision import Camera, Frame, Image
@@ -36,53 +36,6 @@ class Prediction(NamedTuple):
     speeds: Array
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """What is known of the rope before a frame is measured.
-
-    Attributes
-    ----------
-    camera : Camera
-        With the swing plane as it is estimated.
-    base : (2,) float64
-        Place of the first joint, m.
-    arc_lengths, estimated_arcs : (K,) float64
-        Of the points, as declared and as estimated, m.
-    length_stds : (float, float)
-        Standard deviations of the rope between points: relative, and m.
-    origin_std : float
-        Standard deviation of the plane's origin, m.
-    noise_level : float
-        Factor by which measurements have been less accurate than stated.
-    prediction : Prediction or None
-        None if the rope has not been found.
-    """
-
-    camera: Camera
-    base: Array
-    arc_lengths: Array
-    estimated_arcs: Array
-    length_stds: tuple[float, float]
-    origin_std: float
-    noise_level: float
-    prediction: Prediction | None
-
-
-class Measured(NamedTuple):
-    """Measured places of the points of the rope.
-
-    Attributes
-    ----------
-    pixels : (K, 2) float64
-        px; NaN: not seen.
-    covariances : (K, 2, 2) float64
-        px^2; large in a direction that was not measured.
-    """
-
-    pixels: Array
-    covariances: Array
-
-
 class Measurement(Protocol):
     """What is measured in frames: markers, bars, or anything else that gives places of points of the rope."""
 
@@ -90,11 +43,25 @@ class Measurement(Protocol):
     def radius(self) -> float:
         """Radius of what is seen of a point, px."""
 
-    def check(self, model: MarkerModel) -> None:
-        """Raise InvalidInput if the points of an estimator's model are not those that are measured."""
+    @property
+    def count(self) -> int | None:
+        """How many points are measured; None: as many as the estimator has."""
 
-    def measure(self, image: Image, view: View) -> Measured:
-        """Return the points seen in a frame (height, width, 3), uint8."""
+    def measure(
+        self, image: Image, tracker: "RopeTracker", base: Array, expected: Prediction | None
+    ) -> tuple[Array, Array]:
+        """Return the points seen in a frame: pixels (K, 2), NaN if not seen, and covariances (K, 2, 2), px^2.
+
+        Parameters
+        ----------
+        image : (height, width, 3) uint8
+        tracker : RopeTracker
+            What is known of camera and rope.
+        base : (2,) float64
+            Place of the first joint, m.
+        expected : Prediction or None
+            None if the rope has not been found.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +127,9 @@ class RopeTracker:
         camera = estimator.model.camera
         if camera is None or camera.rotation is None:
             raise InvalidInput("a tracker needs a camera that knows the swing plane", fix="See Camera.with_plane")
-        measurement.check(estimator.model)
+        points, count = len(estimator.model.arc_lengths), measurement.count
+        if points != (count or points):
+            raise InvalidInput("the filter has other points than are measured", got=points, allowed=count)
         self.estimator, self.measurement, self.camera = estimator, measurement, camera
 
     @property
@@ -184,44 +153,36 @@ class RopeTracker:
         if (width, height) != tuple(expected):
             allowed = "x".join(map(str, expected))
             raise InvalidInput("the frame has another size than the camera's", got=f"{width}x{height}", allowed=allowed)
-        t, estimator, count = self.camera.middle_of(frame.time), self.estimator, len(self.estimator.model.arc_lengths)
-        view = self.view(t)
-        pixels, covariances = self.measurement.measure(frame.image, view)
+        t, estimator = self.camera.middle_of(frame.time), self.estimator
+        expected = self.expect(t)
+        pixels, covariances = self.measurement.measure(frame.image, self, estimator.process.base(t)[0], expected)
         rows = self._rows(pixels)
         estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
-        predicted, gates = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
-        if view.prediction is not None:
-            predicted, gates = view.prediction.pixels, each_covariance(view.prediction.covariance)
+        predicted, gates = np.full_like(pixels, np.nan), np.full_like(covariances, np.nan)
+        if expected is not None:
+            predicted, gates = expected.pixels, each_covariance(expected.covariance)
             pixels[~estimator.used] = np.nan  # outside of its gate
-        camera, when = self.adjusted_camera, t - self.delay
-        if estimator.t is None:
-            return TrackedFrame(when, pixels, covariances, camera.locate(pixels), predicted, gates, None)
-        shift, spread = estimator.readout_shift(rows)
-        places, now = camera.locate(pixels - shift), (estimator.state, estimator.changes)
-        return TrackedFrame(when, pixels, covariances + spread, places, predicted, gates, *now)
-
-    def view(self, t: float) -> View:
-        """Predict to time t, s, and return what is known then."""
-        estimator, prediction = self.estimator, None
+        moved, state = pixels, None
         if estimator.t is not None:
-            try:
-                estimator.predict_to(t)
-                prediction = self._prediction()
-            except SimulationError:  # an impossible state
-                estimator.restart()
-        stds = {name: std for name, (_, std) in estimator.values.items()}
-        relative = float(np.hypot(stds.get("scale", 0.0), stds.get("length", 0.0)))
-        absolute = max((std for name, std in stds.items() if name.startswith("arc[")), default=0.0)
-        return View(
-            self.adjusted_camera,
-            estimator.process.base(t)[0],
-            estimator.model.arc_lengths,
-            self._arc_lengths(),
-            (relative, absolute),
-            max(stds.get("offset_x", 0.0), stds.get("offset_y", 0.0)),
-            estimator.measurement_noise.value,
-            prediction,
-        )
+            shift, spread = estimator.readout_shift(rows)
+            moved, covariances, state = pixels - shift, covariances + spread, estimator.state
+        places = self.adjusted_camera.locate(moved)
+        return TrackedFrame(t - self.delay, pixels, covariances, places, predicted, gates, state, estimator.changes)
+
+    def expect(self, t: float) -> Prediction | None:
+        """Predict to time t, s, and return where the points are expected, each in its row; None if that is unknown."""
+        estimator = self.estimator
+        if estimator.t is None:
+            return None
+        try:
+            estimator.predict_to(t)
+        except SimulationError:  # an impossible state
+            estimator.restart()
+            return None
+        found = estimator.expected()
+        if estimator.model.reads_rows:
+            found = estimator.expected(self._rows(found[0]))
+        return Prediction(*found)
 
     @property
     def warning(self) -> str:
@@ -248,21 +209,8 @@ class RopeTracker:
         pixels, by_place = self.adjusted_camera.linearize(places)
         return pixels, spread(by_place @ slopes, state)
 
-    def _prediction(self) -> Prediction:
-        """Return where the points are expected, each in its row."""
-        found = self.estimator.expected()
-        if self.estimator.model.reads_rows:
-            found = self.estimator.expected(self._rows(found[0]))
-        return Prediction(*found)
-
     def _rows(self, pixels: Array) -> Array:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 if not seen."""
         if not self.estimator.model.reads_rows:
             return np.zeros(len(pixels))
         return np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
-
-    def _arc_lengths(self) -> Array:
-        """Return the arc lengths of the points (K,), m, as estimated if that is possible."""
-        declared = self.estimator.model.arc_lengths
-        found = self.estimator.parameters.arc_lengths(declared, self.values)
-        return found if (np.diff(found, prepend=0.0)[declared > 0.0] > 0.0).all() else declared

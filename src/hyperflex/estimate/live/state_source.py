@@ -21,7 +21,7 @@ from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, open_frames
 from hyperflex.estimate.live.watch import Watch
-from hyperflex.estimate.markers import MarkerMeasurement
+from hyperflex.estimate.measurements import MarkerMeasurement
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process
 from hyperflex.estimate.tracker import RopeTracker

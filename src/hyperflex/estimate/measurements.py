@@ -1,0 +1,191 @@
+"""Measurements of a rope in frames: identical markers along it, or a bar of its own colour on each link."""
+
+from collections import defaultdict
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.estimate.filter import each_covariance
+from hyperflex.estimate.tracker import LEAST_STD, Prediction, RopeTracker
+from hyperflex.vision import (
+    FLOOR,
+    BarDetector,
+    Blobs,
+    Camera,
+    ClutterMap,
+    Gate,
+    Image,
+    MarkerDetector,
+    assign_markers,
+    link_angles,
+    order_markers,
+)
+
+
+class MarkerMeasurement:
+    """Measures identical markers along the rope (a :class:`Measurement`).
+
+    Parameters
+    ----------
+    detector : MarkerDetector
+        Of the markers' colour.
+
+    Notes
+    -----
+    The first frame is searched as a whole, and its blobs are ordered by the rope between them (``order_markers``); if
+    the order is ambiguous, those that move are ordered, and then those of the next frame. From then on each marker is
+    searched where the prediction says, as far around as it is uncertain, and all are assigned together. If several
+    frames in a row show nothing, the whole picture is searched, with the prediction that remains.
+    """
+
+    PATIENCE = 30  # frames after which an ambiguous first order is accepted
+    LOST = 8  # frames in a row without a marker, after which the whole picture is searched
+    WIDEST = 0.25  # of the picture's height: a larger standard deviation of a place needs no gate
+    DOUBT = 2.0  # px, standard deviation of a prediction in addition to what the filter states
+    SURE = 2.0  # standard deviations by which lengths may differ from what is known
+
+    count = None
+
+    def __init__(self, detector: MarkerDetector) -> None:
+        self.detector = detector
+        self._dark = self._waited = 0
+        self._clutter: ClutterMap | None = None
+
+    @property
+    def radius(self) -> float:
+        """Of a marker at rest, px."""
+        return self.detector.radius
+
+    def measure(
+        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
+    ) -> tuple[Array, Array]:
+        """Return the markers seen in a frame."""
+        if self._clutter is None:
+            self._clutter = ClutterMap(tracker.camera.image_size)
+        if expected is None:
+            return self._first(image, tracker, base, self._clutter)
+        spread, clutter = expected.covariance + self.DOUBT**2 * np.eye(len(expected.covariance)), self._clutter
+        gates = self._gates(tracker.camera, expected, spread) if self._dark < self.LOST else None
+        blobs, level = self._detect(image, gates), max(1.0, tracker.estimator.measurement_noise.value)
+        found = assign_markers(
+            blobs._replace(covariances=level**2 * blobs.covariances),
+            expected.pixels,
+            spread,
+            clutter=clutter.density(blobs),
+        )
+        clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices), gates)
+        self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
+        return found.places, found.covariances / level**2
+
+    def _first(self, image: Image, tracker: RopeTracker, base: Array, clutter: ClutterMap) -> tuple[Array, Array]:
+        """Find the whole rope: NaN if the frame does not tell which marker is which."""
+        declared = tracker.estimator.model.arc_lengths
+        pixels, wide = np.full((len(declared), 2), np.nan), np.full((len(declared), 2, 2), np.nan)
+        blobs = self._detect(image)
+        if not len(blobs.places):
+            return pixels, wide
+        places, covariances = tracker.adjusted_camera.locate_with_covariance(blobs.places, blobs.covariances)
+        noise = float(np.sqrt(np.median(np.trace(covariances, axis1=1, axis2=2) / 2.0)))
+        stds = defaultdict(float, {name: std for name, (_, std) in tracker.estimator.values.items()})
+        relative = self.SURE * float(np.hypot(stds["scale"], stds["length"]))
+        absolute = max(std for name, std in [("arc[", 0.0), *stds.items()] if name.startswith("arc["))
+        noise = max(noise, 1e-4) + 0.5 * self.SURE * (absolute + max(stds["offset_x"], stds["offset_y"]))
+        arcs = tracker.estimator.parameters.arc_lengths(declared, tracker.values)
+        if (np.diff(arcs, prepend=0.0)[declared > 0.0] <= 0.0).any():  # impossible estimates
+            arcs = declared
+        arcs, everything = np.maximum(arcs, 1e-6), np.arange(len(places))
+        used, order = everything, order_markers(places, arcs, base, noise=noise, slack=relative)
+        moving = np.flatnonzero(~clutter.still(blobs))
+        if not order.certain and 2 <= moving.size < len(places):
+            used, order = moving, order_markers(places[moving], arcs, base, noise=noise, slack=relative)
+        self._waited += 1
+        found = order.indices >= 0
+        if (not order.certain and self._waited < self.PATIENCE) or not found.any():
+            clutter.learn(blobs, np.zeros(len(places), bool))
+            return pixels, wide
+        self._waited = 0
+        taken = used[order.indices[found]]
+        pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
+        if used is everything:
+            self._clutter = clutter = ClutterMap(tracker.camera.image_size)  # what lay still may have been the rope
+        clutter.learn(blobs, np.isin(everything, taken))
+        return pixels, wide
+
+    def _detect(self, image: Image, gates: list[Gate] | None = None) -> Blobs:
+        blobs = self.detector.find(image, gates)
+        return blobs._replace(covariances=blobs.covariances + LEAST_STD**2 * np.eye(2))
+
+    def _gates(self, camera: Camera, expected: Prediction, spread: Array) -> list[Gate] | None:
+        """Return where to search; None if that is nearly everywhere."""
+        widest = self.WIDEST * camera.image_size[1]
+        if not np.isfinite(expected.pixels).all() or np.sqrt(np.abs(spread).max()) > widest:
+            return None
+        streaks = (expected.speeds * camera.exposure).tolist()
+        return [Gate(*gate) for gate in zip(expected.pixels, each_covariance(spread), streaks, strict=True)]
+
+
+def bar_arc_lengths(spans: npt.ArrayLike) -> Array:
+    """Return arc lengths (2 J,), m, of two points of each bar that are equivalent to its centre and its axis.
+
+    They are a radius of gyration, length / sqrt(12), to both sides of the centre: the errors of centre and axis of a
+    bar with straight edges are then independent errors of the two points.
+
+    Parameters
+    ----------
+    spans : (J, 2) array_like
+        Begin and end of the part of each bar that is usually seen, along the chain, m from the first joint. A bar may
+        reach beyond its joints, or begin under the bar before it.
+    """
+    ends = checks.array("spans", spans, (-1, 2), unit="m")
+    if (ends[:, 1] <= ends[:, 0]).any():
+        raise InvalidInput("a bar ends before it begins", got=ends, allowed="begin < end")
+    middle, reach = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / np.sqrt(12.0)
+    return np.stack([middle - reach, middle + reach], axis=1).ravel()
+
+
+class BarMeasurement:
+    """Measures a bar of its own colour on each link of a pendulum (a :class:`Measurement`).
+
+    Parameters
+    ----------
+    detector : BarDetector
+        Of the links, from the first joint on. The estimator's arc lengths are those of :func:`bar_arc_lengths`.
+
+    Notes
+    -----
+    Bars of different colours need no assignment and no gates. If more or less of a bar is seen than its span, half of
+    the difference counts as a standard deviation along it: another bar may cover one of its ends.
+    """
+
+    radius = 0.0
+
+    def __init__(self, detector: BarDetector) -> None:
+        self.detector = detector
+
+    @property
+    def count(self) -> int:
+        """Two points of each bar."""
+        return 2 * len(self.detector.colours)
+
+    def measure(
+        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
+    ) -> tuple[Array, Array]:
+        """Return two points of each bar seen in a frame."""
+        seen, sides = self.detector.find(image), np.full((len(self.detector.colours), 2), np.nan)
+        camera, arcs = tracker.adjusted_camera, tracker.estimator.model.arc_lengths
+        if expected is not None:
+            sides = expected.pixels[1::2] - expected.pixels[::2]
+        angles = link_angles(seen, camera.project(base[None])[0], np.arctan2(sides[:, 0], sides[:, 1]))
+        along = np.stack([np.sin(angles), np.cos(angles)], axis=1)
+        across = np.stack([along[:, 1], -along[:, 0]], axis=1)
+        reach = 0.5 * np.diff(arcs.reshape(-1, 2), axis=1)[:, 0] * camera.pixels_per_metre
+        pixels = np.repeat(seen.centres, 2, axis=0) + np.kron(reach[:, None] * along, [[-1.0], [1.0]])
+        pixels[np.isnan(pixels).any(axis=1)] = np.nan
+        missing = reach * np.sqrt(12.0) - seen.lengths
+        lengthwise = 2.0 * (FLOOR**2 + (0.5 * missing) ** 2)  # a point has half of the bar's information
+        sidewise = 2.0 * np.einsum("kc,kcd,kd->k", across, seen.covariances[:, :2, :2], across)
+        wide = np.einsum("k,kc,kd->kcd", lengthwise, along, along) + np.einsum("k,kc,kd->kcd", sidewise, across, across)
+        return pixels, np.repeat(wide + LEAST_STD**2 * np.eye(2), 2, axis=0)
