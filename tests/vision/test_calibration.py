@@ -40,7 +40,7 @@ def test_camera_and_scale_are_found(request, name, board, legacy):
     assert found.legacy == legacy
     assert abs(found.camera.matrix[0, 0] - MATRIX[0, 0]) < 4.0 * found.focal_std
     assert 0.0 < found.focal_std < 0.002 * MATRIX[0, 0]
-    camera = found.place_plane(render_board(board, *PLANE, legacy=legacy, seed=99))
+    camera = found.camera.with_plane(*found.plane_points(render_board(board, *PLANE, legacy=legacy, seed=99)))
     extent = board.square * np.array(board.squares)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * extent
     pixels = cv2.projectPoints(np.column_stack([corners, np.zeros(4)]), *PLANE, MATRIX, DISTORTION)[0][:, 0]

@@ -1,6 +1,7 @@
 """Which blob is which marker: joint assignment to predictions, the order in a first frame, and clutter."""
 
 import math
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,6 +18,9 @@ Indices = npt.NDArray[np.int64]
 GATE = -2.0 * math.log(0.001)  # squared Mahalanobis distance of a marker's own blob, exceeded once in 1000
 SLACK = 0.02  # relative stretch of the rope in a picture that is allowed
 SPARSE = 1e-6  # 1/px^2, density of clutter: one blob of the colour in a picture of a megapixel
+_CLEAR = 12.0  # difference of squared distances from which a pair is unambiguous: odds of e^6
+_UNSURE = 6.0  # with less for every pair, nothing is clear at first: odds of e^3
+_ODDS = math.log(0.8 / 0.2)  # prior odds that a marker is seen
 _FORBIDDEN = 1e9  # cost of a pair that is excluded
 
 
@@ -69,104 +73,61 @@ def assign_markers(
     with a marker that is not seen and a blob of clutter (a marker is seen with a probability of 0.8). The clearest
     pairs are settled first, and the prediction of the others is conditioned on them.
     """
-    indices = _Problem(seen, predicted, covariance, gate, clutter).best()
+    mean, prior, at, wide = map(np.ascontiguousarray, (predicted, covariance, seen.places, seen.covariances))
+    density = np.broadcast_to(np.asarray(clutter, dtype=np.float64), len(at))
+    unseen = 2.0 * np.log(density) - 2.0 * _ODDS + 2.0 * math.log(2.0 * math.pi)
+
+    def costs(m: Array, P: Array) -> Array:
+        """Return the cost (K, M) of each pair relative to a marker that is not seen and a blob of clutter."""
+        cost = np.empty((len(m), len(at)))
+        pairs.pair_costs(at, wide, m, P, unseen, gate, _FORBIDDEN, cost)
+        return cost
+
+    def settled(k: Indices, j: Indices) -> tuple[float, Indices]:
+        """Return the cost of all pairs together, and the blob (K,) of each marker, or -1, from the first pairs on."""
+        m, P, total = mean, prior, 0.0
+        indices, taken = np.full(len(m), -1), np.zeros(len(at), bool)
+        while k.size:
+            indices[k], taken[j] = j, True
+            rows, each = np.asarray(2 * k[:, None] + [0, 1], np.intp).ravel(), np.arange(k.size)
+            S, off = P[np.ix_(rows, rows)], (at[j] - m[k]).ravel()
+            S.reshape(k.size, 2, k.size, 2)[each, :, each] += wide[j]
+            total += float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] + unseen[j].sum())
+            if taken.all() or (indices >= 0).all():
+                break
+            gain = np.linalg.solve(S, P[rows]).T
+            m, P = m + (gain @ off).reshape(-1, 2), P - gain @ P[rows]
+            cost = costs(m, P)
+            cost[indices >= 0], cost[:, taken] = _FORBIDDEN, _FORBIDDEN
+            k, j = _clear_pairs(cost)
+        return total, indices
+
+    cost = costs(mean, prior)
+    starts, possible = [_clear_pairs(cost)], cost < _FORBIDDEN
+    if possible.any() and _margins(cost)[possible].max() <= _UNSURE:  # try each blob that the surest marker may have
+        widths = np.where(possible.any(axis=1), np.diag(prior).reshape(-1, 2).sum(axis=1), np.inf)
+        surest = np.array([np.argmin(widths)])
+        starts += [(surest, np.array([j])) for j in np.flatnonzero(possible[surest[0]])]
+    indices = min((settled(*start) for start in starts), key=operator.itemgetter(0))[1]
     found = indices >= 0
     places, covariances = np.full((len(indices), 2), np.nan), np.full((len(indices), 2, 2), np.nan)
-    places[found], covariances[found] = seen.places[indices[found]], seen.covariances[indices[found]]
+    places[found], covariances[found] = at[indices[found]], wide[indices[found]]
     return Assignment(indices, places, covariances)
 
 
-class _Problem:
-    """Blobs and predictions of one frame, and the costs of assigning one to the other."""
+def _clear_pairs(cost: Array) -> tuple[Indices, Indices]:
+    """Return the pairs of the least sum of costs (K, M) that are unambiguous; the clearest one if none is."""
+    from scipy.optimize import linear_sum_assignment
 
-    CLEAR = 12.0  # difference of squared distances from which a pair is unambiguous: odds of e^6
-    UNSURE = 6.0  # with less for every pair, nothing is clear at first: odds of e^3
-    ODDS = math.log(0.8 / 0.2)  # prior odds that a marker is seen
-
-    def __init__(self, seen: Blobs, mean: Array, prior: Array, gate: float, clutter: float | Array) -> None:
-        self.mean, self.prior, self._gate = np.ascontiguousarray(mean), np.ascontiguousarray(prior), gate
-        self.places, self.wide = np.ascontiguousarray(seen.places), np.ascontiguousarray(seen.covariances)
-        count, many = len(mean), len(self.places)
-        density = np.broadcast_to(np.asarray(clutter, dtype=np.float64), many)
-        self.unseen = 2.0 * np.log(density) - 2.0 * self.ODDS + 2.0 * math.log(2.0 * math.pi)
-        self._count = count, many
-        off = self.prior.reshape(count, 2, count, 2).copy()
-        off[np.arange(count), :, np.arange(count)] = 0.0
-        self._correlated = bool(off.any())
-
-    def best(self) -> Indices:
-        """Return the blob (K,) of each marker, or -1.
-
-        If no pair is clear at first, each blob that the most certain marker may have is tried, and the assignment kept
-        that explains all markers together best.
-        """
-        cost = self._costs(self.mean, self.prior)
-        possible = cost < _FORBIDDEN
-        greedy = self._settled(cost)
-        if not possible.any() or _margins(cost)[possible].max() > self.UNSURE or not self._correlated:
-            return greedy
-        widths = np.diag(self.prior).reshape(-1, 2).sum(axis=1)
-        surest, attempts = int(np.argmin(np.where(possible.any(axis=1), widths, np.inf))), [greedy]
-        for j in np.flatnonzero(possible[surest]):
-            given = np.full_like(cost, _FORBIDDEN)
-            given[surest, j] = -_FORBIDDEN  # settled before all others
-            attempts.append(self._settled(given))
-        return min(attempts, key=self._joint_cost)
-
-    def _settled(self, cost: Array) -> Indices:
-        """Return the blob (K,) of each marker, or -1; the clearest first, the others conditioned on them.
-
-        `cost` (K, M) is that of the first round.
-        """
-        from scipy.optimize import linear_sum_assignment
-
-        (count, many), mean, prior = cost.shape, self.mean, self.prior
-        indices, taken = np.full(count, -1), np.zeros(many, bool)
-        while (cost < _FORBIDDEN).any():
-            full = np.full((count, many + count), _FORBIDDEN)
-            full[:, :many] = cost
-            full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
-            rows, columns = linear_sum_assignment(full)
-            rows, columns = rows[columns < many], columns[columns < many]
-            if not rows.size:
-                break
-            margins = _margins(cost)[rows, columns]
-            clear = margins > self.CLEAR if margins.max() > self.CLEAR else [int(np.argmax(margins))]
-            k, j = rows[clear], columns[clear]
-            indices[k], taken[j] = j, True
-            if (indices >= 0).all() or taken.all():
-                break
-            if self._correlated:
-                off, S, own = self._innovation(mean, prior, indices, k)
-                gain = np.linalg.solve(S, prior[own]).T
-                mean, prior = mean + (gain @ off).reshape(-1, 2), prior - gain @ prior[own]
-            cost = self._costs(mean, prior)
-            cost[indices >= 0] = _FORBIDDEN
-            cost[:, taken] = _FORBIDDEN
-        return indices
-
-    def _costs(self, mean: Array, prior: Array) -> Array:
-        """Return the cost (K, M) of each pair relative to marker unseen and blob of clutter."""
-        cost = np.empty(self._count)
-        pairs.pair_costs(self.places, self.wide, mean, prior, self.unseen, self._gate, _FORBIDDEN, cost)
-        return cost
-
-    def _joint_cost(self, indices: Indices) -> float:
-        """Return the cost of all pairs together relative to nothing but clutter being seen."""
-        found = np.flatnonzero(indices >= 0)
-        if not found.size:
-            return 0.0
-        off, S, _ = self._innovation(self.mean, self.prior, indices, found)
-        return float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] + self.unseen[indices[found]].sum())
-
-    def _innovation(
-        self, mean: Array, prior: Array, indices: Indices, found: Indices
-    ) -> tuple[Array, Array, npt.NDArray[np.intp]]:
-        """Return the innovation (2 F,) of the markers found, its covariance (2 F, 2 F), and its rows of the prior."""
-        rows, count = np.asarray(2 * found[:, None] + [0, 1], np.intp).ravel(), np.arange(found.size)
-        S = prior[np.ix_(rows, rows)]
-        S.reshape(found.size, 2, found.size, 2)[count, :, count] += self.wide[indices[found]]
-        return (self.places[indices[found]] - mean[found]).ravel(), S, rows
+    count, many = cost.shape
+    full = np.full((count, many + count), _FORBIDDEN)
+    full[:, :many] = cost
+    full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
+    rows, columns = linear_sum_assignment(full)
+    rows, columns = rows[columns < many], columns[columns < many]
+    margins = _margins(cost)[rows, columns]
+    clear = margins >= min(_CLEAR, margins.max(initial=-np.inf))
+    return rows[clear], columns[clear]
 
 
 def _margins(cost: Array) -> Array:

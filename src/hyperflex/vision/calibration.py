@@ -119,22 +119,6 @@ class Board:
         spread = np.linalg.svd(found.points - found.points.mean(axis=0), compute_uv=False)
         return found if spread[1] > self.FLAT * spread[0] else None
 
-    def is_mirrored(self, image: Image) -> bool:
-        """Whether the board is seen in the mirror image of this picture; a chessboard is alike in both."""
-        return self.marker is not None and self.find(np.ascontiguousarray(image[:, ::-1])) is not None
-
-    def other_dictionary(self, image: Image) -> str | None:
-        """Return the dictionary of most of the markers seen if it is not the declared one; else None."""
-        import cv2
-
-        best, most = None, 3
-        for name in sorted({name for name in dir(cv2.aruco) if name.startswith(("DICT_4X4", "DICT_5X5", "DICT_6X6"))}):
-            dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-            _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(image)
-            if ids is not None and len(ids) > most:
-                best, most = name, len(ids)
-        return best if best != self.dictionary else None
-
     def draw(self, pixels_per_square: int = 60, *, legacy: bool = False) -> Image:
         """Return a picture of the board (height, width), for printing and for tests.
 
@@ -148,7 +132,7 @@ class Board:
         side = checks.count("pixels_per_square", pixels_per_square, least=8)
         width, height = self.squares
         if self.marker is not None:
-            return np.asarray(self._layouts[int(legacy)].generateImage((width * side, height * side)), dtype=np.uint8)
+            return np.asarray(self._layout(legacy).generateImage((width * side, height * side)), dtype=np.uint8)
         rows, columns = np.indices((height, width))
         return np.kron(255 * ((rows + columns) % 2), np.ones((side, side))).astype(np.uint8)
 
@@ -158,17 +142,13 @@ class Board:
 
         return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
 
-    @cached_property
-    def _layouts(self) -> tuple[Any, Any]:
-        """The new and the legacy board, as OpenCV has them."""
+    def _layout(self, legacy: bool) -> Any:
+        """Return the new or the legacy board, as OpenCV has them."""
         import cv2
 
-        both = []
-        for legacy in (False, True):
-            board = cv2.aruco.CharucoBoard(self.squares, self.square, float(self.marker or 0.0), self._dictionary)
-            board.setLegacyPattern(legacy)
-            both.append(board)
-        return both[0], both[1]
+        board = cv2.aruco.CharucoBoard(self.squares, self.square, float(self.marker or 0.0), self._dictionary)
+        board.setLegacyPattern(legacy)
+        return board
 
     def _find_chessboard(self, gray: Image) -> BoardView | None:
         import cv2
@@ -188,66 +168,54 @@ class Board:
         corners, ids, _ = cv2.aruco.ArucoDetector(self._dictionary).detectMarkers(gray)
         if ids is None or len(ids) < 4:
             return None
-        numbers = ids.ravel()
-        misses = [self._marker_misfit(layout, corners, numbers) for layout in self._layouts]
-        legacy = misses[1] < misses[0]
-        if not min(misses) < self.MISMATCH:
+        fits = [self._marker_fit(self._layout(legacy), corners, ids) for legacy in (False, True)]
+        legacy = fits[1] < fits[0]
+        misfit, ratio = fits[legacy]
+        if not misfit < self.MISMATCH:
             raise InvalidInput(
                 "the board seen is not the declared one: its markers lie elsewhere",
-                got=f"markers {np.sort(numbers)[:12].tolist()}",
+                got=f"markers {np.sort(ids.ravel())[:12].tolist()}",
                 allowed=f"a ChArUco board of {self.squares[0]} by {self.squares[1]} squares",
                 fix="Check the numbers of squares (to the right, down)",
             )
-        layout = self._layouts[int(legacy)]
-        detector = cv2.aruco.CharucoDetector(layout)
-        seen, names, *_ = detector.detectBoard(gray, markerCorners=corners, markerIds=ids)
+        marker = float(self.marker or 0.0)
+        if abs(ratio - marker / self.square) > self.RATIO_TOLERANCE:
+            raise InvalidInput(
+                "markers have another size in their squares than declared: marker over square",
+                got=round(ratio, 3),
+                allowed=f"{marker / self.square:.3f}, as declared",
+                fix="Measure squares and markers on the print (the marker with its black border)",
+            )
+        layout = self._layout(legacy)
+        seen, names, *_ = cv2.aruco.CharucoDetector(layout).detectBoard(gray, markerCorners=corners, markerIds=ids)
         if seen is None or names is None or len(seen) < 4:
             return None
         points = np.asarray(layout.getChessboardCorners(), dtype=np.float64)[names.ravel(), :2] * [1.0, -1.0]
         view = BoardView(points, np.asarray(seen, dtype=np.float64).reshape(-1, 2), legacy)
-        self._check_ratio(view, corners)
         # corners are refined in windows that stay clear of the markers (OpenCV's own are off by 0.2 px rms)
         narrow = float(np.linalg.svd(view.affine[:2], compute_uv=False)[1])  # px/m, where it is foreshortened most
-        half = int(np.clip(0.4 * (self.square - float(self.marker or 0.0)) * narrow, 2, 11))
+        half = int(np.clip(0.4 * (self.square - marker) * narrow, 2, 11))
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
         start = np.ascontiguousarray(view.pixels[:, None], dtype=np.float32)
         refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), stop)
         return view._replace(pixels=np.asarray(refined, dtype=np.float64)[:, 0])
 
-    def _marker_misfit(self, layout: Any, corners: Any, ids: npt.NDArray[np.int32]) -> float:
-        """Return the rms error of the markers' places on a board under the best homography, over their side."""
+    def _marker_fit(self, layout: Any, corners: Any, ids: npt.NDArray[np.int32]) -> tuple[float, float]:
+        """Return how well markers fit a board under the best homography: rms error and side, over marker and square."""
         import cv2
 
         known = cv2.aruco.Board(layout.getObjPoints(), self._dictionary, layout.getIds())
         board, seen = known.matchImagePoints(corners, ids)
         if board is None or len(board) < 4 * max(4, 0.8 * len(ids)):
-            return float("inf")
-        error = _mapped(seen, seen, board[..., :2]) - board[..., :2]
-        return float(np.sqrt(np.mean(np.sum(error**2, axis=-1)))) / float(self.marker or self.square)
-
-    def _check_ratio(self, view: BoardView, corners: Any) -> None:
-        """Refuse markers that are larger or smaller in their squares than declared."""
-        placed = _mapped(np.concatenate(corners), view.pixels, view.points)
-        ratio = float(np.median(np.linalg.norm(placed - np.roll(placed, 1, axis=1), axis=2))) / self.square
-        declared = float(self.marker or 0.0) / self.square
-        if abs(ratio - declared) > self.RATIO_TOLERANCE:
-            raise InvalidInput(
-                "markers have another size in their squares than declared: marker over square",
-                got=round(ratio, 3),
-                allowed=f"{declared:.3f}, as declared",
-                fix="Measure squares and markers on the print (the marker with its black border)",
-            )
-
-
-def _mapped(places: Array, before: Array, after: Array) -> Array:
-    """Return places (..., 2) under the best homography from points before to after; inf if there is none."""
-    import cv2
-
-    homography, _ = cv2.findHomography(before, after)
-    if homography is None:
-        return np.full(places.shape, np.inf)
-    mapped = cv2.perspectiveTransform(places.reshape(-1, 1, 2).astype(np.float64), homography)
-    return np.asarray(mapped.reshape(places.shape))
+            return np.inf, 0.0
+        homography, _ = cv2.findHomography(seen, board[..., :2])
+        if homography is None:
+            return np.inf, 0.0
+        placed = cv2.perspectiveTransform(seen.reshape(-1, 1, 2).astype(np.float64), homography)
+        error = np.sqrt(np.mean(np.sum((placed - board[..., :2].reshape(-1, 1, 2)) ** 2, axis=-1)))
+        markers = placed.reshape(-1, 4, 2)
+        side = np.median(np.linalg.norm(markers - np.roll(markers, 1, axis=1), axis=2))
+        return float(error) / float(self.marker or self.square), float(side) / self.square
 
 
 MIN_VIEWS = 4
@@ -265,7 +233,7 @@ class Calibration:
     Attributes
     ----------
     camera : Camera
-        Its intrinsics and distortion; the pose of the swing plane is found by :meth:`place_plane`.
+        Its intrinsics and distortion; for the swing plane: ``camera.with_plane(*calibration.plane_points(picture))``.
     rms : float
         Reprojection error of all corners, px.
     view_rms : (V,) float64
@@ -314,24 +282,6 @@ class Calibration:
             right = np.linalg.lstsq(points - points.mean(axis=0), view.pixels - view.pixels.mean(axis=0), rcond=None)[0]
             points = points if right[0, 0] > 0.0 else points[::-1]
         return points, view.pixels
-
-    def place_plane(self, image: Image, origin: npt.ArrayLike | None = None) -> Camera:
-        """Return the camera with the swing plane where the board lies in a picture.
-
-        Parameters
-        ----------
-        image : (height, width, 3) uint8
-            The board in the swing plane, its squares to the right and down as declared.
-        origin : (2,) array_like, optional
-            Where the plane's origin (the arm's axis) is seen, px; by default the board's top left corner.
-
-        Raises
-        ------
-        InvalidInput
-            If the board is not seen, or the origin lies on no point of the plane.
-        """
-        camera = self.camera.with_plane(*self.plane_points(image))
-        return camera if origin is None else camera.with_origin(origin)
 
 
 @interruptible()
@@ -421,15 +371,22 @@ def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list
 
 
 def _explain(images: Sequence[Image], board: Board) -> None:
-    """Raise InvalidInput if pictures without the board show why it is not seen."""
-    for image in images:
-        if board.is_mirrored(image):
+    """Raise InvalidInput if pictures without the board show why it is not seen; a chessboard has no sides."""
+    import cv2
+
+    names = [name for name in dir(cv2.aruco) if name.startswith(("DICT_4X4", "DICT_5X5", "DICT_6X6"))]
+    detectors = {
+        name: cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))) for name in names
+    }
+    for image in [] if board.marker is None else images:
+        if board.find(np.ascontiguousarray(image[:, ::-1])) is not None:
             raise InvalidInput(
                 "the pictures are mirrored: the board is seen in their mirror image only",
                 fix="Switch the camera's mirroring off (selfie mode), or take a board that is not printed reversed",
             )
-        other = board.other_dictionary(image) if board.marker is not None else None
-        if other is not None:
+        counts = {name: len(each.detectMarkers(image)[0]) for name, each in detectors.items()}
+        other = max(names, key=counts.__getitem__)
+        if other != board.dictionary and counts[other] >= 4:
             raise InvalidInput(
                 "the board has markers of another dictionary", got=board.dictionary, allowed=other, fix="Give that one"
             )

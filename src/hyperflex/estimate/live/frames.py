@@ -38,34 +38,14 @@ class Arrival(NamedTuple):
     missed : int
         Frames since the one before that were skipped because nobody took them in time.
     opening : int
-        How often the source had been opened again by then. Time stamps start anew each time.
+        How often the source had been opened again by then. The time stamps of the frame go on from those before: the
+        time in between is taken from this machine's clock, uncertain by the delay of the frames.
     """
 
     frame: Frame
     at: float
     missed: int
     opening: int = 0
-
-
-class JoinedStamps:
-    """Keeps the frames' own time stamps, and continues them when the source is opened again.
-
-    Notes
-    -----
-    The time in between is taken from this machine's clock: it is uncertain by the delay of the frames.
-    """
-
-    def __init__(self) -> None:
-        self._last: Arrival | None = None
-        self._shift = 0.0
-
-    def __call__(self, arrival: Arrival) -> Frame:
-        """Return the frame with its time on the clock of the first opening, s."""
-        stamp, last = arrival.frame.time, self._last
-        if last is not None and arrival.opening != last.opening:
-            self._shift += last.frame.time - stamp + max(arrival.at - last.at, _CLOSEST)
-        self._last = arrival
-        return Frame(stamp + self._shift, arrival.frame.image, arrival.frame.index)
 
 
 class FrameThread:
@@ -104,6 +84,7 @@ class FrameThread:
         self._notes: list[str] = []
         self._condition, self._waiting = threading.Condition(), deque[Arrival]()
         self._closed = self._played = False
+        self._last: Arrival | None = None  # of the opening before
         self._opening = 0
         self._thread = threading.Thread(target=self._run, args=(source,), name="frames", daemon=True)
         self._thread.start()
@@ -187,18 +168,22 @@ class FrameThread:
     def _deliver(self, source: Source) -> None:
         """Deliver the frames of a source until it breaks off."""
         begin: float | None = None
-        count = 0
-        for frame in source:
+        count, shift, last = 0, 0.0, self._last
+        for index, each in enumerate(source):
+            if last is not None and not index:
+                shift = last.frame.time - each.time + max(time.monotonic() - last.at, _CLOSEST)
+            frame = Frame(each.time + shift, each.image, each.index)
             with self._condition:
                 if self._paced and begin is not None:
                     moment = begin + frame.time
                     self._condition.wait_for(lambda: self._closed, max(0.0, moment - time.monotonic()))
                 missed = 0
                 if self.live:
-                    missed = sum(1 + each.missed for each in self._waiting)
+                    missed = sum(1 + old.missed for old in self._waiting)
                     self._waiting.clear()
                 self._condition.wait_for(lambda: len(self._waiting) < self.AHEAD or self._closed)
-                self._waiting.append(Arrival(frame, time.monotonic(), missed, self._opening))
+                self._last = Arrival(frame, time.monotonic(), missed, self._opening)
+                self._waiting.append(self._last)
                 self._condition.notify_all()
                 if self._paced and begin is None:  # time runs from when the first frame is taken
                     self._condition.wait_for(lambda: not self._waiting or self._closed)

@@ -22,8 +22,7 @@ from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, open_frames
 from hyperflex.estimate.live.watch import Watch
 from hyperflex.estimate.measurements import MarkerMeasurement
-from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
-from hyperflex.estimate.process import Process
+from hyperflex.estimate.parameters import EstimatedParameter
 from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
@@ -56,23 +55,12 @@ class TrackingTask:
     parameters: Sequence[EstimatedParameter] = ()
     tests: ChangeTests | None = None
 
-    @property
-    def motion(self) -> Motion | None:
-        """The arm's motion until another one is set."""
-        return None if self.arm is None else hold_arm(0.0)
-
-    @property
-    def states(self) -> ParameterStates:
-        """The parameters that are estimated, and those that are tested for changes."""
-        tested = () if self.tests is None else self.tests.parameters_for(self.rope)
-        return ParameterStates(self.parameters, self.rope, tested, self.arm is not None)
-
     def tracker(self) -> RopeTracker:
         """Return a new tracker of the rope."""
         estimator = RopeFilter(
             self.rope,
             self.arc_lengths,
-            motion=self.motion,
+            motion=None if self.arm is None else hold_arm(0.0),
             arm=self.arm,
             camera=self.camera,
             parameters=self.parameters,
@@ -243,12 +231,11 @@ class CameraStateSource:
         stalled: float = 1.0,
         start_timeout: float = 180.0,
     ) -> None:
-        task.tracker()  # validates the task
-        self.source, self.task = source, task
+        estimator = task.tracker().estimator
+        self.source, self.task, self._model, self._parameters = source, task, estimator.process, estimator.parameters
         self.longest = checks.number("longest", longest, sign="positive", unit="s")
         self.stalled = checks.number("stalled", stalled, sign="positive", unit="s")
         self.start_timeout = checks.number("start_timeout", start_timeout, sign="positive", unit="s")
-        self._model = Process(task.rope, task.states, task.motion, task.arm)
         self._motion: Motion | None = None
         self._pending, self._sent, self._zero = False, 0, 0.0
         self._packet: Packet | None = None
@@ -322,7 +309,7 @@ class CameraStateSource:
                 f"No marker has been seen for {age:.2f} s (allowed: {self.longest:g} s). Check camera, light and view."
             )
         begin, n = packet.t - self._zero, self.task.rope.n_links
-        until = moment + self._model.parameters.value("delay", packet.x[2 * n :])
+        until = moment + self._parameters.value("delay", packet.x[2 * n :])
         return self._model.state_at(packet.x, packet.rows, begin, max(until, begin), packet.noise)
 
     @property
@@ -336,7 +323,7 @@ class CameraStateSource:
     def values(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of each parameter that is estimated, or has been noticed to have changed."""
         packet = self._newest()
-        return {} if packet is None or not packet.found else self._model.parameters.estimates(packet.x, packet.rows)
+        return {} if packet is None or not packet.found else self._parameters.estimates(packet.x, packet.rows)
 
     def restart(self) -> None:
         """End the process, if it still runs, and start another one; t = 0 stays.

@@ -1,6 +1,7 @@
 """The estimate of a rope at each frame of a live source and between frames that do not come, and its log."""
 
 import math
+import operator
 import statistics
 import tempfile
 import time
@@ -15,7 +16,7 @@ import numpy as np
 from hyperflex import __version__
 from hyperflex.checks import Array
 from hyperflex.errors import FileProblem, SimulationError
-from hyperflex.estimate.live.frames import Arrival, FrameThread, JoinedStamps
+from hyperflex.estimate.live.frames import Arrival, FrameThread
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
 from hyperflex.files import NetCDF, PathLike, Variable, as_path, rescued, write_netcdf
 from hyperflex.interfaces import RopeState
@@ -79,8 +80,7 @@ class Watch:
     interval : float
         Time without a frame after which an estimate is given all the same, s.
     retime : callable, optional
-        Returns the frame of an :class:`Arrival` with another time stamp; by default its own, continued from those
-        before when the source was opened again.
+        Returns the frame of an :class:`Arrival` with another time stamp; by default its own.
     before : callable, optional
         Called when a frame has come, before it is processed.
 
@@ -101,11 +101,11 @@ class Watch:
         tracker: RopeTracker,
         *,
         interval: float = 0.1,
-        retime: Callable[[Arrival], Frame] | None = None,
+        retime: Callable[[Arrival], Frame] = operator.attrgetter("frame"),
         before: Callable[[], None] = lambda: None,
     ) -> None:
         self.frames, self.tracker, self.interval = frames, tracker, interval
-        self._retime, self._before = JoinedStamps() if retime is None else retime, before
+        self._retime, self._before = retime, before
         self._last: Arrival | None = None  # its frame with the new time stamp
         self._gaps, self._arrivals = deque[float](maxlen=self.RECENT), deque[float](maxlen=2 * self.RECENT)
         self._seen_at = -math.inf
