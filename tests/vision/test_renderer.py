@@ -16,7 +16,6 @@ from hyperflex.vision import (
     VideoReader,
     frame_times,
     random_occlusion,
-    sway,
 )
 from tests.vision.ropes import ARCS, camera, sliding, swinging
 
@@ -117,7 +116,9 @@ def test_random_occlusion_covers_its_share():
 
 def test_off_the_plane_it_looks_larger():
     seen = camera()
-    near = Renderer(seen, swinging(off_plane=sway(0.3, 0.5, 2.0)), Scene(ARCS)).truth([0.5])
+    near = Renderer(
+        seen, swinging(off_plane=lambda t, s: 0.3 * np.sin(np.pi * t)[:, None] * (s / 2.0) ** 2), Scene(ARCS)
+    ).truth([0.5])
     assert near.places[0, -1, 2] == pytest.approx(0.3)
     flat = near.places[0, :, :2]
     towards = (near.pixels[0] - seen.matrix[:2, 2]) / (seen.project(flat) - seen.matrix[:2, 2])
@@ -146,14 +147,10 @@ def test_video_with_truth(tmp_path):
     stamps = frame_times(0.1, 1.1, 30.0, jitter=0.2, dropped=0.2, seed=3)
     assert 18 <= stamps.size < 30
     small = Camera.facing((320, 240), pixels_per_metre=100.0, origin=(160.0, 20.0), exposure=0.01)
-    truth = Renderer(small, swinging(), Scene(ARCS)).write(tmp_path / "swing.mp4", stamps)
+    Renderer(small, swinging(), Scene(ARCS)).write(tmp_path / "swing.mp4", stamps)
     with VideoReader(tmp_path / "swing.mp4") as video:
         frames = list(video)
     assert np.abs([f.time for f in frames] - stamps).max() < 1e-5
-    truth.write(tmp_path / "truth.nc")
-    content = hf.files.read_netcdf(tmp_path / "truth.nc")
-    assert np.array_equal(content.variables["pixel"].values, truth.pixels)
-    assert content.variables["visible"].values.shape == (stamps.size, 10)
 
 
 def test_a_frame_takes_less_than_100_ms():

@@ -20,9 +20,16 @@ if TYPE_CHECKING:
     from hyperflex.vision.colour import MarkerColour
     from hyperflex.vision.markers import Blobs, Gate, MarkerDetector
     from hyperflex.vision.renderer.boards import film_board
-    from hyperflex.vision.renderer.motion import RopeMotion, sway
-    from hyperflex.vision.renderer.renderer import Renderer, Truth, frame_times
-    from hyperflex.vision.renderer.scene import Bar, Occluder, Scene, random_occlusion
+    from hyperflex.vision.renderer.motion import RopeMotion
+    from hyperflex.vision.renderer.renderer import (
+        Bar,
+        Occluder,
+        Renderer,
+        Scene,
+        Truth,
+        frame_times,
+        random_occlusion,
+    )
     from hyperflex.vision.video import (
         Frame,
         Image,

@@ -27,8 +27,8 @@ class RopeMotion:
     base, base_velocity : (T, 2) array_like or None
         Of the first joint, m and m/s; None: it rests at the origin.
     off_plane : callable, optional
-        Of times (m,), s, and arc lengths (P,), m, to how far off the plane (m, P) that is, m, towards the viewer; see
-        :func:`sway`. The rope is made that much longer, which is of second order.
+        Of times (m,), s, and arc lengths (P,), m, to how far off the plane (m, P) that is, m, towards the viewer.
+        The rope is made that much longer, which is of second order.
 
     Notes
     -----
@@ -87,25 +87,3 @@ class RopeMotion:
         if self.off_plane is not None:
             result[:, :, 2] = self.off_plane(times, arcs)
         return result
-
-
-def sway(amplitude: float, frequency: float, length: float, *, tilt: float = 0.0) -> OffPlane:
-    """Return a motion off the plane that grows along the rope: a swing across it, and a plane that is tilted.
-
-    Parameters
-    ----------
-    amplitude : float
-        Of the tip, m.
-    frequency : float
-        Hz.
-    length : float
-        Of the rope, m.
-    tilt : float
-        Off the plane by so much a length of rope, constant in time, rad.
-    """
-
-    def off_plane(t: Array, arc_lengths: Array) -> Array:
-        swing = amplitude * np.sin(2.0 * np.pi * frequency * t)[:, None] * (arc_lengths / length) ** 2
-        return np.asarray(swing + np.sin(tilt) * arc_lengths)
-
-    return off_plane

@@ -1,18 +1,208 @@
-"""The synthetic camera: frames of a moving rope, integrated over each row's exposure."""
+"""The synthetic camera: a scene with a moving rope, and its frames, integrated over each row's exposure."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks, files
+from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.image.exposure import Capsules, RowTimes, expose
-from hyperflex.files import NetCDF, PathLike, Variable
+from hyperflex.files import PathLike
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.renderer.motion import RopeMotion
-from hyperflex.vision.renderer.scene import Scene, finished, tiles_of_noise
 from hyperflex.vision.video import Image, VideoWriter
+
+Colour = tuple[float, float, float]  # blue, green, red, 0 to 255
+Hidden = Callable[[float], npt.NDArray[np.bool_]]  # time, s -> which markers (K,) are covered
+
+RED, DARK = (40.0, 30.0, 210.0), (45.0, 45.0, 45.0)
+
+
+class Bar(NamedTuple):
+    """A straight bar along the rope, as the links of a pendulum are.
+
+    Attributes
+    ----------
+    start, end : float
+        Arc lengths of its ends, m.
+    width : float
+        m; its ends are round.
+    colour : (float, float, float)
+        Blue, green, red, 0 to 255.
+    """
+
+    start: float
+    end: float
+    width: float
+    colour: Colour
+
+
+class Occluder(NamedTuple):
+    """A bar in front of the rope.
+
+    Attributes
+    ----------
+    start, end : (float, float)
+        Its ends in the swing plane, m.
+    width : float
+        m.
+    colour : (float, float, float)
+        Blue, green, red, 0 to 255.
+    velocity : (float, float)
+        Velocity, m/s; `start` and `end` are its ends at t = 0.
+    """
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    width: float
+    colour: Colour = (110.0, 120.0, 125.0)
+    velocity: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything in the picture.
+
+    Parameters
+    ----------
+    arc_lengths : (K,) array_like
+        Of the markers, m; empty for none.
+    marker_diameter : float
+        m.
+    marker_colours : (3,) or (K, 3) array_like
+        Blue, green, red, 0 to 255, of all or of each.
+    rope_width : float
+        m; 0: it is not seen.
+    rope_colour : (3,) array_like
+        Blue, green, red.
+    bars : tuple of Bar
+        Drawn over the rope and below the markers.
+    background : (3,) array_like
+        Blue, green, red of the wall.
+    clutter : int
+        Number of things on the wall: discs and bars, a quarter of them in the first marker's colour.
+    light_drift, drift_period : float
+        By which part the light varies, and how slowly, s; the colours' balance varies by a quarter of that.
+    noise : float
+        Standard deviation of a channel, levels.
+    occluders : tuple of Occluder
+        Before everything.
+    hidden : callable, optional
+        Of a time, s, to which markers (K,) are covered by something dark that goes along; see :func:`random_occlusion`.
+    blackouts : tuple of (float, float)
+        From when to when nothing of the rope is seen, s.
+    seed : int
+        Of clutter and noise.
+
+    Notes
+    -----
+    Levels count as proportional to light; no gamma, no vignetting, no auto exposure.
+    """
+
+    arc_lengths: Array
+    marker_diameter: float = 0.025
+    marker_colours: npt.ArrayLike = RED
+    rope_width: float = 0.006
+    rope_colour: npt.ArrayLike = DARK
+    bars: tuple[Bar, ...] = ()
+    background: npt.ArrayLike = (175.0, 185.0, 190.0)
+    clutter: int = 0
+    light_drift: float = 0.0
+    drift_period: float = 10.0
+    noise: float = 2.0
+    occluders: tuple[Occluder, ...] = ()
+    hidden: Hidden | None = None
+    blackouts: tuple[tuple[float, float], ...] = ()
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        arcs = checks.array("arc_lengths", self.arc_lengths, (-1,), unit="m")
+        colours = np.asarray(self.marker_colours, dtype=np.float64)
+        colours = np.tile(colours, (arcs.size, 1)) if colours.ndim == 1 else colours
+        checked: dict[str, Any] = {
+            "arc_lengths": arcs,
+            "marker_diameter": checks.number("marker_diameter", self.marker_diameter, sign="positive", unit="m"),
+            "marker_colours": checks.array("marker_colours", colours, (arcs.size, 3), sign="nonnegative"),
+            "clutter": checks.count("clutter", self.clutter, least=0),
+            "drift_period": checks.number("drift_period", self.drift_period, sign="positive", unit="s"),
+        }
+        for name in ("rope_width", "light_drift", "noise"):
+            checked[name] = checks.number(name, getattr(self, name), sign="nonnegative")
+        for name in ("rope_colour", "background"):
+            checked[name] = checks.array(name, getattr(self, name), (3,), sign="nonnegative")
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def wall(self, image_size: tuple[int, int]) -> npt.NDArray[np.float32]:
+        """Return the background (height, width, 3) with its clutter, a soft shade over it."""
+        import cv2
+
+        width, height = image_size
+        rng = np.random.default_rng((self.seed, 1))
+        base = np.asarray(self.background, dtype=np.float64)
+        image = np.tile(base, (height, width, 1))
+        for k in range(self.clutter):
+            own = np.asarray(self.marker_colours).reshape(-1, 3)
+            colour = own[0] if k % 4 == 0 and len(own) else rng.uniform(40.0, 220.0, 3)
+            place = rng.uniform(0.0, 1.0, 2) * [width, height]
+            size = rng.uniform(0.004, 0.03) * width
+            if k % 2:
+                end = place + rng.uniform(-0.15, 0.15, 2) * width
+                near, far = (point.astype(int).tolist() for point in (place, end))
+                cv2.line(image, near, far, colour.tolist(), max(2, int(size)), cv2.LINE_AA)
+            else:
+                cv2.circle(image, tuple(map(int, place)), int(size), colour.tolist(), -1, cv2.LINE_AA)
+        v, u = np.mgrid[0:height, 0:width]
+        shade = 1.0 - 0.08 * u / width - 0.06 * v / height
+        return np.asarray(cv2.GaussianBlur(image * shade[..., None], (0, 0), 0.7), dtype=np.float32)
+
+    def light(self, t: float) -> Array:
+        """Return the factor (3,) of each channel at a time, s."""
+        phase = 2.0 * np.pi * t / self.drift_period
+        gain = 1.0 - 0.5 * self.light_drift * (1.0 - np.cos(phase))
+        balance = 1.0 + 0.25 * self.light_drift * np.sin(0.7 * phase) * np.array([1.0, 0.0, -1.0])
+        return np.asarray(gain * balance)
+
+    def is_black(self, t: float) -> bool:
+        """Whether nothing of the rope is seen at a time, s."""
+        return any(start <= t < end for start, end in self.blackouts)
+
+    def covered(self, t: float) -> npt.NDArray[np.bool_]:
+        """Return which markers (K,) are covered at a time, s."""
+        return np.full(self.arc_lengths.size, self.is_black(t)) if self.hidden is None else self.hidden(t)
+
+
+def random_occlusion(count: int, share: float, duration: float, *, until: float, seed: int = 0) -> Hidden:
+    """Return which of the markers are covered at a time: each on and off at random, independent of the others.
+
+    Parameters
+    ----------
+    count : int
+        Number of markers.
+    share : float
+        Of the time that each is covered, 0 to 1.
+    duration : float
+        Mean time covered at a stretch, s (exponential).
+    until : float
+        End of the schedule, s; it starts at 0.
+    seed : int
+        Of the random numbers.
+    """
+    share = checks.number("share", share, sign="nonnegative")
+    rng = np.random.default_rng(seed)
+    means = np.array([duration * (1.0 - share) / max(share, 1e-9), duration])  # free, covered
+    many = 10 + int(4.0 * until / duration)
+    covered_first = rng.random(count) < share
+    lengths = rng.exponential(1.0, (count, many)) * means[(np.arange(many) + covered_first[:, None]) % 2]
+    changes = np.cumsum(lengths, axis=1)
+
+    def hidden(t: float) -> npt.NDArray[np.bool_]:
+        return ((changes <= t).sum(axis=1) + covered_first) % 2 == 1 if share > 0.0 else np.zeros(count, bool)
+
+    return hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,20 +234,6 @@ class Truth:
     streaks: Array
     visible: npt.NDArray[np.bool_]
     arc_lengths: Array
-
-    def write(self, path: PathLike) -> None:
-        """Write the truth to a NetCDF file, complete or not at all."""
-        frame, each = ("frame",), ("frame", "marker")
-        variables = {
-            "stamp": Variable(frame, self.stamps, {"units": "s"}),
-            "time": Variable(each, self.times, {"units": "s", "long_name": "middle of the exposure"}),
-            "place": Variable((*each, "axis"), self.places, {"units": "m"}),
-            "pixel": Variable((*each, "image_axis"), self.pixels, {"units": "px"}),
-            "streak": Variable((*each, "image_axis"), self.streaks, {"units": "px"}),
-            "visible": Variable(each, self.visible.astype(np.int8), {"units": "1"}),
-            "arc_length": Variable(("marker",), self.arc_lengths, {"units": "m"}),
-        }
-        files.write_netcdf(path, NetCDF(variables, {"format": "hyperflex rendered truth 1"}))
 
 
 _Layer = tuple[Array, float, npt.ArrayLike]
@@ -95,11 +271,17 @@ class Renderer:
         self.sub_exposures = checks.count("sub_exposures", sub_exposures)
         self._wall = scene.wall(camera.image_size)
         self._rng = np.random.default_rng((scene.seed, 2))
-        self._noise = tiles_of_noise(scene.noise, camera.image_size, self._rng) if scene.noise else None
+        width, height = (
+            camera.image_size
+        )  # frames cut a window each from a larger piece of noise: faster than drawing it
+        noise = self._rng.standard_normal((height + 64, width + 64, 3), dtype=np.float32)
+        self._noise = np.float32(scene.noise) * noise
         self._upright = camera.readout_direction in ("down", "up")
 
     def image(self, stamp: float) -> Image:
         """Return the frame (height, width, 3) with a time stamp, s."""
+        import cv2
+
         capsules, times = self._capsules(stamp)
         width, height = self.camera.image_size
         cover = np.zeros((height, width, 4) if self._upright else (width, height, 4), np.float32)
@@ -113,27 +295,25 @@ class Renderer:
             levels[part] *= 1.0 - seen[part, :, 3:]
             levels[part] += seen[part, :, :3]
         levels *= self.scene.light(stamp).astype(np.float32)
-        if self._noise is not None:
-            du, dv = self._rng.integers(0, 64, 2)
-            levels += self._noise[dv : dv + height, du : du + width]
-        return finished(levels)
+        du, dv = self._rng.integers(0, 64, 2)
+        levels += self._noise[dv : dv + height, du : du + width]
+        return np.asarray(cv2.convertScaleAbs(np.maximum(levels, 0.0)), dtype=np.uint8)
 
     def truth(self, stamps: npt.ArrayLike) -> Truth:
         """Return the truth of frames with these time stamps (T,), s."""
         scene, camera = self.scene, self.camera
         instants = checks.array("stamps", stamps, (-1,), unit="s")
-        count = scene.arc_lengths.size
-        times = np.zeros((instants.size, count))
-        places, pixels = np.zeros((instants.size, count, 3)), np.zeros((instants.size, count, 2))
-        streaks, visible = np.zeros_like(pixels), np.zeros((instants.size, count), bool)
-        for k, stamp in enumerate(instants.tolist()):
-            times[k], places[k], pixels[k] = self._exposed(stamp, 0.0)
-            begin, end = (self._exposed(stamp, side * camera.exposure)[2] for side in (-0.5, 0.5))
-            streaks[k] = end - begin
-            inside = (pixels[k] >= 0.0).all(axis=1) & (pixels[k] <= np.array(camera.image_size) - 1.0).all(axis=1)
-            covered = np.zeros(count, bool) if scene.hidden is None else scene.hidden(stamp)
-            visible[k] = inside & ~covered & ~self._behind(places[k], stamp) & (not scene.is_black(stamp))
-        return Truth(instants, times, places, pixels, streaks, visible, scene.arc_lengths)
+
+        def exposed(shift: float) -> list[Array]:
+            each = [self._exposed(stamp, shift) for stamp in instants.tolist()]
+            return [np.array(column) for column in zip(*each, strict=True)]
+
+        times, places, pixels = exposed(0.0)
+        begin, end = (exposed(side * camera.exposure)[2] for side in (-0.5, 0.5))
+        visible = ((pixels >= 0.0) & (pixels <= np.array(camera.image_size) - 1.0)).all(axis=2)
+        for stamp, place, seen in zip(instants.tolist(), places, visible, strict=True):
+            seen &= ~scene.covered(stamp) & ~self._behind(place, stamp) & (not scene.is_black(stamp))
+        return Truth(instants, times, places, pixels, end - begin, visible, scene.arc_lengths)
 
     def write(self, path: PathLike, stamps: npt.ArrayLike, quality: int = 18) -> Truth:
         """Write an MP4 of frames with these time stamps (T,), s, not negative; return the truth.
@@ -180,9 +360,10 @@ class Renderer:
         layers: list[_Layer] = [(np.array([[bar.start, bar.end]]), 0.5 * bar.width, bar.colour) for bar in scene.bars]
         if scene.rope_width > 0.0:
             layers.insert(0, (np.stack([joints[:-1], joints[1:]], axis=1), 0.5 * scene.rope_width, scene.rope_colour))
-        hidden = np.zeros(scene.arc_lengths.size, bool) if scene.hidden is None else scene.hidden(stamp)
         radius = 0.5 * scene.marker_diameter
-        for arc, colour, covered in zip(scene.arc_lengths, np.asarray(scene.marker_colours), hidden, strict=True):
+        for arc, colour, covered in zip(
+            scene.arc_lengths, np.asarray(scene.marker_colours), scene.covered(stamp), strict=True
+        ):
             marker = np.full((1, 2), arc)
             layers += [(marker, radius, colour), (marker, self.COVER_SIZE * radius, self.COVER)][: 2 if covered else 1]
         return layers
