@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import ChangeTests, EstimatedParameter, MovingHorizon, Observations, RopeFilter, smooth
-from hyperflex.estimate.interval import Interval, Measurement, Smoothed, Step, smooth_linear
+from hyperflex.estimate.interval import Interval, Measured, Smoothed, Step, smooth_linear
 from hyperflex.estimate.observations import InputFrame
 from tests.estimate.runs import pushed_rates
 
@@ -18,20 +18,20 @@ PENDULUM = hf.Rope.uniform(length=0.5, mass=0.1, n_links=2, radius=0.004, fricti
 ARCS = [0.25, 0.5]
 
 
-def linear_problem(seed: int, noise_rows: int, frames: int = 7) -> tuple[Array, Array, list[Step], list[Measurement]]:
+def linear_problem(seed: int, noise_rows: int, frames: int = 7) -> tuple[Array, Array, list[Step], list[Measured]]:
     """A linear model drawn by chance; with fewer rows than states its noise is singular."""
     rng = np.random.default_rng(seed)
     steps = [
-        Step(np.linalg.qr(rng.normal(size=(SIZE, SIZE)))[0], rng.normal(size=SIZE), rng.normal(size=(noise_rows, SIZE)))
+        (np.linalg.qr(rng.normal(size=(SIZE, SIZE)))[0], rng.normal(size=SIZE), rng.normal(size=(noise_rows, SIZE)))
         for _ in range(frames - 1)
     ]
     seen = [3, 0, 2, 2, 0, 1, 4]
-    measurements = [Measurement(rng.normal(size=m), rng.normal(size=(m, SIZE))) for m in seen]
+    measurements = [(rng.normal(size=m), rng.normal(size=(m, SIZE))) for m in seen]
     return rng.normal(size=SIZE), rng.normal(size=(SIZE, SIZE)), steps, measurements
 
 
 def rauch_tung_striebel(
-    mean: Array, rows: Array, steps: list[Step], measurements: list[Measurement]
+    mean: Array, rows: Array, steps: list[Step], measurements: list[Measured]
 ) -> tuple[list[Array], list[Array], float]:
     """The smoother as textbooks print it, with covariances and their inverses."""
     known, predicted, likelihood = [], [(mean, rows.T @ rows)], 0.0
@@ -48,7 +48,7 @@ def rauch_tung_striebel(
             predicted.append((f @ known[-1][0] + c, f @ known[-1][1] @ f.T + n.T @ n))
     means, covariances = [known[-1][0]], [known[-1][1]]
     for k in reversed(range(len(steps))):
-        gain = known[k][1] @ steps[k].transition.T @ np.linalg.inv(predicted[k + 1][1])
+        gain = known[k][1] @ steps[k][0].T @ np.linalg.inv(predicted[k + 1][1])
         means.append(known[k][0] + gain @ (means[-1] - predicted[k + 1][0]))
         covariances.append(known[k][1] + gain @ (covariances[-1] - predicted[k + 1][1]) @ gain.T)
     return means[::-1], covariances[::-1], likelihood

@@ -1,11 +1,9 @@
 """Gauss-Newton over the frames of an interval; each step is a linear fixed-interval smoother."""
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
@@ -16,37 +14,8 @@ from hyperflex.estimate.square_root import CLOSE
 from hyperflex.interfaces import RopeState
 from hyperflex.status import Status
 
-
-class Step(NamedTuple):
-    """From one frame to the next: ``x+ = F x + c + N^T w`` with w of mean 0 and covariance 1.
-
-    Attributes
-    ----------
-    transition : (N, N) float64
-        F.
-    offset : (N,) float64
-        c.
-    noise : (r, N) float64
-        N.
-    """
-
-    transition: Array
-    offset: Array
-    noise: Array
-
-
-class Measurement(NamedTuple):
-    """What is seen in a frame: ``z = H x + e`` with e of mean 0 and covariance 1; m may be 0.
-
-    Attributes
-    ----------
-    z : (m,) float64
-    jacobian : (m, N) float64
-        H.
-    """
-
-    z: Array
-    jacobian: Array
+Step = tuple[Array, Array, Array]  # F (N, N), c (N,) and N (r, N) of x+ = F x + c + N^T w, w of mean 0, covariance 1
+Measured = tuple[Array, Array]  # z (m,) and H (m, N) of z = H x + e, e of mean 0 and covariance 1; m may be 0
 
 
 class Smoothed(NamedTuple):
@@ -76,9 +45,7 @@ class Smoothed(NamedTuple):
     log_likelihood: float
 
 
-def smooth_linear(
-    mean: Array, rows: Array, steps: Sequence[Step], measurements: Sequence[Measurement]
-) -> list[Smoothed]:
+def smooth_linear(mean: Array, rows: Array, steps: Sequence[Step], measurements: Sequence[Measured]) -> list[Smoothed]:
     """Return the posterior of the state of each of T frames.
 
     Parameters
@@ -87,7 +54,7 @@ def smooth_linear(
         Prior of the first state: its mean, and rows whose squares are its covariance, which may be singular.
     steps : sequence of T - 1 Step
         Their noise may be singular, too.
-    measurements : sequence of T Measurement
+    measurements : sequence of T Measured
 
     Notes
     -----
@@ -102,13 +69,13 @@ def smooth_linear(
         at, spread, likelihood = _updated(mean, rows, seen)
         passes.append((mean, rows, at, spread, likelihood))
         if k < len(steps):
-            step = steps[k]
-            mean = step.transition @ (mean + rows.T @ at) + step.offset
-            turn, upper = np.linalg.qr(np.concatenate([spread @ rows @ step.transition.T, step.noise]), mode="complete")
+            transition, offset, noise = steps[k]
+            mean = transition @ (mean + rows.T @ at) + offset
+            turn, upper = np.linalg.qr(np.concatenate([spread @ rows @ transition.T, noise]), mode="complete")
             rows = upper[: min(upper.shape)]
             turns.append(turn)
-    v, wide, noise = at, spread, np.zeros(0)
-    found = [Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, noise, likelihood)]
+    v, wide = at, spread
+    found = [Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, np.zeros(0), likelihood)]
     for (mean, rows, at, spread, likelihood), turn in zip(passes[-2::-1], turns[::-1], strict=True):
         left, known = len(spread), v.size
         noise = turn[left:, :known] @ v
@@ -118,17 +85,16 @@ def smooth_linear(
     return found[::-1]
 
 
-def _updated(mean: Array, rows: Array, seen: Measurement) -> tuple[Array, Array, float]:
+def _updated(mean: Array, rows: Array, seen: Measured) -> tuple[Array, Array, float]:
     """Return mean and rows of v after a measurement, and the measurement's log-likelihood."""
-    r, m = len(rows), len(seen.z)
+    (z, jacobian), r, m = seen, len(rows), len(seen[0])
     if not m:
         return np.zeros(r), np.eye(r), 0.0
     both = np.eye(m + r)
-    both[m:, :m] = rows @ seen.jacobian.T
+    both[m:, :m] = rows @ jacobian.T
     upper = sr.triangular(both)
-    whitened = solve_triangular(upper[:m, :m], seen.z - seen.jacobian @ mean, trans="T", check_finite=False)
-    size = math.log(2.0 * math.pi) * m + 2.0 * np.log(np.abs(np.diag(upper)[:m])).sum()
-    return upper[:m, m:].T @ whitened, upper[m:, m:], float(-0.5 * (whitened @ whitened + size))
+    innovation = sr.compared(upper[:m, :m], z - jacobian @ mean)
+    return upper[:m, m:].T @ innovation.whitened, upper[m:, m:], innovation.log_likelihood
 
 
 SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step that is tried
@@ -146,19 +112,19 @@ class Node(NamedTuple):
         Of the step from the frame before, of variance 1; empty in the first frame.
     predicted : Prediction
         From the frame before; of the first frame only its accelerations count.
-    measurement : Measurement
+    measurement : (m,), (m, N) float64
         Residuals of the observations, whitened, and their derivatives.
     """
 
     x: Array
     noise: Array
     predicted: Prediction
-    measurement: Measurement
+    measurement: Measured
 
 
 def cost_of(start: Array, nodes: Sequence[Node]) -> float:
     """Return twice the negative logarithm of the posterior's density of a path, but for a constant."""
-    terms = [start, *(node.noise for node in nodes), *(node.measurement.z for node in nodes)]
+    terms = [start, *(node.noise for node in nodes), *(node.measurement[0] for node in nodes)]
     return float(sum(each @ each for each in terms))
 
 
@@ -247,7 +213,7 @@ class Interval:
     @property
     def misfit(self) -> float:
         """The posterior's squares over those of a right model: about 1, with some room."""
-        return self.cost / (ROOM + sum(node.measurement.z.size for node in self.nodes))
+        return self.cost / (ROOM + sum(node.measurement[0].size for node in self.nodes))
 
     def append(self, frame: InputFrame) -> bool:
         """Add a frame; its state is at first the predicted one. Return False if it cannot be predicted."""
@@ -275,7 +241,7 @@ class Interval:
         """
         start = np.asarray(np.linalg.lstsq(self.rows.T, states[0][0] - self.mean, rcond=RIDGE)[0])
         self.frames = [*self.frames[:1], *frames]
-        if not self._move(start, None, states):
+        if not self.move(start, None, states):
             raise SimulationError("No rope moves along these states.", status=Status.NOT_FINITE, time=frames[0].seen.t)
 
     def forget(self) -> None:
@@ -300,14 +266,10 @@ class Interval:
             if not moved or before - self.cost < CLOSE**2:
                 return
 
-    def begin_at(self, start: Array) -> bool:
-        """Go to the path without noise from a start (r,) over the prior's factor; return whether there is one."""
-        return self._move(start, None, None)
-
     def _smoothe(self) -> None:
         """Find the next Gauss-Newton step, and the covariances about the path."""
         steps = [
-            Step(node.predicted.transition, -frame.noise.T @ node.noise, frame.noise)
+            (node.predicted.transition, -frame.noise.T @ node.noise, frame.noise)
             for node, frame in zip(self.nodes[1:], self.frames[1:], strict=True)
         ]
         measurements = [node.measurement for node in self.nodes]
@@ -326,18 +288,19 @@ class Interval:
         states = [(node.x + part * step.mean, step.rows) for node, step in both]
         pairs = zip(self.nodes[1:], self.smoothed, strict=False)
         noises = [node.noise + part * (step.noise - node.noise) for node, step in pairs]
-        return self._move(self.start + part * (self.smoothed[0].v - self.start), noises, states, self.cost)
+        return self.move(self.start + part * (self.smoothed[0].v - self.start), noises, states, self.cost)
 
-    def _move(
+    def move(
         self,
         start: Array,
-        noises: Sequence[Array] | None,
-        states: Sequence[tuple[Array, Array]] | None,
+        noises: Sequence[Array] | None = None,
+        states: Sequence[tuple[Array, Array]] | None = None,
         limit: float = np.inf,
     ) -> bool:
-        """Go to the path from a start that noises near the given ones steer along states.
+        """Go to the path from a start (r,) over the prior's factor; return False, and stay, if there is none.
 
-        Return False, and stay, if there is none, or its cost is not below the limit.
+        Noises, those given or 0, are changed so that they steer the path along `states` (means and rows), if given.
+        The path's cost must be below the limit.
         """
         first = self.nodes[0].predicted._replace(x=self.mean + self.rows.T @ start)
         nodes = [self._node(self.frames[0], first, np.zeros(0))]
@@ -360,7 +323,12 @@ class Interval:
         self, x: Array, last: InputFrame, frame: InputFrame, w: Array, target: tuple[Array, Array] | None = None
     ) -> Node:
         """Return the node that follows from the last frame's state x with noise w, steered towards a target."""
-        found = self._predicted(x, last.seen.t, frame.seen.t)
+        first = 2 * self.process.rope.n_links
+        possible = np.concatenate([x[:first], self.process.parameters.possible(x[first:])])
+        found = self.process.predict(possible, last.seen.t, frame.seen.t)
+        if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
+            raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=frame.seen.t)
+        found = found._replace(x=np.concatenate([found.x[:first], x[first:]]))
         if target is not None:
             w = w + _gain(frame.noise, target[1]) @ (target[0] - found.x - frame.noise.T @ w)
         return self._node(frame, found, w)
@@ -371,16 +339,7 @@ class Interval:
         residuals = np.zeros(0), np.zeros((0, x.size))
         if frame.used.any():
             residuals = frame.residuals(*self.model.predict(x, self.process.base(seen.t, x), seen.rows, found.qdd))
-        return Node(x, w, found, Measurement(*residuals))
-
-    def _predicted(self, x: Array, t: float, until: float) -> Prediction:
-        """Return the state that follows from x between the times of two frames, s."""
-        first = 2 * self.process.rope.n_links
-        possible = np.concatenate([x[:first], self.process.parameters.possible(x[first:])])
-        found = self.process.predict(possible, t, until)
-        if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
-            raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=until)
-        return found._replace(x=np.concatenate([found.x[:first], x[first:]]))
+        return Node(x, w, found, residuals)
 
 
 def _gain(noise: Array, rows: Array) -> Array:

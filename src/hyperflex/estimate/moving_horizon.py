@@ -17,7 +17,6 @@ from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.changes import MISFIT, TOUCH, Change, Found
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.interval import Interval
-from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import InputFrame, Observations
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible
@@ -63,7 +62,7 @@ class MovingHorizon(RopeFilter):
 
     Noise levels are adapted once an explanation has been valid for a whole horizon, or if none ever is. If all
     explanations fit badly (a wrong start is off by hundreds of standard deviations after two or three frames), the
-    estimator starts anew at the frame, with the parameters and levels before.
+    estimator starts anew at the frame, with the parameters before.
 
     While there are several explanations, the covariance is that of their mixture about the most likely one.
     """
@@ -85,7 +84,8 @@ class MovingHorizon(RopeFilter):
         self._explanations: list[Interval] = []
         self.begun: tuple[Array, Array] | None = None
         self.changed = False
-        self._trusted, self._given_up = self._learnt(), 0  # starts since an explanation was valid
+        # values of the parameters when an explanation was valid, and starts since
+        self._trusted, self._given_up = self.x[2 * self.n_links :].copy(), 0
 
     @property
     def horizon(self) -> Interval | None:
@@ -145,7 +145,7 @@ class MovingHorizon(RopeFilter):
             if used.any() and (not self._explanations or self._explanations[0].misfit > self.LOST):
                 self._begin_anew(seen)
             elif self._settled():
-                self._trusted, self._given_up = self._learnt(), 0
+                self._trusted, self._given_up = self.x[2 * self.n_links :].copy(), 0
         if self._explanations:
             self._take()
 
@@ -162,18 +162,11 @@ class MovingHorizon(RopeFilter):
         """Return whether one explanation has been valid for a whole horizon."""
         return len(self._explanations) == 1 and len(self._explanations[0].frames) == self.frames
 
-    def _learnt(self) -> tuple[Array, NoiseLevel, NoiseLevel]:
-        """Return copies of the parameters' values and the noise levels."""
-        return self.x[2 * self.n_links :].copy(), copy(self.process_noise), copy(self.measurement_noise)
-
     def _begin_anew(self, seen: Observations) -> None:
-        """Start anew at this frame, with parameters and noise levels from when an explanation was valid."""
+        """Start anew at this frame, with the parameters from when an explanation was valid."""
         self.restart()
         self._given_up += 1
-        values, *levels = self._trusted
-        if self._given_up <= self.PATIENT:
-            self.process_noise, self.measurement_noise = map(copy, levels)
-        self.x[2 * self.n_links :] = values
+        self.x[2 * self.n_links :] = self._trusted
         self._begin(seen)
 
     def _started(self, frame: InputFrame) -> list[Interval]:
@@ -191,7 +184,7 @@ class MovingHorizon(RopeFilter):
             return found
         for point in ndtri(qmc.Halton(ways.shape[1], rng=0).random(self.starts - 1)):
             twin = copy(fresh)
-            if twin.begin_at(ways @ point):
+            if twin.move(ways @ point):
                 twin.solve(self.START_ROUNDS)
             if twin.misfit < self.LOST and not any(_alike(twin, each) for each in found):
                 found, repeated = [*found, twin], 0
@@ -287,89 +280,72 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
     -----
     Maximum a posteriori, with covariances of Laplace's approximation; cost O(T) per round (see :func:`smooth_linear`).
     """
-    found = _Collected()
+    frames: list[InputFrame] = []
     for seen in observations:
         begun = estimator.begun
         estimator.update(seen)
-        if estimator.horizon is None:
+        horizon = estimator.horizon
+        if horizon is None:
             continue
         if estimator.begun is not begun:
-            found = _Collected()
-        found.add(estimator, estimator.horizon)
-    if estimator.begun is None:
-        raise InvalidInput("no marker was seen", allowed="observations of at least one")
-    frames, prior = found.with_noise(estimator), estimator.begun
-    whole = Interval(estimator.process, estimator.model, *prior, frames[0], np.zeros(estimator.n_links))
-    if len(frames) > 1:
-        whole.follow(frames[1:], found.states)
-    whole.solve(WHOLE_ROUNDS)
-    return _track(whole, estimator)
-
-
-class _Collected:
-    """Estimates of all frames, and where a noticed change may have happened."""
-
-    def __init__(self) -> None:
-        self.states: list[tuple[Array, Array]] = []
-        self._frames: list[InputFrame] = []
-        self._jumps: list[list[Array]] = []  # rows by which each frame's noise is wider
-        self._touch: Change | None = None
-
-    def add(self, estimator: MovingHorizon, horizon: Interval) -> None:
-        """Take the last frame, with the states of the horizon's frames."""
-        self._frames.append(replace(horizon.frames[-1], used=estimator.used))
-        self._jumps.append([])
-        self.states.append((horizon.x, horizon.factor))
-        known = min(len(horizon.frames), len(self.states))
-        self.states[-known:] = zip(
-            horizon.states[-known:], (each.rows for each in horizon.smoothed[-known:]), strict=True
-        )
+            frames, jumps, states, touch = [], list[list[Array]](), list[tuple[Array, Array]](), None
+        frames.append(replace(horizon.frames[-1], used=estimator.used))
+        jumps.append([])  # rows by which the frame's noise is wider
+        known = zip(horizon.states, (each.rows for each in horizon.smoothed), strict=True)
+        states.append((horizon.x, horizon.factor))
+        recent = list(known)[-len(states) :]
+        states[-len(recent) :] = recent
         noticed = [change for change in estimator.changes if change.name != MISFIT]
         for change in noticed:
-            self._touch = change if change.name == TOUCH else self._touch
-            self._widen(estimator, change, change.time - EARLIER)
-        if estimator.changed and not noticed and self._touch is not None and len(self._frames) > 1:
-            self._widen(estimator, self._touch, self._frames[-2].seen.t)
-
-    def _widen(self, estimator: MovingHorizon, change: Change, since: float) -> None:
-        """Allow for a change from a time on until now: in which of the frames it happened is left to the fit."""
-        n, size = estimator.n_links, abs(change.size) + change.std
-        if change.arc_length is not None:
-            arms = lever_arms(estimator.process.rope, np.array([change.arc_length]))[1]
-        for k in range(1, len(self._frames)):
-            if self._frames[k].seen.t <= since:
-                continue
-            x, factor = self.states[k]
-            if change.arc_length is None:
-                rows, column = np.zeros((1, x.size)), 2 * n + estimator.parameters.names.index(change.name)
-                rows[0, column] = size
-                if k < len(self._frames) - 1 and self._frames[k].seen.t > change.time:
-                    x = x.copy()
-                    x[column] += change.size
-                    self.states[k] = x, factor
-            else:
-                gap = self._frames[k].seen.t - self._frames[k - 1].seen.t
-                turned = size * np.abs(estimator.process.kicks(x[:n], arms)).max()
-                rows = estimator.process.noise(gap, turned / np.sqrt(gap))
-            self._jumps[k].append(rows)
-
-    def with_noise(self, estimator: MovingHorizon) -> list[InputFrame]:
-        """Return the frames with the levels of noise that were learnt in the end."""
-        level, density = estimator.measurement_noise.value, estimator.process_noise.value
-        frames = [replace(each, level=level) for each in self._frames]
-        for k in range(1, len(frames)):
-            noise = estimator.process.noise(frames[k].seen.t - frames[k - 1].seen.t, density)
-            frames[k] = replace(frames[k], noise=np.concatenate([noise, *self._jumps[k]]))
-        return frames
-
-
-def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
-    """Return what a fit of all frames says."""
-    model, process = estimator.model, estimator.process
-    rows = np.zeros(len(model.arc_lengths))
+            touch = change if change.name == TOUCH else touch
+            _allow(estimator, change, change.time - EARLIER, frames, states, jumps)
+        if estimator.changed and not noticed and touch is not None and len(frames) > 1:
+            _allow(estimator, touch, frames[-2].seen.t, frames, states, jumps)
+    if estimator.begun is None:
+        raise InvalidInput("no marker was seen", allowed="observations of at least one")
+    level, density, process = estimator.measurement_noise.value, estimator.process_noise.value, estimator.process
+    frames = [replace(each, level=level) for each in frames]
+    for k in range(1, len(frames)):
+        noise = process.noise(frames[k].seen.t - frames[k - 1].seen.t, density)
+        frames[k] = replace(frames[k], noise=np.concatenate([noise, *jumps[k]]))
+    whole = Interval(process, estimator.model, *estimator.begun, frames[0], np.zeros(estimator.n_links))
+    if len(frames) > 1:
+        whole.follow(frames[1:], states)
+    whole.solve(WHOLE_ROUNDS)
+    rows = np.zeros(len(estimator.model.arc_lengths))
     places = [
-        model.predict(x, process.base(frame.seen.t, x), rows)[0]
+        estimator.model.predict(x, process.base(frame.seen.t, x), rows)[0]
         for x, frame in zip(whole.states, whole.frames, strict=True)
     ]
     values = estimator.parameters.estimates(whole.x, whole.factor)
     return SmoothedTrack(whole.rope_states, np.array(places), values, whole.log_likelihood)
+
+
+def _allow(
+    estimator: MovingHorizon,
+    change: Change,
+    since: float,
+    frames: list[InputFrame],
+    states: list[tuple[Array, Array]],
+    jumps: list[list[Array]],
+) -> None:
+    """Allow for a change from a time on until now: in which of the frames it happened is left to the fit."""
+    n, size = estimator.n_links, abs(change.size) + change.std
+    if change.arc_length is not None:
+        arms = lever_arms(estimator.process.rope, np.array([change.arc_length]))[1]
+    for k in range(1, len(frames)):
+        if frames[k].seen.t <= since:
+            continue
+        x, factor = states[k]
+        if change.arc_length is None:
+            rows, column = np.zeros((1, x.size)), 2 * n + estimator.parameters.names.index(change.name)
+            rows[0, column] = size
+            if k < len(frames) - 1 and frames[k].seen.t > change.time:
+                x = x.copy()
+                x[column] += change.size
+                states[k] = x, factor
+        else:
+            gap = frames[k].seen.t - frames[k - 1].seen.t
+            turned = size * np.abs(estimator.process.kicks(x[:n], arms)).max()
+            rows = estimator.process.noise(gap, turned / np.sqrt(gap))
+        jumps[k].append(rows)
