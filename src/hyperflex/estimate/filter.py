@@ -215,11 +215,11 @@ class RopeFilter:
     def tip(self, state: RopeState) -> tuple[Array, Array]:
         """Return the place (2,) of the tip in a state, m, and its covariance (2, 2)."""
         places, slopes = self.joints(state)
-        return places[-1], spread(slopes[-1:], state)[0]
+        return places[-1], spread(slopes[-1:], state.covariance)[0]
 
-    def markers(self, rows: Array | None = None) -> tuple[Array, Array]:
+    def markers(self) -> tuple[Array, Array]:
         """Return where the markers are expected (K, 2), and the covariances (K, 2, 2), without a detector's noise."""
-        places, joint, _ = self.expected(rows)
+        places, joint, _ = self.expected()
         return places, each_covariance(joint)
 
     def expected(self, rows: Array | None = None) -> tuple[Array, Array, Array]:
@@ -233,8 +233,8 @@ class RopeFilter:
         n, camera = self.n_links, self.model.camera
         moved = base[1] if camera is None else camera.linearize(base[:1])[1][0] @ base[1]
         velocity = slope[:, :, :n] @ self.x[n : 2 * n] + moved
-        spread = self.factor @ slope.reshape(places.size, -1).T
-        return places, spread.T @ spread, np.hypot(velocity[:, 0], velocity[:, 1])
+        moves = self.factor @ slope.reshape(places.size, -1).T
+        return places, moves.T @ moves, np.hypot(velocity[:, 0], velocity[:, 1])
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
         """Return how far markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
@@ -245,18 +245,13 @@ class RopeFilter:
             return np.zeros((len(rows), 2)), np.zeros((len(rows), 2, 2))
         base = self.base
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
-        return late[0] - now[0], self._spread(late[1] - now[1])
+        return late[0] - now[0], spread(late[1] - now[1], self.factor.T @ self.factor)
 
     @property
     def _now(self) -> float:
         if self.t is None:
             raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         return self.t
-
-    def _spread(self, slope: Array) -> Array:
-        """Return the covariances (K, 2, 2) of values with derivatives (K, 2, N) by the state."""
-        spread = (slope.reshape(-1, self.x.size) @ self.factor.T).reshape(len(slope), 2, -1)
-        return np.asarray(np.matmul(spread, spread.transpose(0, 2, 1)))
 
     @property
     def base(self) -> Array:
@@ -315,36 +310,34 @@ class RopeFilter:
         def predicted(x: Array) -> tuple[Array, Array]:
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
-        places, slope = expected = predicted(self.x)
+        places, slope = predicted(self.x)
         used, level = seen.seen & self.model.possible(seen.places, self.base), self.measurement_noise.value
         if not first:
-            wide = self._spread(slope) + level**2 * seen.covariances
+            wide = spread(slope, self.factor.T @ self.factor) + level**2 * seen.covariances
             used &= self._gate.accepted(seen.places - places, wide)
         self.used = used
         if not used.any():
             return
-        self.age = 0.0
-        frame, adopted = InputFrame(seen, used, level), list[Found]()
-
-        def compared(x: Array) -> tuple[Array, Array]:
-            return frame.residuals(*(expected if x is self.x else predicted(x)))
-
-        def learn(residual: Array, jacobian: Array, gain: Array, upper: Array) -> None:
-            """Use the innovation for noise levels and tests, before the state is corrected."""
-            self.innovation = sr.compared(upper, residual)
-            self.log_likelihood += self.innovation.log_likelihood + frame.log_determinant
-            innovation = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
-            if not first:
-                self._learn(*innovation)
-            if self._detector is not None:
-                found = self._detector.update(seen.t, *innovation)
-                self.changes = self._detector.misfit(seen.t, self.measurement_noise)
-                adopted.extend([] if found is None else [found])
-
-        rounds, own = self.START_UPDATE_ROUNDS if first else self.UPDATE_ROUNDS, 2 * self.n_links
-        self.x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, learn)
+        self.age, found = 0.0, None
+        frame = InputFrame(seen, used, level)
+        residual, jacobian = frame.residuals(places, slope)
+        gain = sr.whitened_gain(self.factor, jacobian)
+        # noise levels and tests use the innovation before the state is corrected
+        self.innovation = sr.compared(gain[2], residual)
+        self.log_likelihood += self.innovation.log_likelihood + frame.log_determinant
+        innovation = jacobian, self.factor.T @ gain[0], gain[2], self.innovation.whitened
+        if not first:
+            self._learn(*innovation)
+        if self._detector is not None:
+            found = self._detector.update(seen.t, *innovation)
+            self.changes = self._detector.misfit(seen.t, self.measurement_noise)
+        rounds = self.START_UPDATE_ROUNDS if first else self.UPDATE_ROUNDS
+        self.x, self.factor = sr.iterated_update(
+            self.x, self.factor, lambda x: frame.residuals(*predicted(x)), rounds, (residual, jacobian, gain)
+        )
+        own = 2 * self.n_links
         self.x[own:] = self.parameters.possible(self.x[own:])
-        for found in adopted:
+        if found is not None:
             self._adopt(found)
 
     def _adopt(self, found: Found) -> None:
@@ -374,10 +367,13 @@ class RopeFilter:
             self.measurement_noise.see(whitened, (half @ half.T)[None])
 
 
-def spread(slopes: Array, state: RopeState) -> Array:
-    """Return covariances (K, 2, 2) of places with derivatives (K, 2, n) by a state's angles; 0 if it has none."""
-    n = state.q.size
-    wide = np.zeros((n, n)) if state.covariance is None else state.covariance[:n, :n]
+def spread(slopes: Array, covariance: Array | None) -> Array:
+    """Return covariances (K, 2, 2) of places with derivatives (K, 2, n) by the first n values of a state.
+
+    `covariance` (N, N) is the state's; None: 0.
+    """
+    n = slopes.shape[2]
+    wide = np.zeros((n, n)) if covariance is None else covariance[:n, :n]
     return np.asarray(slopes @ wide @ slopes.transpose(0, 2, 1))
 
 

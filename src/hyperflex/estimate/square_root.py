@@ -100,14 +100,9 @@ def whitened_gain(factor: Array, jacobian: Array) -> tuple[Array, Array, Array]:
     upper : (m, m) float64
         The upper triangular factor of H P H^T + 1.
     """
-    across, upper = innovation_factor(factor, jacobian)
-    return solved(upper, solved(upper, across.T, transposed=True)).T, across, upper
-
-
-def innovation_factor(factor: Array, jacobian: Array) -> tuple[Array, Array]:
-    """Return ``S H^T`` and the factor of H P H^T + 1 alone, as :func:`whitened_gain` does."""
     across = factor @ jacobian.T
-    return across, triangular(np.concatenate([across, np.eye(len(jacobian))]))
+    upper = triangular(np.concatenate([across, np.eye(len(jacobian))]))
+    return solved(upper, solved(upper, across.T, transposed=True)).T, across, upper
 
 
 def compared(upper: Array, innovation: Array) -> Innovation:
@@ -117,12 +112,15 @@ def compared(upper: Array, innovation: Array) -> Innovation:
     return Innovation(whitened, float(-0.5 * (whitened @ whitened + size)))
 
 
+Gain = tuple[Array, Array, Array]  # as of :func:`whitened_gain`
+
+
 def iterated_update(
     before: Array,
     factor: Array,
     compared: Callable[[Array], tuple[Array, Array]],
     rounds: int,
-    learn: Callable[[Array, Array, Array, Array], None],
+    first: tuple[Array, Array, Gain],
 ) -> tuple[Array, Array]:
     """Return the mode of the posterior, by Gauss-Newton with a line search, and rows of the covariance about it.
 
@@ -136,22 +134,18 @@ def iterated_update(
         Of a state, returns whitened differences (m,) and the whitened derivatives (m, N).
     rounds : int
         At most.
-    learn : callable
-        Called once, with the differences, derivatives, gain and factor of the innovation.
+    first : (m,), (m, N) float64, Gain
+        What `compared` returns of the state before, and the gain for these derivatives.
 
     Notes
     -----
     A step that does not reduce the cost is halved; if no part of it does, the state is not changed.
     Bell, Cathey 1993, IEEE Transactions on Automatic Control 38, 294-297: the iterated extended Kalman filter.
     """
-    u, x = np.zeros(len(factor)), before  # the state is before + factor' u
-    left, jacobian = compared(before)
+    u, x, (left, jacobian, gain) = np.zeros(len(factor)), before, first  # the state is before + factor' u
     cost = float(left @ left)
-    for turn in range(rounds):
-        gain, _, upper = whitened_gain(factor, jacobian)
-        if turn == 0:
-            learn(left, jacobian, gain, upper)
-        step, part = gain @ (left + jacobian @ (x - before)) - u, 1.0
+    for _ in range(rounds):
+        step, part = gain[0] @ (left + jacobian @ (x - before)) - u, 1.0
         while part >= SHORTEST:
             tried = before + factor.T @ (u + part * step)
             there = compared(tried)
@@ -162,6 +156,7 @@ def iterated_update(
         else:  # rounding, or what is seen is not smooth: nothing better is near
             break
         x, u, cost, (left, jacobian) = tried, u + part * step, now, there
+        gain = whitened_gain(factor, jacobian)
         if part * np.abs(step).max() < CLOSE:
             break
-    return x, updated(factor, *innovation_factor(factor, jacobian))
+    return x, updated(factor, *gain[1:])

@@ -164,8 +164,8 @@ class RopeTracker:
             pixels[~estimator.used] = np.nan  # outside of its gate
         moved, state = pixels, None
         if estimator.t is not None:
-            shift, spread = estimator.readout_shift(rows)
-            moved, covariances, state = pixels - shift, covariances + spread, estimator.state
+            shift, wide = estimator.readout_shift(rows)
+            moved, covariances, state = pixels - shift, covariances + wide, estimator.state
         places = self.adjusted_camera.locate(moved)
         return TrackedFrame(t - self.delay, pixels, covariances, places, predicted, gates, state, estimator.changes)
 
@@ -207,7 +207,7 @@ class RopeTracker:
         """Return the rope's joints in a state in the picture (n + 1, 2), px, and their covariances (n + 1, 2, 2)."""
         places, slopes = self.estimator.joints(state)
         pixels, by_place = self.adjusted_camera.linearize(places)
-        return pixels, spread(by_place @ slopes, state)
+        return pixels, spread(by_place @ slopes, state.covariance)
 
     def _rows(self, pixels: Array) -> Array:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 if not seen."""
