@@ -1,10 +1,11 @@
 """Parameters estimated beside the rope's state: each with a prior, and its effect on the motion or the picture."""
 
+import functools
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -171,17 +172,16 @@ class ParameterStates:
 
     def rope_at(self, values: Array) -> Rope:
         """Return the rope that the values (P,) describe."""
-        changes: dict[str, Any] = {}
-        for name, value in ((self.names[k], float(values[k])) for k in self._of_rope):
-            factor = 1.0 + value
-            if name == "tip_mass":
-                changes["tip_mass"] = self.rope.tip_mass + value
-            elif name == "length":
-                changes |= {"length": self.rope.length * factor, "com": self.rope.com * factor}
-                changes["inertia"] = self.rope.inertia * factor**2
-            else:
-                changes[name] = getattr(self.rope, name) * factor
-        return self.rope.replace(**changes) if changes else self.rope
+        rope, at = self.rope, functools.partial(self.value, values=values)
+        longer = 1.0 + at("length")
+        return rope.replace(
+            length=rope.length * longer,
+            com=rope.com * longer,
+            inertia=rope.inertia * longer**2,
+            friction=rope.friction * (1.0 + at("friction")),
+            drag=rope.drag * (1.0 + at("drag")),
+            tip_mass=rope.tip_mass + at("tip_mass"),
+        )
 
     def same_rope(self, values: Array, others: Array) -> bool:
         """Return whether two sets of values (P,) describe the same rope."""
@@ -203,4 +203,4 @@ class ParameterStates:
 
     def possible(self, values: Array) -> Array:
         """Return the values (P,), limited to what a rope can have."""
-        return np.asarray(np.minimum(np.maximum(values, self._least), self._most))
+        return np.asarray(np.clip(values, self._least, self._most))

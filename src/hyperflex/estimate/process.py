@@ -128,7 +128,6 @@ class Process:
         self._rope, self._at = rope, np.zeros(len(parameters))
         self.set_motion(motion)
         self._walk = parameters.walk
-        self._base = np.zeros((3, 2))  # of the last call of `base`
         kinds, spare = disturbances.of(rope), len(parameters)
         self.noise_ends = np.cumsum([2 * len(shapes) for shapes in kinds])
         self._kind = np.repeat([0, 1], [2 * len(shapes) for shapes in kinds])
@@ -239,7 +238,7 @@ class Process:
 
     def set_motion(self, motion: Motion | None) -> None:
         """Change the arm's motion."""
-        self._motion, self._moment = motion, np.nan
+        self._motion = motion
         setup = Setup(self._rope, motion, self._arm, tol=PRECISION * self.rope.total_length)
         most = 3 * (2 * self.rope.n_links + len(self.parameters) + 1)
         self._run = AngleJacobian(setup, self.parameters.directions(), most)
@@ -291,11 +290,9 @@ class Process:
             State with the pictures' delay; by default the delay is 0.
         """
         moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
-        if moment != self._moment:
-            drive, now = self._run.drive, np.empty(9)
-            motion_at(drive, moment, now)
-            self._moment, self._base = moment, np.array([now[7:9], now[5:7], now[0:2]])
-        return self._base.copy()
+        now = np.empty(9)
+        motion_at(self._run.drive, moment, now)
+        return now[[[7, 8], [5, 6], [0, 1]]]
 
     def _rope_at(self, values: Array) -> Rope:
         """Return the rope with its estimated values; it is created only when they have changed."""

@@ -125,16 +125,14 @@ class BarDetector:
             return nothing
         largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
         mask = cv2.dilate((label == largest).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        v, u = np.nonzero(mask)
-        weights = np.clip(shares[mask].astype(np.float64), 0.0, 1.0)
-        area = float(weights.sum())
+        moments = cv2.moments(np.where(mask, np.clip(shares, 0.0, 1.0), 0.0))
+        area = moments["m00"]
         whole = None if self.areas is None else float(self.areas[number])
         if area < (30.0 if whole is None else self.LEAST_AREA * whole):  # px^2
             return nothing
-        pixels = np.column_stack([u, v]).astype(np.float64)
-        centre = weights @ pixels / area
-        off = pixels - centre
-        values, vectors = np.linalg.eigh((weights[:, None] * off).T @ off / area)
+        centre = np.array([moments["m10"], moments["m01"]]) / area
+        spread = np.array([[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]]) / area
+        values, vectors = np.linalg.eigh(spread)
         along = vectors[:, 1] * (1.0 if vectors[0, 1] >= 0.0 else -1.0)
         width, length = np.sqrt(12.0 * values)
         missing = 0.0 if whole is None else max(0.0, 1.0 - area / whole - 0.05)

@@ -154,9 +154,8 @@ class Camera:
         }
         for name in ("exposure", "readout"):
             checked[name] = checks.number(name, getattr(self, name), sign="nonnegative", unit="s")
-        if self.rotation is not None:
-            checked["rotation"] = checks.array("rotation", self.rotation, (3,), unit="rad")
-            checked["translation"] = checks.array("translation", self.translation, (3,), unit="m")
+        for name, unit in (("rotation", "rad"), ("translation", "m")) if self.rotation is not None else ():
+            checked[name] = checks.array(name, getattr(self, name), (3,), unit=unit)
         vars(self).update(checked)
 
     @classmethod
@@ -209,7 +208,7 @@ class Camera:
         scale = checks.number("pixels_per_metre", pixels_per_metre, sign="positive", unit="px/m")
         place = checks.array("origin", origin, (2,), unit="px")
         translation = np.array([*(place - camera.matrix[:2, 2]) / scale, camera.matrix[0, 0] / scale])
-        return replace(camera, rotation=_rotation_vector(_FACING @ _roll(roll)), translation=translation)
+        return replace(camera, rotation=_rolled(_FACING, roll), translation=translation)
 
     def with_plane(self, points: npt.ArrayLike, pixels: npt.ArrayLike) -> "Camera":
         """Return this camera with the swing plane's pose found from known points of it (OpenCV's solvePnP).
@@ -286,7 +285,7 @@ class Camera:
         """
         rotation, translation = self.axes
         moved = (translation + rotation[:, :2] @ np.asarray(offset)) / scale  # a picture does not depend on the size
-        return replace(self, rotation=_rotation_vector(rotation @ _roll(roll)), translation=moved)
+        return replace(self, rotation=_rolled(rotation, roll), translation=moved)
 
     @cached_property
     def axes(self) -> tuple[Array, Array]:
@@ -424,12 +423,9 @@ def read_camera(path: PathLike) -> Camera:
     if not isinstance(table, dict) or not isinstance(plane, dict) or content.get("format", FORMAT) != FORMAT:
         allowed = "a table [camera], and [plane]"
         raise InvalidInput(f"{path} is not a camera's file", got=sorted(content), allowed=allowed)
-    needed = {"image_size", "matrix", "distortion"}
-    known = {*needed, *TIMING}
-    wrong = (needed - set(table)) | (set(table) - known) | (set(plane) - {"rotation", "translation"})
-    if wrong:
-        allowed = ", ".join(sorted(known))
-        raise InvalidInput(f"{path}: the camera's keys do not fit", got=sorted(wrong), allowed=allowed)
+    needed = ("image_size", "matrix", "distortion")
+    checks.keys(f"{path}: [camera]", table, (*needed, *TIMING), needed=needed)
+    checks.keys(f"{path}: [plane]", plane, ("rotation", "translation"))
     camera = Camera(**table, **plane)
     if camera.rotation is not None:
         try:
@@ -440,13 +436,9 @@ def read_camera(path: PathLike) -> Camera:
     return camera
 
 
-def _roll(angle: float) -> Array:
-    """Return the rotation (3, 3) about z by an angle, rad."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _rotation_vector(matrix: Array) -> Array:
+def _rolled(rotation: Array, angle: float) -> Array:
+    """Return the rotation vector (3,) of a rotation (3, 3) about z by an angle, rad, followed by another one (3, 3)."""
     import cv2
 
-    return np.asarray(cv2.Rodrigues(matrix)[0], dtype=np.float64).ravel()
+    about_z = cv2.Rodrigues(np.array([0.0, 0.0, angle]))[0]
+    return np.asarray(cv2.Rodrigues(rotation @ about_z)[0], dtype=np.float64).ravel()
