@@ -116,11 +116,13 @@ def test_the_signature_of_a_mass_and_of_a_touch():
     mass = 0.04 * cable.total_mass
     by_mass = (run(cable.replace(tip_mass=mass)) - base) / mass
     k = detector.names.index("tip_mass")
-    np.testing.assert_allclose(detector.effects[: 2 * n, k], by_mass, atol=2e-3 * np.abs(by_mass).max())
+    np.testing.assert_allclose(detector.jumps.effects[: 2 * n, 0, k, 0], by_mass, atol=2e-3 * np.abs(by_mass).max())
     by_force = (run(cable, 200, 1.0) - base) / 0.01
     place = int(np.abs(detector.places - 1.0).argmin())
     # the force of a frame is taken as two halves, at its beginning and its end: 6 % where two links bend fast
-    np.testing.assert_allclose(detector.touches[:n, 2 * place], by_force[:n], atol=0.07 * np.abs(by_force[:n]).max())
+    np.testing.assert_allclose(
+        detector.touches.effects[:n, 0, place, 0], by_force[:n], atol=0.07 * np.abs(by_force[:n]).max()
+    )
 
 
 def test_the_kick_of_an_impulse_is_that_of_mujoco():
@@ -184,14 +186,6 @@ def test_what_is_estimated_is_tested_too():
     tracker = RopeFilter(rope(5), [1.0, 2.0], parameters=[EstimatedParameter("scale", 0.01)], tests=tests)
     assert list(tracker.values) == ["scale"]
     assert tracker.parameters.names == ("scale",)
-
-
-def test_words():
-    mass = Change("tip_mass", 3.2, 3.0, 5e-3, 1e-3, 0.9, -20.0)
-    assert str(mass) == "tip_mass: +0.005 ± 0.001 kg, since 3.00 s, noticed at 3.20 s, 90 % sure"
-    touch = Change("touch", 3.2, 3.0, 0.02, 1e-3, 1.0, -20.0, 1.25, (0.02, 0.0))
-    assert str(touch).startswith("touch at 1.25 m: 0.02 ± 0.001 N s, since")
-    assert "errors of the markers are 1.5 times" in str(Change("misfit", 3.2, 3.2, 1.5, 0.1, 1.0, -20.0))
 
 
 def test_bad_input():

@@ -17,7 +17,7 @@ from hyperflex.estimate import (
     RopeFilter,
     RopeTracker,
     VideoTrack,
-    markers,
+    measurements,
     track_video,
 )
 from hyperflex.files.netcdf import read_netcdf
@@ -206,8 +206,8 @@ def test_the_rope_is_drawn_as_it_is_estimated(swing, camera, wanted, arcs):
 
 def test_an_order_that_is_not_certain_is_waited_for_again(swing, monkeypatch):
     """After 30 frames the best one is taken; once the rope is lost, another 30 have to pass."""
-    sure = markers.order_markers
-    monkeypatch.setattr(markers, "order_markers", lambda *a, **b: sure(*a, **b)._replace(certain=False))
+    sure = measurements.order_markers
+    monkeypatch.setattr(measurements, "order_markers", lambda *a, **b: sure(*a, **b)._replace(certain=False))
     tracker = follower(swing, facing())
     with VideoReader(swing) as reader:
         image = next(iter(reader)).image

@@ -200,7 +200,7 @@ class MarkerModel:
         q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
         along, across = np.stack([np.sin(q), -np.cos(q)]), np.stack([np.cos(q), np.sin(q)])
 
-        def seen(given: Mapping[str, Any], base: Array) -> tuple[Array, Array, Array, Array]:
+        def seen(given: Mapping[str, Any], base: npt.NDArray[Any]) -> tuple[Array, Array, Array, Array]:
             """Return places (K, 2) by parameters, also complex ones; levers, delays tau, and scale and rotation."""
             at = defaultdict(float, given)
             arms, tau = self.arms * (1.0 + at["length"]), rows * (self.readout + at["readout"])

@@ -129,7 +129,7 @@ class RopeTracker:
             raise InvalidInput("a tracker needs a camera that knows the swing plane", fix="See Camera.with_plane")
         points, count = len(estimator.model.arc_lengths), measurement.count
         if points != (count or points):
-            raise InvalidInput("the filter has other points than are measured", got=points, allowed=count)
+            raise InvalidInput("the filter has other points than are measured", got=points, allowed=str(count))
         self.estimator, self.measurement, self.camera = estimator, measurement, camera
 
     @property
@@ -149,10 +149,9 @@ class RopeTracker:
 
     def look(self, frame: Frame) -> TrackedFrame:
         """Process a frame, in the order of their times, and return its result."""
-        (height, width), expected = frame.image.shape[:2], self.camera.image_size
-        if (width, height) != tuple(expected):
-            allowed = "x".join(map(str, expected))
-            raise InvalidInput("the frame has another size than the camera's", got=f"{width}x{height}", allowed=allowed)
+        if frame.image.shape[1::-1] != tuple(self.camera.image_size):
+            got, allowed = ("x".join(map(str, size)) for size in (frame.image.shape[1::-1], self.camera.image_size))
+            raise InvalidInput("the frame has another size than the camera's", got=got, allowed=allowed)
         t, estimator = self.camera.middle_of(frame.time), self.estimator
         expected = self.expect(t)
         pixels, covariances = self.measurement.measure(frame.image, self, estimator.process.base(t)[0], expected)

@@ -12,7 +12,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import Change
 from hyperflex.estimate.parameters import PICTURE_KINDS
 from hyperflex.estimate.picture import draw_frame
-from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
+from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.files import PathLike
 from hyperflex.interruption import interruptible
 from hyperflex.recording import Recording
@@ -74,9 +74,11 @@ class _Sighting(NamedTuple):
     """What is kept of a frame."""
 
     t: float  # s, without an estimated delay
-    tracked: TrackedFrame
-    still: Array  # (K, 2) px, where each marker would have been seen in the middle of the readout
+    seen: Array  # (K, 2) px, where each marker was seen
+    still: Array  # (K, 2) px, where it would have been seen in the middle of the readout
+    covariances: Array  # (K, 2, 2) px^2
     values: Array  # (P,) parameters until then
+    changes: tuple[Change, ...]
 
 
 @interruptible(VideoTrack)
@@ -125,7 +127,8 @@ def track_video(
         count += 1
         if tracked.state is not None:
             still = tracker.adjusted_camera.project(tracked.places)
-            found.append(_Sighting(tracked.t + tracker.delay, tracked, still, tracker.values.copy()))
+            kept = tracked.pixels.copy(), still, tracked.covariances, tracker.values.copy()
+            found.append(_Sighting(tracked.t + tracker.delay, *kept, tracked.changes))
         return draw_frame(frame.image, tracker, tracked) if draw else None
 
     def result() -> VideoTrack:
@@ -198,7 +201,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         float(seen.mean()),
         estimates,
         tuple(notes),
-        tuple(change for each in found for change in each.tracked.changes),
+        tuple(change for each in found for change in each.changes),
     )
 
 
@@ -211,7 +214,7 @@ def _final_values(tracker: RopeTracker, found: list[_Sighting]) -> Array:
     names = tracker.estimator.parameters.names
     times, values = np.array([each.t for each in found]), np.tile(tracker.values, (len(found), 1))
     for row in range(len(found) - 1, 0, -1):
-        for change in found[row].tracked.changes:
+        for change in found[row].changes:
             if change.name in names:
                 k = names.index(change.name)
                 values[times < change.time, k] = found[row - 1].values[k]
@@ -226,12 +229,9 @@ def _recording(
     places, noise = np.empty((2, *seen.shape, 2))
     for k, (frame, final) in enumerate(zip(found, _final_values(tracker, found), strict=True)):
         before, now = (readout + parameters.value("readout", values) for values in (frame.values, final))
-        shift = (frame.tracked.pixels - frame.still) * (now / before if before else 1.0)
-        camera, covariances = (
-            parameters.camera_at(tracker.camera, final),
-            np.nan_to_num(frame.tracked.covariances, nan=1.0),
-        )
-        places[k], wide = camera.locate_with_covariance(frame.tracked.pixels - shift, covariances)
+        shift = (frame.seen - frame.still) * (now / before if before else 1.0)
+        camera, covariances = parameters.camera_at(tracker.camera, final), np.nan_to_num(frame.covariances, nan=1.0)
+        places[k], wide = camera.locate_with_covariance(frame.seen - shift, covariances)
         noise[k] = np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
     t = np.array([each.t for each in found]) - parameters.value("delay", tracker.values)
     rows, columns = seen.any(axis=1), seen.any(axis=0)

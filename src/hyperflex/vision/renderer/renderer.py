@@ -310,7 +310,9 @@ class Renderer:
 
         times, places, pixels = exposed(0.0)
         begin, end = (exposed(side * camera.exposure)[2] for side in (-0.5, 0.5))
-        visible = ((pixels >= 0.0) & (pixels <= np.array(camera.image_size) - 1.0)).all(axis=2)
+        visible: npt.NDArray[np.bool_] = np.asarray(
+            ((pixels >= 0.0) & (pixels <= np.array(camera.image_size) - 1.0)).all(axis=2)
+        )
         for stamp, place, seen in zip(instants.tolist(), places, visible, strict=True):
             seen &= ~scene.covered(stamp) & ~self._behind(place, stamp) & (not scene.is_black(stamp))
         return Truth(instants, times, places, pixels, end - begin, visible, scene.arc_lengths)
