@@ -6,7 +6,7 @@ from benchmarks import tracking
 from scipy import stats
 
 from hyperflex.estimate import EstimatedParameter
-from tests.estimate.runs import Tracked, disturbed, friction_bound, pumped, track
+from tests.estimate.runs import Tracked, disturbed, friction_bound, track
 
 DENSITY = (0.5, 1.0)
 
@@ -60,14 +60,6 @@ def test_with_a_finer_truth(moved):
         mean, held = np.mean([nees(found, name, 3e-5 if "velo" not in name else 3e-4) for found in runs], axis=0)
         assert mean < 1.9, name
         assert held > 0.7, name
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.02, 0.06])
-def test_a_delay(delay):
-    """Found within 1 ms in 3 s of arm motion, whatever it is."""
-    found = track(pumped(4.0), frames=30.0, moved=True, delay=delay, parameters=[EstimatedParameter("delay", 0.03)])
-    assert found.tracker.values["delay"][0] == pytest.approx(delay, abs=1e-3)
-    assert found.rms("tip", 2.0) < 3e-3
 
 
 @pytest.mark.parametrize("frames", [7.5, 30.0])

@@ -152,15 +152,6 @@ def test_gauss_newton_finds_what_scipy_does():
     )
 
 
-def test_a_path_has_no_defects():
-    """Each state is what the process makes of the one before, and the noise."""
-    fitted = interval(swing(q0=2.0))
-    fitted.solve(3)
-    for (before, frame), (node, then) in itertools.pairwise(zip(fitted.nodes, fitted.frames, strict=True)):
-        found = fitted.process.predict(before.x, frame.seen.t, then.seen.t)
-        np.testing.assert_allclose(found.x + then.noise.T @ node.noise, node.x, atol=1e-9)
-
-
 def test_the_cost_never_grows():
     """Also far from where the linear step is right: the pendulum goes over the top, the prior is half a turn off."""
     fitted = interval(swing(frames=8, gap=0.12, q0=2.8))
@@ -172,6 +163,9 @@ def test_the_cost_never_grows():
         assert np.isfinite(fitted.factor).all()
     assert (np.diff(costs) <= 0.0).all()
     assert costs[-1] < 0.1 * costs[0]
+    for (before, frame), (node, then) in itertools.pairwise(zip(fitted.nodes, fitted.frames, strict=True)):
+        found = fitted.process.predict(before.x, frame.seen.t, then.seen.t)  # each state follows from the one before
+        np.testing.assert_allclose(found.x + then.noise.T @ node.noise, node.x, atol=1e-9)
 
 
 def test_a_long_horizon_is_the_smoother():

@@ -111,26 +111,22 @@ def test_a_fast_rope_is_seen_in_its_gates():
 
 def test_whole_frame_without_a_prediction():
     renderer = Renderer(camera(), swinging(), Scene(ARCS))
-    detector = MarkerDetector(MarkerColour([40.0, 30.0, 210.0], area=44.0))
     truth = renderer.truth([0.5])
-    seen = detector.find(renderer.image(0.5))
+    seen = MarkerDetector(MarkerColour([40.0, 30.0, 210.0], area=44.0)).find(renderer.image(0.5))
     assert len(seen.places) == 10
     assert np.abs(errors(seen, truth)).max() < 0.3
+    places, covariances = camera().locate_with_covariance(seen.places, seen.covariances)
+    assert max(np.linalg.norm(places - p, axis=1).min() for p in truth.places[0, :, :2]) < 1e-3
+    assert np.sqrt(covariances[:, 0, 0]).max() < 0.2 / 300.0
 
 
 def test_nothing_is_seen_where_nothing_is():
     detector = MarkerDetector(MarkerColour([40.0, 30.0, 210.0], area=44.0))
     image = Renderer(camera(), swinging(), Scene([], clutter=0)).image(0.0)
-    for seen in (detector.find(image), detector.find(image, []), detector.find(image, [Gate((50, 50), np.eye(2))])):
+    beyond = [Gate(place, np.eye(2)) for place in ((50, 50), (-500.0, 90.0), (np.nan, 3.0), (5.0, 9000.0))]
+    for seen in (detector.find(image), detector.find(image, []), detector.find(image, beyond)):
         assert seen.places.shape == (0, 2)
         assert seen.covariances.shape == (0, 2, 2)
-
-
-def test_gates_beyond_the_picture_and_unknown_ones_are_passed_by():
-    renderer = Renderer(camera(), swinging(), Scene(ARCS))
-    detector = MarkerDetector(MarkerColour([40.0, 30.0, 210.0], area=44.0))
-    far = [Gate((-500.0, 90.0), np.eye(2)), Gate((np.nan, 3.0), np.eye(2)), Gate((5.0, 9000.0), np.eye(2))]
-    assert len(detector.find(renderer.image(0.0), far).places) == 0
 
 
 def test_colour_follows_the_light():
@@ -216,17 +212,6 @@ def test_colours_that_cannot_be_are_refused():
     cv2.rectangle(faint, (18, 28), (42, 32), (150, 150, 150), 1)
     with pytest.raises(InvalidInput, match=r"does not stand out|large surface"):
         MarkerColour.from_click(faint, (35.0, 25.0))
-
-
-def test_places_in_the_plane():
-    seen_by = camera()
-    renderer = Renderer(seen_by, swinging(), Scene(ARCS))
-    detector = MarkerDetector(MarkerColour([40.0, 30.0, 210.0], area=44.0))
-    seen = detector.find(renderer.image(0.5))
-    places, covariances = seen_by.locate_with_covariance(seen.places, seen.covariances)
-    truth = renderer.truth([0.5]).places[0, :, :2]
-    assert max(np.linalg.norm(places - p, axis=1).min() for p in truth) < 1e-3
-    assert np.sqrt(covariances[:, 0, 0]).max() < 0.2 / 300.0
 
 
 MUJOCO = """

@@ -49,19 +49,6 @@ def test_times_are_those_of_the_container(video):
     assert np.allclose(stamps, TIMES - TIMES[0], atol=1e-4)
 
 
-def test_time_stamps_where_index_over_rate_is_wrong_by_seconds(tmp_path):
-    """A phone in the dark: 30 frames/s, then 10. Index over the mean rate misses by more than 2 s."""
-    times = np.concatenate([np.arange(0.0, 4.0, 1 / 30), np.arange(4.0, 12.0, 0.1)])
-    with VideoWriter(tmp_path / "dark.mp4", SIZE, quality=40) as writer:
-        for time in times:
-            writer.write(pattern(), time)
-    frames, _ = read(tmp_path / "dark.mp4")
-    got = np.array([frame.time for frame in frames])
-    assert np.abs(got - times).max() < 1e-4
-    by_rate = np.arange(times.size) / ((times.size - 1) / times[-1])
-    assert np.abs(by_rate - times).max() > 2.0
-
-
 @pytest.mark.parametrize(
     ("angle", "direction"), [(90, "right"), (180, "up"), (-90, "left")], ids=["left", "upside-down", "right"]
 )
