@@ -11,7 +11,6 @@ from hyperflex.estimate.process import Process
 from tests.estimate.runs import ARM, SWINGS, rope
 
 
-
 @pytest.mark.parametrize("rank", [3, 12])
 def test_update_is_the_kalman_filters(rank):
     rng = np.random.default_rng(0)
