@@ -189,10 +189,10 @@ def test_time_goes_on_where_a_source_begins_its_stamps_anew(video, pictures):
     def reopenings() -> list[int]:  # that were told; of a busy machine one may be over before anybody looked
         return [k for k, each in enumerate(found) if any("opened again: the rope" in words for words in each.messages)]
 
-    for retime in (None, StampClock()):
+    for retime in ({}, {"retime": StampClock()}):
         opened, begin, found = 0, time.monotonic(), []
         with FrameThread(open_source, live=True, reconnect_timeout=1.0) as frames:
-            for each in Watch(frames, tracker(video), retime=retime):
+            for each in Watch(frames, tracker(video), **retime):
                 found.append(each)
                 if (len(reopenings()) == 2 and each.frame is None) or opened == 20:
                     break
@@ -204,7 +204,7 @@ def test_time_goes_on_where_a_source_begins_its_stamps_anew(video, pictures):
         assert np.all(np.diff(times) > 0.0)
         assert times[-1] - times[0] < ended - begin
         assert times[-1] - times[0] > 15 * 0.03  # no clock stands still
-        if retime is not None:
+        if retime:
             assert all(each.t <= ended for each in found)
             assert found[told[1]].t > begin + 12 * 0.03
 
