@@ -494,7 +494,7 @@ def simulate(
     if state is not None:
         resume(run, state, full)
     code, applied = status.RUNNING, list[tuple[float, float]]()
-    with stoppable() as stop, progress_bar(begin, end, progress) as bar:
+    with stoppable() as stop, progress_bar(begin, end, checks.flag("progress", progress)) as bar:
         watch = Watch(time_budget, (begin, end), bar)
         watch.budget.check()
         code = _finished(run, full, state, watch, applied)
