@@ -134,7 +134,7 @@ def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, afte
     after : float
         What happens before this time does not count, s.
     """
-    number = -1 if link is None else checks.count("link + 1", link + 1) - 1
+    number = -1 if link is None else checks.count("link", link, least=0)
     numbers = (checks.number("angle", angle, unit="rad"), float(number), 0.0, 0.0)
     return Event("angle reached", ANGLE, numbers, _sense(sense), _after(after))
 
