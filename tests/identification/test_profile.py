@@ -15,7 +15,7 @@ from hyperflex.identification import Finding, FitOptions, Identification, Kind, 
 from hyperflex.identification.fit import Loss, Target, fit
 from hyperflex.identification.model import PredictedChannels
 from hyperflex.identification.uncertainty import profile as _profile
-from hyperflex.identification.uncertainty.profile import all_intervals, coordinate, profiled, skewed
+from hyperflex.identification.uncertainty.profile import Coordinate, all_intervals, profiled, skewed
 from hyperflex.identification.uncertainty.threshold import _rise, quantile, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -105,7 +105,7 @@ def test_a_linear_problem_has_the_interval_of_its_covariance():
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     plain = all_intervals(basis, "covariance")
     for k, (label, one) in enumerate(plain.items()):
-        found = profiled(coordinate(basis, label), 0.95, points=3)
+        found = profiled(Coordinate(basis, label), 0.95, points=3)
         width = one.high - one.low
         assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * width)  # CLOSE
         assert found.ends == ("crossed", "crossed")
@@ -126,7 +126,7 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds, monkeypatch):
     basis = replace(plain, information=replace(information, **errors))
     by_std = all_intervals(basis, "covariance")
     for label, one in all_intervals(basis, "profile").items():
-        alone, same = (profiled(coordinate(basis, label), 0.95), profiled(coordinate(plain, label), 0.95))
+        alone, same = (profiled(Coordinate(basis, label), 0.95), profiled(Coordinate(plain, label), 0.95))
         assert (alone.low, alone.high) == (same.low, same.high)
         assert one.high - one.low == pytest.approx(np.sqrt(6.0) * (alone.high - alone.low), rel=0.01)  # 1 + 1 + 2^2
         assert one.high - one.low == pytest.approx(by_std[label].high - by_std[label].low, rel=0.01)
@@ -137,7 +137,7 @@ def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at):
     plant = waves(60, truth=np.array([0.0, 10.0]))
     draws = (fitted(plant, np.random.default_rng(k).standard_normal((60, 1))) for k in range(99))
     basis = next(b for b in draws if (b.fit.x[0] == 0.0) == at and b.fit.x[0] ** 2 < b.information.covariance[0, 0])
-    one = profiled(coordinate(basis, "inertia[0]"), 0.95)
+    one = profiled(Coordinate(basis, "inertia[0]"), 0.95)
     assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
     assert one.high > 0.0
 
@@ -153,7 +153,7 @@ def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed():
 def test_coloured_noise_widens_a_profile_as_it_does_the_covariance():
     basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
     assert basis.information.memory[1:].any()
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(coordinate(basis, "inertia[0]"), 0.95)
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(Coordinate(basis, "inertia[0]"), 0.95)
     assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * (one.high - one.low))
 
 
@@ -192,7 +192,7 @@ def test_a_better_optimum_on_the_way_is_told():
         windows=basis.windows,
         fit=fit(dipped, basis.windows, plain.fit.x, plain.fit.states, target=kept, enough=1e-9),
     )
-    one = profiled(coordinate(stuck, "inertia[0]"), 0.95)
+    one = profiled(Coordinate(stuck, "inertia[0]"), 0.95)
     assert one.gain > 1.0
     assert one.better is not None
     first = dipped.parameters.all[0]
@@ -201,7 +201,7 @@ def test_a_better_optimum_on_the_way_is_told():
     remarks: list[Finding] = []
     all_intervals(stuck, "profile", remarks=remarks)
     assert (remarks[0].kind, remarks[0].values["name"]) == (Kind.BETTER_OPTIMUM, "inertia[0]")
-    honest = profiled(coordinate(plain, "inertia[0]"), 0.95)
+    honest = profiled(Coordinate(plain, "inertia[0]"), 0.95)
     assert honest.gain < 0.01  # what the fit left, in residual variances
     assert honest.better is None
 
@@ -209,7 +209,7 @@ def test_a_better_optimum_on_the_way_is_told():
 def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch):
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=0))
-    one, plain = profiled(coordinate(basis, "inertia[0]"), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
+    one, plain = profiled(Coordinate(basis, "inertia[0]"), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
     assert (one.low, one.high, one.kind) == (plain.low, plain.high, "covariance")
     remarks: list[Finding] = []
     found = all_intervals(basis, "profile", remarks=remarks)["inertia[0]"]
@@ -233,7 +233,7 @@ def test_robust_losses_profile_what_their_covariance_says():
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
     basis = fitted(waves(300), noise, "huber")
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(coordinate(basis, "inertia[0]"), 0.95)
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(Coordinate(basis, "inertia[0]"), 0.95)
     assert Loss("huber", 2.0, fixed=True).scaled([noise.ravel()]).scale == 2.0  # costs along it are of one kind
     # Huber's formula takes the mean of psi', the profile each residual's own: alike to some 1 / sqrt(300)
     assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)
@@ -276,7 +276,7 @@ def test_what_cannot_be_known_has_no_limits():
     assert low[0] < found.intervals["J/p1[0]"].low < high[0]
     one = profile(found, "J/p1[0]")  # known all the same, though the rope's scale is not
     assert one.ends == ("crossed", "crossed")
-    std = coordinate(found.basis, "J/p1[0]").std  # of noise alone, as the profile
+    std = Coordinate(found.basis, "J/p1[0]").std  # of noise alone, as the profile
     half = std * np.sqrt(quantile(0.95, found.basis.information.freedom))
     middle = found.ratios["J/p1"][0]
     assert (one.low, one.high) == pytest.approx((middle - half, middle + half), abs=0.02 * half)
@@ -306,7 +306,7 @@ def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held():
         return float(2.0 * least_squares(residual, begun, x_scale="jac", diff_step=1e-5, bounds=(least, np.inf)).cost)
 
     best = float((found.residuals**2).sum())
-    unit = found.basis.information.variance * coordinate(found.basis, "J/p1[1]").widening  # of white residuals: 1
+    unit = found.basis.information.variance * Coordinate(found.basis, "J/p1[1]").widening  # of white residuals: 1
     weight = found.basis.windows[0].weight.max()
     for end in (one.low, one.high):
         rise = (squares(end) - best) * weight**2 / unit
@@ -352,7 +352,7 @@ def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(recording, 
         one = profile(found, f"{name}[2]")
         assert one.ends[1] == "crossed"
         ends.append(one.high)
-    std = coordinate(found.basis, f"{name}[2]").std
+    std = Coordinate(found.basis, f"{name}[2]").std
     assert ends[1] == pytest.approx(ends[0], abs=0.02 * std)  # CLOSE, twice
 
 

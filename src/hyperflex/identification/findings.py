@@ -26,8 +26,8 @@ class Severity(IntEnum):
 class Kind(StrEnum):
     """Kind of a finding, and its text: what was seen | what it means and what to do.
 
-    In a text {x:%} is a part in per cent, {x:deg} an angle, {x:list} a list of names. Of findings of one severity plain
-    evidence comes first, then causes, then symptoms.
+    In a text {x:%} is a part in per cent, {x:m} a length, {x:deg} an angle, {x:list} a list of names. Of findings of
+    one severity plain evidence comes first, then causes, then symptoms.
     """
 
     text: str
@@ -80,9 +80,9 @@ class Kind(StrEnum):
     # Declarations that contradict the data
     CLOCK = (
         "clock or lengths",
-        """Times multiplied by {clock:.3g}, or lengths divided by {scale:.3g}, fit better. | The clock, the frame rate
-        or a length is not as declared; ratios move by up to {moved:%}. Check the frame rate, and measure one length
-        again.""",
+        """The fit is better with times multiplied by {clock:.3g}, or lengths divided by {scale:.3g}. | The clock, the
+        frame rate or a length is not as declared; ratios move by up to {moved:%}. Check the frame rate, and measure one
+        length again.""",
     )
     DRIFT = (
         "drifting clock",
@@ -107,8 +107,8 @@ class Kind(StrEnum):
     )
     ANGLE_SCALE = (
         "scale of the angles",
-        """Angles multiplied by {factor:.3g} fit better. | The sensor's scale is not as declared; ratios move by up to
-        {moved:%}. Check what an angle of the sensor is in radians.""",
+        """The fit is better with angles multiplied by {factor:.3g}. | The sensor's scale is not as declared; ratios
+        move by up to {moved:%}. Check what an angle of the sensor is in radians.""",
     )
     RELATIVE = (
         "angles are relative",
@@ -159,7 +159,8 @@ class Kind(StrEnum):
     )
     MARKER_SCALE = (
         "scale of the markers",
-        "Markers divided by {factor:.3g} fit better. | Their scale is wrong. Check the scale.",
+        """The fit is better with marker positions divided by {factor:.3g}. | The scale of the markers is not as
+        declared. Check their unit, and the scale of the picture.""",
     )
     MARKER_PLACES = (
         "places of the markers",
@@ -173,22 +174,23 @@ class Kind(StrEnum):
     )
     ARM_LENGTH = (
         "length of the arm",
-        "An arm {length:.3g} m long fits better. | Its length is not as declared. Measure the arm again.",
+        """The fit is better with an arm of {length:m}. | The length of the arm is not as declared. Measure the arm
+        again.""",
     )
     ARM_INERTIA = (
         "inertia of the arm",
-        """An inertia of the arm of {value:.2g} kg m^2 fits better. | The inertia of the arm is not as declared. Measure
-        it, or free 'arm_inertia'.""",
+        """The fit is better with an arm inertia of {value:.2g} kg m^2. | The inertia of the arm is not as declared.
+        Measure it, or free 'arm_inertia'.""",
     )
     ARM_FRICTION = (
         "friction of the arm",
-        """A friction of the arm of {value:.2g} N m s/rad fits better. | The friction of the arm is not as declared.
-        Measure it, or free 'arm_friction'.""",
+        """The fit is better with an arm friction of {value:.2g} N m s/rad. | The friction of the arm is not as
+        declared. Measure it, or free 'arm_friction'.""",
     )
     MASS_TAPER = (
         "mass changes along the rope",
-        """The mass at the tip seems {factor:.3g} times that at the first joint. | The mass is not even along the rope;
-        ratios move by up to {moved:%}. Give the guess such masses, or free 'mass:taper'.""",
+        """Links at the tip seem {factor:.3g} times as heavy as at the first joint. | The mass is not even along the
+        rope; ratios move by up to {moved:%}. Give the guess such masses, or free 'mass:taper'.""",
     )
     REST_BEND = (
         "bent at rest",
@@ -197,12 +199,13 @@ class Kind(StrEnum):
     )
     HELD = (
         "held value",
-        """A held value does not fit: {name} seems to be {values:list}. | Ratios move by up to {moved:%}. Measure it, or
-        free {name}.""",
+        """The fit is better with {name} of {values:list} {unit}. | The held value does not fit; ratios move by up to
+        {moved:%}. Measure it, or free {name}.""",
     )
     RESISTANCE = (
         "another resistance",
-        "{name} fits better as {values:list}. | A resistance is of another kind or size, or changes. Free {name}.",
+        """The fit is better with {name} of {values:list} {unit}. | A resistance is of another kind or size, or changes.
+        Free {name}.""",
     )
     UNEVEN_RESISTANCE = (
         "resistance differs along the rope",
@@ -227,14 +230,14 @@ class Kind(StrEnum):
     )
     POOR_FIT = (
         "poor fit",
-        """{what} is {rms:.3g} {unit} off, and moves by {motion:.3g} {unit} (rms) within the windows. | The model does
-        not describe this motion. Check units, zero and sense of the recording, link lengths, the motion of the base,
-        and the guess.""",
+        """{what}: the fit errs by {rms:{unit}}, the motion within the windows is {motion:{unit}} (rms). | The model
+        does not describe this motion. Check units, zero and sense of the recording, link lengths, the motion of the
+        base, and the guess.""",
     )
     POOR_TORQUE = (
         "torque does not fit",
-        """The torque is {rms:.3g} N m off, and moves by {motion:.3g} N m (rms) within the windows. | Masses, inertias
-        and frictions mean nothing until it fits. Check its sign (positive turns the arm to larger angles) and its
+        """Torque: the fit errs by {rms:.3g} N m, the torque varies by {motion:.3g} N m (rms). | Masses, inertias and
+        frictions mean nothing until it fits. Check its sign (positive turns the arm to larger angles) and its
         unit, N m.""",
     )
     MASS_FAR = (
@@ -249,8 +252,8 @@ class Kind(StrEnum):
     )
     PREDICTION_POOR = (
         "poor prediction",
-        """Predictions of the held-out part err by {part:%} of what no motion at all would. | The model omits an
-        effect, or something is not as declared. """
+        """Predictions of the held-out part err by {part:%} of what a rope at rest would. | The model omits an effect,
+        or something is not as declared. """
         + COMPARE,
     )
     PREDICTION_OUTSIDE = (
@@ -459,6 +462,8 @@ class _Formatter(string.Formatter):
             return percent(value)
         if spec == "deg":
             return f"{np.degrees(value):.3g} degrees"
+        if spec in ("m", "rad"):
+            return f"{1e3 * value:.3g} mm" if spec == "m" and abs(value) < 1.0 else f"{value:.3g} {spec}"
         if spec == "list":
             shown = [f"{each:.4g}" if isinstance(each, float) else str(each) for each in value]
             more = f" and {len(shown) - NAMES} more" if len(shown) > NAMES else ""
@@ -475,9 +480,9 @@ def text(finding: Finding) -> str:
     """Return a finding as one line: what was seen, what it means, what to do."""
     seen, _, rest = _Formatter().vformat(finding.kind.text, (), finding.values).partition(" | ")
     if finding.gain > 0.0 and "left" not in finding.values:
-        seen += f" It explains {percent(finding.gain)} of the residuals' sum of squares{_others(finding)}."
+        seen += f" This removes {percent(finding.gain)} of the residuals' sum of squares{_others(finding)}."
     if "before" in finding.values:
-        seen += " A short fit then leaves {left:%} of the motion, and {before:%} as declared."
+        seen += " With this change a short fit leaves {left:%} of the motion unexplained, as declared {before:%}."
         seen = _Formatter().vformat(seen, (), finding.values)
     maybe = "Possible: " if finding.severity is Severity.DOUBT and finding.gain > 0.0 else ""
     return f"{maybe}{seen} {rest}".rstrip()
@@ -487,7 +492,7 @@ def _others(finding: Finding) -> str:
     """Return what had to be free as well, and what explains as much."""
     along, alike = finding.values.get("freed_with", ()), finding.values.get("alike", ())
     words = f" with {', '.join(along)} free as well" if along else ""
-    return words + (f"; as well explained by: {', '.join(alike)}" if alike else "")
+    return words + (f"; these remove as much: {', '.join(alike)}" if alike else "")
 
 
 def report(grade: Grade, findings: Sequence[Finding], *, full: bool = False) -> str:

@@ -14,15 +14,14 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted
 from hyperflex.identification.declarations.evidence import evidence
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
-from hyperflex.identification.declarations.link_test import link_test
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
 from hyperflex.identification.declarations.score_findings import explaining, first_misdeclared
 from hyperflex.identification.declarations.score_tests import TESTING, Scores, ScoreTest, score_tests
 from hyperflex.identification.declarations.window_tests import (
     Scatter,
     drift_test,
+    link_test,
     scatter_test,
-    window_scores,
 )
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.findings import Finding, Kind, Severity, ordered
@@ -315,9 +314,9 @@ class _Case:
         with stoppable() as stop:
             if trial.complete:
                 angles = self.recording.kind == "angles"
-                trial.tests = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
-                trial.scores = window_scores(basis, [each.name for each in trial.tests if each.masks and not each.law])
-                tests = (*trial.tests, *drift_test(basis, trial.scores))
+                found_tests = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
+                trial.tests, trial.scores = found_tests
+                tests = (*trial.tests, *drift_test(basis, trial.scores, trial.tests))
                 trial.tests = tuple(sorted(tests, key=lambda each: -each.gain))
         done.status = done.status or stop.status
         return trial

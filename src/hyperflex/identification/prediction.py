@@ -56,13 +56,13 @@ class HeldOut:
     @property
     def persistence(self) -> float:
         """Error of predicting that all stays as it was when the prediction began, rms over all values, rad or m."""
-        columns = [column for k in range(self.starts.size) for column in self.measured[self._began == k].T]
+        columns = [column for k in range(self.starts.size) for column in self.measured[self.began == k].T]
         known = [column[~np.isnan(column)] for column in columns]
         off = np.concatenate([each - each[:1] for each in known])
         return float(np.sqrt(np.mean(off**2))) if off.size else 0.0
 
     @property
-    def _began(self) -> npt.NDArray[np.intp]:
+    def began(self) -> npt.NDArray[np.intp]:
         """Which prediction each sample (m,) belongs to."""
         return np.searchsorted(self.starts, self.t, side="left") - 1
 
@@ -73,7 +73,7 @@ class HeldOut:
         In a chaotic motion the errors of state and parameters grow there as fast as those that a wrong model makes.
         """
         wide = np.where(np.isnan(self.std), 0.0, BAND * self.std).max(axis=1) > WIDE * self.persistence
-        keep = ~np.concatenate([np.logical_or.accumulate(wide[self._began == k]) for k in range(self.starts.size)])
+        keep = ~np.concatenate([np.logical_or.accumulate(wide[self.began == k]) for k in range(self.starts.size)])
         seen, predicted = self.measured[keep], self.predicted[keep]
         return replace(
             self, rms=_rms(predicted - seen), t=self.t[keep], measured=seen, predicted=predicted, std=self.std[keep]

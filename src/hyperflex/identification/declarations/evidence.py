@@ -90,27 +90,27 @@ def uneven_scale(recording: Recording, rope: Rope) -> list[Finding]:
     the same p and q for all links; exp(2 hypot(p, q)) is the ratio of the scales.
     """
     along = np.diff(recording.data.reshape(recording.t.size, -1, 2), axis=1)
-    distance, double = np.hypot(*along.T).T, 2.0 * np.arctan2(along[..., 1], along[..., 0])
-    rows = []
-    for d, turn in zip(distance.T, double.T, strict=True):
-        there = ~np.isnan(d) & (d > 0.0)
-        if there.sum() < EVIDENT.many:
-            continue
-        off = np.log(d[there] / np.median(d[there]))
-        typical = np.abs(off) <= EVIDENT.outlying * max(float(np.median(np.abs(off))), 1e-12)
-        columns = np.column_stack([off, np.cos(turn[there]), np.sin(turn[there])])[typical]
-        rows.append(columns - columns.mean(axis=0))
-    if not rows:
+    along = along[:, np.count_nonzero(np.hypot(*along.T) > 0.0, axis=1) >= EVIDENT.many]
+    with np.errstate(divide="ignore"):
+        size, double = np.log(np.hypot(*along.T)), 2.0 * np.arctan2(along[..., 1], along[..., 0]).T
+    size[np.isinf(size)] = np.nan
+    off = size - np.nanmedian(size, axis=1, keepdims=True)
+    limit = EVIDENT.outlying * np.maximum(np.nanmedian(np.abs(off), axis=1, keepdims=True), 1e-12)
+    table = np.where(np.abs(off) <= limit, [off, np.cos(double), np.sin(double)], np.nan)
+    off, *columns = (table - np.nanmean(table, axis=2, keepdims=True))[:, ~np.isnan(table[0])]
+    if not off.size:
         return []
-    table = np.vstack(rows)
-    matrix, off = table[:, 1:], table[:, 0]
-    step = np.linalg.pinv(matrix.T @ matrix, rcond=1e-6, hermitian=True) @ (matrix.T @ off)
-    variance = float(np.sum((off - matrix @ step) ** 2)) / table.shape[0]
-    size, explained = float(np.hypot(*step)), float(np.sum((matrix @ step) ** 2))
-    seen = np.sqrt(explained / table.shape[0]) > 0.1 * EVIDENT.uneven  # else links turn too little to tell
-    if np.expm1(2.0 * size) <= EVIDENT.uneven or explained <= EVIDENT.beyond**2 * variance or not seen:
+    matrix = np.transpose(columns)
+    step = np.linalg.pinv(matrix, rcond=1e-3) @ off
+    seen = float(np.mean((matrix @ step) ** 2))
+    variance, enough = (
+        float(np.mean((off - matrix @ step) ** 2)),
+        (0.1 * EVIDENT.uneven) ** 2,
+    )  # else links turn too little
+    factor = float(np.exp(2.0 * np.hypot(*step)))
+    if factor - 1.0 <= EVIDENT.uneven or seen <= max(EVIDENT.beyond**2 * variance / off.size, enough):
         return []
-    values = {"angle": 0.5 * float(np.arctan2(step[1], step[0])), "factor": float(np.exp(2.0 * size))}
+    values = {"angle": 0.5 * float(np.arctan2(step[1], step[0])), "factor": factor}
     return [Finding(Kind.PICTURE_SCALE, Severity.WRONG, values)]
 
 

@@ -1,4 +1,4 @@
-"""What a fit holds and what was declared: one object for each quantity that the data may contradict.
+"""Quantities that a fit does not free, or that were declared: one object for each that the data may contradict.
 
 To add a quantity, write its object and list it in HELD. Its kind of finding goes to findings.py, its text to texts.py.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.model import ANGLES, Plant
-from hyperflex.model import DAMPING, RESISTANCES, Rope
+from hyperflex.model import DAMPING, PROPERTIES, RESISTANCES, Rope
 from hyperflex.sensors import Markers
 
 FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
@@ -56,12 +56,12 @@ def _one(key: str, change: Callable[[Any], Any] = float) -> Callable[[str, Array
 
 
 def _named(name: str, values: Array) -> dict[str, Any]:
-    return {"name": f"'{name}'", "values": [float(each) for each in values]}
+    return {"name": f"'{name}'", "values": values.tolist(), "unit": PROPERTIES[base(name)].unit}
 
 
 @dataclass(frozen=True)
 class HeldQuantity:
-    """A quantity that a fit holds and that the data may contradict.
+    """A quantity that is fixed in a fit and that the data may contradict.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class HeldQuantity:
     factor : bool
         Whether its value is a factor.
     declared : bool
-        Whether it stands for a recording that is not as declared, and not for a property of the rope.
+        Whether it is a declaration of the recording, not a property of the rope.
     farthest : float
         Factor beyond which something else is wrong.
     enough : float
@@ -86,7 +86,7 @@ class HeldQuantity:
     reported : bool
         Whether it is reported with its value as soon as it is significant.
     apart : bool
-        Whether it is tested in a linearisation of its own: it acts much as others do.
+        Whether it is tested in a separate linearisation: it acts much as others do.
     """
 
     kind: Kind

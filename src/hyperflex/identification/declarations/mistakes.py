@@ -1,11 +1,10 @@
 """Usual mistakes in what was declared of a recording: what may have been meant, tried by short fits.
 
-To add one, yield its finding and the recording as it would be then from `_angles_meant` or `_markers_meant`.
+To add one, yield its finding and the data as they would be then from `_angles_meant` or `_markers_meant`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import HARDLY, Loss, fit, part_left
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements, usual_length
-from hyperflex.identification.model import ANGLES, Plant, lumped
+from hyperflex.identification.model import ANGLES, ARM_LENGTH, Plant, extended, lumped
 from hyperflex.identification.multi_start import search_delay, with_delay
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.model import FREE_PROPERTIES, Rope
@@ -25,94 +24,20 @@ from hyperflex.recording import Recording
 
 
 @dataclass(frozen=True)
-class SlipLimits:
-    """Which mistakes are tried."""
+class MistakeOptions:
+    """Which mistakes are tried, by how short a fit, and when one explains a poor fit."""
 
-    # links or markers up to which each is tried by itself: the cost of as many short fits
+    # links or markers up to which each is tried separately: the cost of as many short fits
     swaps: int = 4
-    # rad: degrees read as radians reach farther, but for a tiny swing
+    # rad: degrees read as radians reach farther, except for a tiny swing
     large: float = 2.0
     # rad: six turns read as degrees, the farthest that a free double pendulum was seen to wind up
     turns: float = 0.7
     # quantile of distances that is a straight rope's; part by which scales may be off
     straight: float = 0.95
     least_scale: float = 0.02
-
-
-TRIED = SlipLimits()
-
-Variant = tuple[Finding, Recording]  # a mistake, and the recording as it would be then
-
-
-def angles_as(recording: Recording, data: Array, factor: float = 1.0) -> Recording:
-    """Return a recording with other angles (T, n), its noise multiplied by a factor."""
-    noise = None if recording.noise is None else recording.noise * factor
-    return replace(recording, data=data, noise=noise, rates=None)
-
-
-def _angles_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
-    """Yield the usual mistakes in angles."""
-    q = recording.data
-    n, largest = q.shape[1], np.nanmax(np.abs(q))
-    meant: list[tuple[Kind, dict[str, Any], Array]] = []
-    if n > 1:
-        meant = [
-            (Kind.RELATIVE, {}, np.cumsum(q, axis=1)),
-            (Kind.ABSOLUTE, {}, np.diff(q, axis=1, prepend=0.0)),
-            (Kind.REVERSED, {"what": "the links"}, q[:, ::-1]),
-        ]
-    for k in range(n - 1) if 2 < n <= TRIED.swaps else ():
-        meant.append((Kind.SWAPPED, {"what": "links", "first": k, "second": k + 1}, q[:, neighbours_swapped(n, k)]))
-    for k in range(n) if 1 < n < TRIED.swaps else ():
-        meant.append((Kind.SENSE, {"link": k}, q * np.where(np.arange(n) == k, -1.0, 1.0)))
-    for where, angle in (("pointing up", np.pi), ("level, along +x", 0.5 * np.pi), ("level, along -x", -0.5 * np.pi)):
-        meant.append((Kind.ZERO_DIRECTION, {"where": where}, q + angle))
-    for kind, values, data in meant:
-        yield Finding(kind, values=values), angles_as(recording, data)
-    if largest > TRIED.large:
-        yield Finding(Kind.DEGREES), angles_as(recording, np.radians(q), np.pi / 180.0)
-    if largest < TRIED.turns:
-        yield Finding(Kind.RADIANS), angles_as(recording, np.degrees(q), 180.0 / np.pi)
-
-
-def _markers_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
-    """Yield the usual mistakes in markers: axes, order, and scale, if distances differ from those along the rope."""
-    places = np.asarray(recording.data.reshape(recording.t.size, -1, 2))
-    n = places.shape[1]
-    middle = np.nanmedian(places[:, 0], axis=0) if setup.origin is None else np.asarray(setup.origin, dtype=np.float64)
-    away = places - middle
-    meant: list[tuple[Kind, dict[str, Any], Array]] = [
-        (Kind.Y_AXIS, {}, middle + away * np.array([1.0, -1.0])),
-        (Kind.AXES_SWAPPED, {}, middle + away[:, :, ::-1]),
-    ]
-    if n > 1:
-        meant.append((Kind.REVERSED, {"what": "the markers"}, places[:, ::-1]))
-    for k in range(n - 1) if 2 < n <= TRIED.swaps + 1 else ():
-        values = {"what": "markers", "first": k, "second": k + 1}
-        meant.append((Kind.SWAPPED, values, places[:, neighbours_swapped(n, k)]))
-    for kind, own, data in meant:
-        yield Finding(kind, values=own), replace(recording, data=data.reshape(recording.data.shape))
-    if setup.arc_lengths is None or n < 2:
-        return
-    apart = np.nanquantile(np.hypot(*np.diff(places, axis=1).T).T, TRIED.straight, axis=0)
-    factor = float(np.median(apart / np.diff(np.asarray(setup.arc_lengths, dtype=np.float64))))
-    if abs(factor - 1.0) > TRIED.least_scale:
-        noise = None if recording.noise is None else recording.noise / factor
-        yield (
-            Finding(Kind.MARKER_SCALE, values={"factor": factor}),
-            replace(recording, data=recording.data / factor, noise=noise),
-        )
-
-
-MEANT = {"angles": _angles_meant, "markers": _markers_meant}
-
-
-@dataclass(frozen=True)
-class MistakeOptions:
-    """Short fits of what may have been meant, and when they explain a poor fit."""
-
     # Thresholds from the recordings of benchmarks/wrong_input.py, and IBM 06 and 16 and the triple pendulum as they
-    # are part of the residual that a mistake leaves at most: right ones left 0.01 to 0.2, others 0.6 and more
+    # are: part of the residual that a mistake leaves at most; right ones left 0.01 to 0.2, others 0.6 and more
     better: float = 0.5
     # part of the motion: right ones leave 0.0015 to 0.008
     fits: float = 0.05
@@ -122,7 +47,7 @@ class MistakeOptions:
     rounds: int = 12
     # rad, 5 degrees, of a link's zero: between what is no mistake and the 10 degrees that were tried
     zero: float = 0.09
-    # logarithms of factors of angles, or of the arm's length: tried, and reported
+    # logarithms of factors of angles, or of the arm's length: the largest believed, and the least reported
     farthest: float = 0.3
     least_gain: float = 0.005
     # times the residual of another explanation: one that leaves no more explains as well
@@ -130,13 +55,68 @@ class MistakeOptions:
     # times the residual of a spring: angles that leave no more explain as well; a real pendulum read 10 % too large
     # left 1.16, a double one with springs 1.5
     spring: float = 1.25
+    # rad, and part: the least rotated gravity and wrong clock that are reported
+    least_angle: float = float(np.radians(1.0))
+    least_clock: float = 0.01
 
 
 SHORT_FIT = MistakeOptions()
 SKEWED = (CLOCK, "gravity_angle")  # a wrong clock or scale, a camera that is not level
-LEAST_ANGLE, LEAST_CLOCK = np.radians(1.0), 0.01  # of a skew that is reported
 
+Variant = tuple[Finding, Array, float]  # a mistake; the data as they would be then; the factor on their noise
 Tried = tuple[float, list[Finding]]  # part of the motion that is left, and what that means
+
+
+def _declared_as(recording: Recording, data: Array, factor: float = 1.0) -> Recording:
+    """Return a recording with other data, its noise multiplied by a factor."""
+    noise = None if recording.noise is None else recording.noise * factor
+    return replace(recording, data=data.reshape(recording.data.shape), noise=noise, rates=None)
+
+
+def _angles_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
+    """Yield the usual mistakes in angles."""
+    q = recording.data
+    n, largest = q.shape[1], np.nanmax(np.abs(q))
+    if n > 1:
+        yield Finding(Kind.RELATIVE), np.cumsum(q, axis=1), 1.0
+        yield Finding(Kind.ABSOLUTE), np.diff(q, axis=1, prepend=0.0), 1.0
+        yield Finding(Kind.REVERSED, values={"what": "the links"}), q[:, ::-1], 1.0
+    for k in range(n - 1) if 2 < n <= SHORT_FIT.swaps else ():
+        yield _swap("links", k), q[:, neighbours_swapped(n, k)], 1.0
+    for k in range(n) if 1 < n < SHORT_FIT.swaps else ():
+        yield Finding(Kind.SENSE, values={"link": k}), q * np.where(np.arange(n) == k, -1.0, 1.0), 1.0
+    for where, angle in (("pointing up", np.pi), ("level, along +x", 0.5 * np.pi), ("level, along -x", -0.5 * np.pi)):
+        yield Finding(Kind.ZERO_DIRECTION, values={"where": where}), q + angle, 1.0
+    if largest > SHORT_FIT.large:
+        yield Finding(Kind.DEGREES), np.radians(q), np.pi / 180.0
+    if largest < SHORT_FIT.turns:
+        yield Finding(Kind.RADIANS), np.degrees(q), 180.0 / np.pi
+
+
+def _markers_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
+    """Yield the usual mistakes in markers: axes, order, and scale, if distances differ from those along the rope."""
+    places = recording.data.reshape(recording.t.size, -1, 2)
+    n = places.shape[1]
+    middle = np.nanmedian(places[:, 0], axis=0) if setup.origin is None else np.asarray(setup.origin, dtype=np.float64)
+    away = places - middle
+    yield Finding(Kind.Y_AXIS), middle + away * np.array([1.0, -1.0]), 1.0
+    yield Finding(Kind.AXES_SWAPPED), middle + away[:, :, ::-1], 1.0
+    if n > 1:
+        yield Finding(Kind.REVERSED, values={"what": "the markers"}), places[:, ::-1], 1.0
+    for k in range(n - 1) if 2 < n <= SHORT_FIT.swaps + 1 else ():
+        yield _swap("markers", k), places[:, neighbours_swapped(n, k)], 1.0
+    if setup.arc_lengths is not None and n > 1:
+        apart = np.nanquantile(np.hypot(*np.diff(places, axis=1).T).T, SHORT_FIT.straight, axis=0)
+        factor = float(np.median(apart / np.diff(np.asarray(setup.arc_lengths, dtype=np.float64))))
+        if abs(factor - 1.0) > SHORT_FIT.least_scale:
+            yield Finding(Kind.MARKER_SCALE, values={"factor": factor}), places / factor, 1.0 / factor
+
+
+def _swap(what: str, k: int) -> Finding:
+    return Finding(Kind.SWAPPED, values={"what": what, "first": k, "second": k + 1})
+
+
+MEANT = {"angles": _angles_meant, "markers": _markers_meant}
 
 
 @dataclass(frozen=True)
@@ -150,21 +130,22 @@ class ShortFit:
 
     def __call__(self, recording: Recording, more: Sequence[str] = ()) -> tuple[float, list[float]]:
         """Return the residual, rms, as a part of the motion (inf: nothing fits), and values of `more`, also free."""
-        words = [*self.free, *(each for each in more if each not in self.free)]
-        words = [word for word in words if FREE_PROPERTIES[base(word)].owner != "arm"]
+        words = [word for word in self.free if FREE_PROPERTIES[base(word)].owner != "arm"]
         try:
             measured, places = checked_measurements(recording, self.rope, self.setup)
             plant = build_plant(recording, self.rope, words, places, replace(self.setup, torque=None))
-            part, x = self._left(plant, measured)
+            added = [word for word in more if word not in words]
+            plant, x, _ = extended(plant, plant.parameters.start, added)
+            part, x = self._left(plant, measured, x)
         except (InvalidInput, IdentificationError):
             return np.inf, [np.nan] * len(more)
         return part, [plant.parameters.single(name, x) for name in more]
 
-    def _left(self, plant: Plant, measured: Measurements) -> tuple[float, Array]:
-        usual = usual_length(measured.shape, self.rope)
+    def _left(self, plant: Plant, measured: Measurements, x: Array) -> tuple[float, Array]:
+        usual, fitted = usual_length(measured.shape, self.rope), None
         if "delay" in plant.parameters.names:
             plant = with_delay(plant, search_delay(plant, measured, usual, self.loss))
-        x, fitted = plant.parameters.start, None
+            x = plant.parameters.start
         for length in (usual / SHORT_FIT.shorter, usual):
             windows, _ = measured.windows(length)
             windows = windows[: SHORT_FIT.windows]
@@ -182,38 +163,35 @@ def spring_or_angles(recording: Recording, left: ShortFit) -> list[Finding]:
     """Return that angles read too large or too small explain as much as a stiffness that was freed.
 
     A pendulum whose angles are read 10 % too large seems to swing faster with its amplitude than gravity makes it. So
-    does one with a spring. Nothing is said where the guess has a stiffness, or where one explains clearly more.
+    does one with a spring. Nothing is reported where the guess has a stiffness, or where one explains clearly more.
     """
     words = [word for word in left.free if base(word) != "stiffness"]
     if recording.kind != "angles" or len(words) == len(left.free) or left.rope.stiffness.any():
         return []
-    plain = replace(left, free=words)
-    least, log = _best(lambda log: plain(angles_as(recording, np.exp(log) * recording.data, np.exp(log)))[0])
-    if abs(log) < SHORT_FIT.least_gain or least > SHORT_FIT.spring * left(recording)[0]:
+    part, (read,) = replace(left, free=words)(recording, (ANGLES,))
+    believed = SHORT_FIT.least_gain <= abs(np.log(read)) <= SHORT_FIT.farthest
+    if not believed or part > SHORT_FIT.spring * left(recording)[0]:
         return []
-    return [Finding(Kind.SPRING_OR_ANGLES, Severity.WRONG, {"factor": float(np.exp(log))})]
+    return [Finding(Kind.SPRING_OR_ANGLES, Severity.WRONG, {"factor": 1.0 / read})]
 
 
 def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> list[Finding]:
     """Return the mistake that explains a fit that is not good, or nothing.
 
     A mistake is named if it leaves half of what the recording as declared leaves at most, and that is little. It has to
-    leave half of what a wrong clock or scale and a camera that is not level leave, and of what the score test `named`
-    leaves, too; one that explains as much as the former is named with them. The zero of one link comes where nothing
-    else explains.
+    leave half of what a wrong clock or scale and a camera that is not level leave, and of what a fit with the quantity
+    of the score test `named` freed leaves, too; one that explains as much as the former is named with them. The zero of
+    one link comes where nothing else explains.
     """
     declared, _ = left(recording)
     skewed, (scale, angle) = left(recording, SKEWED)
-    most, name = declared, "" if named is None else named.name
-    if base(name) in FREE_PROPERTIES and name not in (*SKEWED, "delay"):
-        most = min(most, left(recording, (name,))[0])
-    if named is not None and name in (ANGLES, "delay"):  # a short fit does not free the one, and searches the other
-        most = min(most, declared * float(np.sqrt(1.0 - named.gain)))
-    skew = _skew(float(np.sqrt(scale)), float(angle))
+    name = "" if named is None else named.name
+    most = min(declared, left(recording, (name,))[0]) if name not in ("", *SKEWED) else declared
     for tried in ([*_meant(recording, left), *_driven(recording, left)], _zeros(recording, left, declared)):
         least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
         if least > SHORT_FIT.better * skewed:
-            found = [*(found if least <= SHORT_FIT.as_good * skewed else []), *skew] if name not in SKEWED else []
+            as_well = found if least <= SHORT_FIT.as_good * skewed else []
+            found = [] if name in SKEWED else [*as_well, *_skew(float(np.sqrt(scale)), float(angle))]
             least = min(least, skewed)
         if found and least <= min(SHORT_FIT.better * most, SHORT_FIT.fits):
             gain = 1.0 - min(1.0, least / min(declared, 1.0)) ** 2
@@ -228,13 +206,10 @@ def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
     Not where a free direction of gravity then turns by more than 45 degrees: it makes all zeros of the angles explain
     as much, each with another direction.
     """
-    for finding, meant in MEANT[recording.kind](recording, left.setup):
-        if "gravity_angle" in left.free:
-            part, (angle,) = left(meant, ("gravity_angle",))
-            part = part if np.cos(angle) > np.sqrt(0.5) else np.inf
-        else:
-            part = left(meant)[0]
-        yield part, [finding]
+    free = [word for word in left.free if word == "gravity_angle"]
+    for finding, data, factor in MEANT[recording.kind](recording, left.setup):
+        part, angles = left(_declared_as(recording, data, factor), free)
+        yield part if all(np.cos(angle) > np.sqrt(0.5) for angle in angles) else np.inf, [finding]
 
 
 def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tried]:
@@ -245,9 +220,9 @@ def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tr
     n = recording.data.shape[1]
 
     def moved(k: int, zero: float) -> float:
-        return left(angles_as(recording, recording.data - zero * np.eye(n)[k]))[0]
+        return left(_declared_as(recording, recording.data - zero * np.eye(n)[k]))[0]
 
-    for k in range(n) if recording.kind == "angles" and 1 < n <= TRIED.swaps else ():
+    for k in range(n) if recording.kind == "angles" and 1 < n <= SHORT_FIT.swaps else ():
         below, above = moved(k, -SHORT_FIT.zero) ** 2, moved(k, SHORT_FIT.zero) ** 2
         bend = below - 2.0 * declared**2 + above
         if 0.0 < bend < np.inf:
@@ -257,32 +232,18 @@ def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tr
 
 def _driven(recording: Recording, left: ShortFit) -> Iterator[Tried]:
     """Yield what a short fit leaves with another length of the arm, and with stamps that come late."""
-    setup, arm = left.setup, left.setup.arm
-    if arm is None:
+    if left.setup.arm is None:
         return
-
-    def longer(log: float) -> float:
-        other = replace(arm, length=float(np.exp(log)) * arm.length)
-        return replace(left, setup=replace(setup, arm=other))(recording)[0]
-
-    part, log = _best(longer)
-    yield part, [Finding(Kind.ARM_LENGTH, values={"length": float(np.exp(log)) * arm.length})]
+    part, (factor,) = left(recording, (ARM_LENGTH,))
+    if part < np.inf and abs(np.log(factor)) <= SHORT_FIT.farthest:
+        yield part, [Finding(Kind.ARM_LENGTH, values={"length": factor * left.setup.arm.length})]
     if "delay" not in left.free:
         part, (delay,) = left(recording, ("delay",))
         yield part, [Finding(Kind.DELAY, values={"delay": delay})]
 
 
-def _best(part: Callable[[float], float]) -> tuple[float, float]:
-    """Return the least part of the motion that the logarithm of a factor leaves, and that logarithm."""
-    from scipy.optimize import minimize_scalar
-
-    bounds = (-SHORT_FIT.farthest, SHORT_FIT.farthest)
-    found = minimize_scalar(part, bounds=bounds, method="bounded", options={"xatol": 2e-3, "maxiter": 12})
-    return float(found.fun), float(found.x)
-
-
 def _skew(clock: float, angle: float) -> list[Finding]:
     """Return a clock that is off by a factor, and a gravity that is rotated by an angle, rad."""
-    turned = [Finding(Kind.ZERO, values={"angle": angle})] if abs(angle) > LEAST_ANGLE else []
+    turned = [Finding(Kind.ZERO, values={"angle": angle})] if abs(angle) > SHORT_FIT.least_angle else []
     values = {"clock": clock, "scale": clock**2, "moved": abs(clock**2 - 1.0)}
-    return turned + [Finding(Kind.CLOCK, values=values)] * (abs(clock - 1.0) > LEAST_CLOCK)
+    return turned + [Finding(Kind.CLOCK, values=values)] * (abs(clock - 1.0) > SHORT_FIT.least_clock)

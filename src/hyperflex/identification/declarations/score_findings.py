@@ -42,7 +42,7 @@ def explaining(tests: Sequence[ScoreTest]) -> ScoreTest | None:
 
 
 def score_findings(tests: Sequence[ScoreTest], *, odd: bool, known: bool, wrong: bool) -> list[Finding]:
-    """Return what tests say of a fit that is `odd`, or that tells no ratio (not `known`).
+    """Return the findings of tests of a fit that is `odd`, or that determines no ratio (not `known`).
 
     What explains such a fit is wrong; `wrong`: something else is known to be, and causes are doubts.
     """
@@ -81,13 +81,13 @@ def _causes(tests: Sequence[ScoreTest]) -> list[ScoreTest]:
 
 
 def _doubtful(test: ScoreTest, first: ScoreTest | None) -> bool:
-    """Whether something seems off, but so little that ratios hardly move, or something else may explain it."""
+    """Whether something seems off, but moves ratios by little, or something else may explain it."""
     if test.name == DRIFT:
         return test.refitted and not (test.significant and test.matters) and (first is None or first.gain <= test.gain)
     if test.name in (LINKS, SCALES) or (test.significant and test.matters):
         return False
     if test.suspected or test.covered:
-        return not test.freed_with or test.expected
+        return not test.freed_with
     alike = first is not None and abs(test.gain - first.gain) < TESTING.equal
     explains = test.law and test.gain > TESTING.explains and not alike
     return test.significant and (test.slight or test.uneven or test.quantity.reported or explains)
@@ -95,22 +95,21 @@ def _doubtful(test: ScoreTest, first: ScoreTest | None) -> bool:
 
 def _of_links(tests: Sequence[ScoreTest], *, odd: bool) -> list[Finding]:
     """Return that links are too long: the cause of an `odd` fit, or a doubt; nothing where another cause is better."""
-    for each in tests:
-        if each.name != LINKS or each.excess_gain < REPORTED.likely or each.gain <= TESTING.equal:
-            continue
-        better = [other for other in tests if other.significant and other.gain > each.gain + TESTING.equal]
-        if any(other.name not in each.freed_with for other in better):
-            return []
-        along = {"freed_with": as_free(each.freed_with)}
-        values = along | {"probability": each.excess_gain, "moved": each.ratio_sensitivity}
-        if odd and each.gain >= max(TESTING.explains, *(other.gain for other in tests)):
-            return [Finding(Kind.LINKS_TOO_LONG, Severity.WRONG, values, each.gain)]
-        return [Finding(Kind.LINKS_TOO_LONG, Severity.DOUBT, values, each.gain)] * (each.ratio_sensitivity > 0.0)
-    return []
+    links = next((each for each in tests if each.name == LINKS), None)
+    if links is None or links.excess_gain < REPORTED.likely or links.gain <= TESTING.equal:
+        return []
+    better = {other.name for other in tests if other.significant and other.gain > links.gain + TESTING.equal}
+    if not better <= set(links.freed_with):
+        return []
+    along = {"freed_with": as_free(links.freed_with)}
+    values = along | {"probability": links.excess_gain, "moved": links.ratio_sensitivity}
+    cause = odd and links.gain >= max(TESTING.explains, *(other.gain for other in tests))
+    found = Finding(Kind.LINKS_TOO_LONG, Severity.WRONG if cause else Severity.DOUBT, values, links.gain)
+    return [found] * (cause or links.ratio_sensitivity > 0.0)
 
 
 def _lengths(tests: Sequence[ScoreTest]) -> list[Finding]:
-    """Return that lengths seem off where a drive lets the motion tell them, and no clock seems off."""
+    """Return that lengths seem off where a drive makes the motion depend on them, and no clock seems off."""
     scales = next((each for each in tests if each.name == SCALES and each.values.size > 2), None)
     if scales is None or any(each.significant and each.name == CLOCK for each in tests):
         return []

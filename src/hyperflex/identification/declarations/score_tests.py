@@ -20,7 +20,7 @@ from hyperflex.identification.declarations.held import (
     words_for_tests,
 )
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.fit import Fit, fit, linearise
+from hyperflex.identification.fit import Fit, Window, fit, linearise
 from hyperflex.identification.model import Mask, Parameter, Plant, extended, scale_words
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.noise import CHANCE
@@ -33,7 +33,7 @@ class ScoreTestOptions:
 
     # part of the sum of squares, to first order, from which a refit is made: less than what is believed
     suspect: float = 0.3
-    # the same of a resistance, whose derivative where there is none of it tells less: drag's grows from there
+    # the same of a resistance, whose derivative at 0 shows less: that of drag grows from there
     law: float = 0.15
     # refits at most, rounds of each, and windows, spread over the recording: for time
     refits: int = 3
@@ -60,7 +60,7 @@ TESTING = ScoreTestOptions()
 
 @dataclass(frozen=True, eq=False)
 class ScoreTest:
-    """What the data say of something that was held in a fit.
+    """What the data show of a quantity that was fixed in a fit.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class ScoreTest:
     added : (P, P) float64
         Covariance of x that freeing it adds.
     rate : (P, k) float64
-        Change of the fit's x by each unit of its own x.
+        Change of the fit's x per unit of the quantity's x.
     excess_gain : float
         Part of the gain that noise does not explain, 0 to 1; of links the probability that the rope has finer ones.
     sure : bool
@@ -93,7 +93,7 @@ class ScoreTest:
         Of centres of mass: relative change of a ratio J/p1 or p/p1 by each 1 % of them, the greatest of those that are
         beyond twice their standard deviation; 0 where none is.
     freed_with : tuple of str
-        What had to be free as well before the data asked for this.
+        What had to be free as well before the data showed this.
     information : (k, k) float64
         Of its own x, in units of the noise's variance.
     declared_std : float
@@ -123,7 +123,7 @@ class ScoreTest:
 
     @property
     def law(self) -> bool:
-        """Whether it is a resistance that was left out."""
+        """Whether it is a resistance that was omitted."""
         return base(self.name) in LAWS
 
     @property
@@ -153,28 +153,22 @@ class ScoreTest:
 
     @property
     def slight(self) -> bool:
-        """Whether it is no farther off than instruments err."""
-        return self.refitted and 0.0 < self.quantity.slight >= self.size
-
-    @property
-    def expected(self) -> bool:
-        """Whether lengths and times that err as was declared explain it: standard deviations include that."""
-        known = self.refitted and self.declared_std > 0.0
-        return bool(known and self.size <= TESTING.covered * np.hypot(self.declared_std, self.std))
+        """Whether it is no farther off than instruments err, or than lengths and times as declared explain."""
+        declared = TESTING.covered * np.hypot(self.declared_std, self.std) if self.declared_std > 0.0 else 0.0
+        least = max(self.quantity.slight, declared)
+        return bool(self.refitted and 0.0 < least >= self.size)
 
     @property
     def matters(self) -> bool:
         """Whether ratios would move by more than is negligible and noise may move them, or it is large by itself."""
-        if not self.possible or self.slight or self.expected:
-            return False
-        return self.size > self.quantity.enough or (self.moved > TESTING.moves and self.beyond > TESTING.covered)
+        moves = self.moved > TESTING.moves and self.beyond > TESTING.covered
+        return self.possible and not self.slight and (self.size > self.quantity.enough or moves)
 
     @property
     def covered(self) -> bool:
         """Whether something else seems to fit, and moves ratios, but by no more than noise may."""
-        return (
-            self.significant and self.possible and not self.slight and self.moved > TESTING.moves and not self.matters
-        )
+        moves = self.significant and self.moved > TESTING.moves
+        return moves and self.possible and not (self.slight or self.matters)
 
     @property
     def suspected(self) -> bool:
@@ -189,70 +183,9 @@ class ScoreTest:
         return self.significant and not self.matters and self.name != CLOCK
 
 
-def score_tests(
-    basis: Basis, declared_std: float = 0.0, *, angles: bool = False, budget: Budget | None = None
-) -> tuple[ScoreTest, ...]:
-    """Test what a fit has held, and `angles` if these were read off a sensor; the greatest gain comes first.
-
-    Lengths and times as declared give gravity a relative standard deviation of `declared_std`.
-
-    Notes
-    -----
-    Rao's score test, or Lagrange multiplier test (Rao 1948, doi:10.1017/S0305004100023987): with S the derivatives of
-    the residuals r by what is free and what is held, less what the windows' states absorb, the score of what is held is
-    ``S_h' r``, its information the Schur complement of ``S' S``. In place of a probability the part of the sum of
-    squares is told that it explains, for residuals of real recordings are model errors, of which no noise level tells.
-    It costs one round of a fit, with more columns. Resistances that would have to be negative explain nothing. Up to
-    three that explain much are fitted along, in some of the windows. A resistance that explains much, or anything that
-    explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again.
-    """
-    budget = budget or Budget()
-    found, freed = _refitted_tests(basis, budget, angles=angles), list[str]()
-    tests, later, now = found, dict[str, ScoreTest](), basis
-    for _ in range(TESTING.hiding):
-        hiding = next((each.name for each in tests if each.masks), "")
-        richer = fit_with(now, hiding)
-        if richer is None:
-            break
-        now = richer
-        freed.append(hiding)
-        tests = _refitted_tests(now, budget, angles=angles)
-        for each in tests:
-            each = within(each, basis.fit.x.size, freed)
-            if each.significant and (each.matters or each.slight) and not each.law:
-                later.setdefault(each.name, each)
-    known = {each.name for each in found if each.significant}
-    found = [each if each.name in known else later.pop(each.name, each) for each in found]
-    found += [each for name, each in later.items() if name not in known]
-    found = [replace(each, declared_std=declared_std) if each.name == CLOCK else each for each in found]
-    return tuple(sorted(found, key=lambda each: -each.gain))
-
-
-def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
-    """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
-    test = replace(test, shift=test.shift[:size], added=test.added[:size, :size], rate=test.rate[:size])
-    return replace(test, freed_with=tuple(freed))
-
-
-def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> list[ScoreTest]:
-    """Return the tests of a fit, the greatest gain first; those that explain much with what a refit says."""
-    found = [test for words in words_for_tests(TestedFit(basis.plant, angles)) for test in _tested(basis, words)]
-    found += _tested(basis, list(scale_words(basis.plant).values()), SCALES)
-    found.sort(key=lambda each: -each.gain)
-    others = [k for k, each in enumerate(found) if each.name != SCALES]
-    slips = [k for k in others[TESTING.refits :] if found[k].quantity.enough < np.inf]  # that are easily mended
-    laws = [k for k in others[TESTING.refits :] if found[k].law][:1]
-    for k in [*others[: TESTING.refits], *slips, *laws]:
-        each = found[k]
-        if each.gain > (TESTING.law if each.law else TESTING.suspect) or each.excess_gain > TESTING.sure:
-            budget.check()
-            found[k] = _refitted(basis, each)
-    return sorted(found, key=lambda each: -each.gain)
-
-
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """What each of W windows says of K numbers: the P that were free, and those of words that were held.
+    """Scores of W windows about K numbers: the P that were free, and those of words that were fixed.
 
     All are in units of `scale` (K,), the change of x that each makes a cost of 1; inf of what does not act. score
     (W, K): derivative of half the sum of squares of a window by each, its state eliminated. information (W, K, K).
@@ -279,32 +212,93 @@ class Scores:
 
 def scores(basis: Basis, words: Sequence[str]) -> Scores | None:
     """Return the scores of a fit, at the cost of one round of it; None where they are not finite."""
-    count = basis.fit.x.size
     plant, x, held = extended(basis.plant, basis.fit.x, words)
-    score, matrices, total, groups = [], [], 0.0, dict[str, list[int]]()
-    for each in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
-        slopes, left = linearise(plant, each[0], x, *each[1:], basis.fit.loss).reduced()
-        score.append(slopes.T @ left)
-        matrices.append(slopes.T @ slopes)
-        total += float(left @ left)
-    if not (np.isfinite(matrices).all() and total > 0.0):
+
+    def reduced(window: Window, state: Array, residual: Array) -> tuple[Array, Array, float]:
+        slopes, left = linearise(plant, window, x, state, residual, basis.fit.loss).reduced()
+        return slopes.T @ left, slopes.T @ slopes, float(left @ left)
+
+    every = zip(*map(reduced, basis.windows, basis.fit.states, basis.fit.residuals), strict=True)
+    score, matrices, totals = (np.array(each) for each in every)
+    if not (np.isfinite(matrices).all() and totals.sum() > 0.0):
         return None
-    first = count
+    first, groups = basis.fit.x.size, dict[str, list[int]]()
+    free = np.flatnonzero(x[:first] > plant.parameters.lower[:first]).tolist()
     for word, group in held.items():
         groups[word] = list(range(first, first := first + len(group)))
-    scale = np.sqrt(np.diag(np.sum(matrices, axis=0)))
+    scale = np.sqrt(np.diag(matrices.sum(axis=0)))
     scale[scale == 0.0] = np.inf
-    free = [k for k in range(count) if x[k] > plant.parameters.lower[k]]
-    return Scores(plant, x, groups, free, scale, score / scale, matrices / np.outer(scale, scale), total)
+    return Scores(plant, x, groups, free, scale, score / scale, matrices / np.outer(scale, scale), float(totals.sum()))
 
 
-def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[ScoreTest]:
-    """Return the tests of these words, or one of all, by the name `together`."""
-    found = scores(basis, words)
-    if found is None or not found.groups:
-        return []
-    groups = {together: list(range(basis.fit.x.size, found.x.size))} if together else found.groups
-    return [_test(basis, found, name, own) for name, own in groups.items()]
+def score_tests(
+    basis: Basis, declared_std: float = 0.0, *, angles: bool = False, budget: Budget | None = None
+) -> tuple[tuple[ScoreTest, ...], Scores | None]:
+    """Test what a fit has held, and `angles` if these were read off a sensor; return tests and the windows' scores.
+
+    The test with the greatest gain comes first.
+
+    Lengths and times as declared give gravity a relative standard deviation of `declared_std`.
+
+    Notes
+    -----
+    Rao's score test, or Lagrange multiplier test (Rao 1948, doi:10.1017/S0305004100023987): with S the derivatives of
+    the residuals r by what is free and what is held, less what the windows' states absorb, the score of what is held is
+    ``S_h' r``, its information the Schur complement of ``S' S``. In place of a probability the part of the sum of
+    squares that it explains is returned: residuals of real recordings are model errors, which have no noise level.
+    It costs one round of a fit, with more columns. Resistances that would have to be negative explain nothing. Up to
+    three that explain much are fitted along, in some of the windows. A resistance that explains much, or anything that
+    explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again.
+    """
+    budget = budget or Budget()
+    found, by_window = _refitted_tests(basis, budget, angles=angles)
+    tests = found
+    freed, later, now = list[str](), dict[str, ScoreTest](), basis
+    for _ in range(TESTING.hiding):
+        hiding = next((each.name for each in tests if each.masks), "")
+        richer = fit_with(now, hiding)
+        if richer is None:
+            break
+        now = richer
+        freed.append(hiding)
+        tests, _ = _refitted_tests(now, budget, angles=angles)
+        for each in tests:
+            if each.significant and (each.matters or each.slight) and not each.law:
+                later.setdefault(each.name, within(each, basis.fit.x.size, freed))
+    first = {each.name: each for each in found}
+    kept = {name: each for name, each in first.items() if each.significant}
+    every = first | later | kept
+    if CLOCK in every:
+        every[CLOCK] = replace(every[CLOCK], declared_std=declared_std)
+    return tuple(sorted(every.values(), key=lambda each: -each.gain)), by_window
+
+
+def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
+    """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
+    shift, added, rate = test.shift[:size], test.added[:size, :size], test.rate[:size]
+    return replace(test, shift=shift, added=added, rate=rate, freed_with=tuple(freed))
+
+
+def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> tuple[list[ScoreTest], Scores | None]:
+    """Return the tests of a fit, the greatest gain first, and the windows' scores.
+
+    Tests that explain much are returned with what a refit finds.
+    """
+    every = [scores(basis, words) for words in words_for_tests(TestedFit(basis.plant, angles))]
+    found = [_test(basis, each, *group) for each in every if each is not None for group in each.groups.items()]
+    found.sort(key=lambda each: -each.gain)
+    mended = [each for each in found[TESTING.refits :] if each.quantity.enough < np.inf]  # that are easily mended
+    laws = [each for each in found[TESTING.refits :] if each.law][:1]
+    before: Basis | None = None
+    for each in [*found[: TESTING.refits], *mended, *laws]:
+        if each.gain > (TESTING.law if each.law else TESTING.suspect) or each.excess_gain > TESTING.sure:
+            budget.check()
+            before = before or _fit_with(part_of(basis))
+            found[found.index(each)] = _refitted(before, each)
+    scales = scores(basis, list(scale_words(basis.plant).values()))
+    if scales is not None and scales.groups:
+        found.append(_test(basis, scales, SCALES, list(range(basis.fit.x.size, scales.x.size))))
+    return sorted(found, key=lambda each: -each.gain), every[0]
 
 
 def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
@@ -313,8 +307,7 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
     matrix, score, scale = found.information.sum(axis=0), found.score.sum(axis=0), found.scale
     parameters: list[Parameter] = [found.plant.parameters.all[k] for k in own]
     across = matrix[own] @ found.inverse(found.free)
-    information = matrix[np.ix_(own, own)] - across @ matrix[:, own]
-    slope = score[own] - across @ score
+    information, slope = matrix[np.ix_(own, own)] - across @ matrix[:, own], score[own] - across @ score
     step = _possible_step(information, slope, found.x[own] <= lower[own])
     gain = -float(step @ slope) / found.total
     noise = basis.information.variance * basis.information.correlation
@@ -324,29 +317,23 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
         moved = found.x[own] + step / scale[own]
         values = np.array([each.value(x) for each, x in zip(parameters, moved, strict=True)])
     acting = np.where(np.isfinite(scale[own]), scale[own], 0.0)
+    inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
+    std = np.sqrt(noise * np.maximum(np.diag(inverse), 0.0)) * [each.scale for each in parameters] / scale[own]
     return ScoreTest(
         name,
         min(gain, 1.0),
         values,
-        std=_std(information, noise, [each.scale for each in parameters] / scale[own]),
+        std=float(std.max()) if np.linalg.eigvalsh(information)[0] > TESTING.tiny else np.inf,
         shift=np.maximum(rate @ step, lower[:count] - basis.fit.x),  # no resistance gets negative
-        added=noise * rate @ np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ rate.T,
+        added=noise * rate @ inverse @ rate.T,
         excess_gain=max(0.0, 1.0 - chance / (gain * found.total)) if gain > 0.0 else 0.0,
         rate=rate * acting,
         information=information * np.outer(acting, acting) / max(noise, 1e-300),
     )
 
 
-def _std(information: Array, noise: float, scale: Array) -> float:
-    """Return the greatest standard deviation of values with an information matrix (k, k); inf where one has none."""
-    size, directions = np.linalg.eigh(information)
-    if size[0] <= TESTING.tiny:
-        return np.inf
-    return float(np.sqrt(np.max(noise * (directions**2 / size).sum(axis=1) * scale**2)))
-
-
 def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
-    """Return the step (k,) that the score asks for, 0 of what is at its bound and would pass it."""
+    """Return the step (k,) that the score requires, 0 of what is at its bound and would pass it."""
     active, step = np.ones(score.size, dtype=bool), np.zeros(score.size)
     for _ in range(score.size):
         inner = np.linalg.pinv(information[np.ix_(active, active)], rcond=1e-6, hermitian=True)
@@ -384,29 +371,28 @@ def fit_with(basis: Basis, name: str) -> Basis | None:
     return replace(found, information=estimate_covariance(found.plant, found.windows, found.fit))
 
 
-def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
-    """Return a test with what a fit of some windows says."""
-    some = part_of(basis)
-    before, after = _fit_with(some), _fit_with(some, test.name)
+def _refitted(before: Basis | None, test: ScoreTest) -> ScoreTest:
+    """Return a test with what a fit finds, compared with one `before` it, of the same windows."""
+    after = None if before is None else _fit_with(before, test.name)
     if before is None or after is None:
         return replace(test, gain=0.0, excess_gain=0.0)
     parameters = after.plant.parameters
     x = parameters.rounded(after.fit.x)
-    spread = ratio_spread(basis.plant.parameters, basis.information)
-    then, now = ratios(parameters.rope(x)), ratios(basis.plant.parameters.rope(before.fit.x))
+    spread = ratio_spread(before.plant.parameters, before.information)
+    then, now = ratios(parameters.rope(x)), ratios(before.plant.parameters.rope(before.fit.x))
     later, size, std = (np.concatenate([each["J/p1"], each["p/p1"]]) for each in (then, now, spread))
     step = np.abs(later / size - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):  # what was held has no deviation: inf if it moves
         beyond = np.where(step > TESTING.tiny, np.abs(later - size) / std, 0.0)
     gain = 1.0 - after.fit.cost / before.fit.cost if before.fit.cost > 0.0 else 0.0
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
-    sure = basis.information.whiteness >= CHANCE
+    sure = before.information.whiteness >= CHANCE
     if not sure and excess_gain > TESTING.sure:  # what is held may be all that colours the residuals
         sure = estimate_covariance(after.plant, after.windows, after.fit).whiteness >= CHANCE
     return replace(
         test,
         gain=gain,
-        values=parameters.values(x)[basis.fit.x.size :],
+        values=parameters.values(x)[before.fit.x.size :],
         moved=float(step.max()),
         beyond=float(beyond.max()),
         excess_gain=excess_gain,

@@ -68,7 +68,7 @@ class Bootstrap:
         return "" if self.success else f"{self.status}: {repr(self).strip('<>')}"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the percentile interval of parameter or ratio `name` at a `level`; beside bounds see `profile`.
+        """Return the percentile interval of parameter or ratio `name` at a `level`; near bounds see `profile`.
 
         It is of noise alone: ``Identification.intervals`` add errors of the model and of the lengths.
         """
@@ -175,7 +175,7 @@ class Draws:
             raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
         self.scale, memory = float(np.sqrt(information.variance)), information.memory
         longest = max(window.t.size for window in windows)
-        self.root = np.linalg.cholesky(toeplitz(memory[:longest])) if memory[1:].any() else np.eye(longest)
+        self.root = np.linalg.cholesky(toeplitz(memory[:longest]))
         parts = [r[w.weight.ravel() > 0.0] for r, w in zip(basis.fit.residuals, windows, strict=True)]
         residuals = np.concatenate(parts)
         unknowns = sum(w.unknowns for w in windows) + len(basis.plant.parameters)

@@ -22,7 +22,7 @@ TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in a
 End = Literal["crossed", "bound", "open"]
 IntervalKind = Literal["covariance", "profile", "bootstrap", "unknown"]
 LEVEL = 0.95
-GRACE = 0.5  # s of work: what an interrupted fit may still take to tell how far it is known
+GRACE = 0.5  # s of work: what an interrupted fit may still take for its deviations
 SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
 
 
@@ -35,7 +35,7 @@ class Information:
     model, which come on top. correlation: autocorrelation time of the residuals, samples. plain (P, P): the covariance
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
-    white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
+    white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters share an
     unknown common factor. scales (P, 4): change of x by the logarithms of factors on the links' lengths, on gravity,
     which a clock makes, on the arm's length and on the torque; scale_error (4, 4): covariance of these. estimated:
     False where an interrupt left all open.
@@ -55,39 +55,36 @@ class Information:
     whiteness: float = 1.0
     follow: tuple[Array, ...] = ()
     agrees: bool = True
-    growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    model: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    scales: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    growing: Mask | bool = False
+    model: Array | float = 0.0
+    scales: Array | float = 0.0
     scale_error: Array = field(default_factory=lambda: np.zeros((4, 4)))
     estimated: bool = True
 
     @property
     def total(self) -> Array:
         """Covariance (P, P) of x by noise and errors of the model, lengths and times being as declared."""
-        return self.covariance + self.model if self.model.size else self.covariance
+        return self.covariance + self.model
 
     def model_spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
         """Return the part of `spread` that errors of the model, the lengths, the clock and the torque have."""
-        model = self.model if self.model.size else np.zeros_like(self.covariance)
         moved = self._by_scales(gradient)
         moved[:, 0] += by_length
-        variance = np.einsum("ij,jk,ik->i", gradient, model, gradient)
-        return np.asarray(np.sqrt(variance + np.einsum("ij,jk,ik->i", moved, self.scale_error, moved)))
+        by_model = _variances(gradient, np.broadcast_to(self.model, self.covariance.shape))
+        return np.asarray(np.sqrt(by_model + _variances(moved, self.scale_error)))
 
     def _by_scales(self, gradient: Array) -> Array:
-        return np.asarray(gradient @ self.scales) if self.scales.size else np.zeros((len(gradient), 4))
+        return np.asarray(gradient @ np.broadcast_to(self.scales, (gradient.shape[1], 4)))
 
     def spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
-        """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x alone cannot tell.
+        """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x does not determine them.
 
         `by_length` (k,) are their derivatives by the logarithm of a factor on all lengths, x held.
         """
-        variance = np.einsum("ij,jk,ik->i", gradient, self.covariance, gradient)
-        variance += self.model_spread(gradient, by_length) ** 2
+        variance = _variances(gradient, self.covariance) + self.model_spread(gradient, by_length) ** 2
         scaled = gradient * self.widths
-        length = np.sqrt((scaled**2).sum(axis=1))
-        beyond = np.sqrt(((scaled @ self.unknown) ** 2).sum(axis=1)) > TOUCHED * length
-        return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
+        beyond = np.linalg.norm(scaled @ self.unknown, axis=1) > TOUCHED * np.linalg.norm(scaled, axis=1)
+        return np.where(beyond, np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
     def covariances(self, slopes: Array) -> tuple[Array, Array]:
         """Return the covariance (P, P) of the values, and that of a length factor with these and itself (P + 1,).
@@ -100,13 +97,17 @@ class Information:
 
     def deviations(self, slopes: Array) -> Array:
         """Return standard deviations (P,) of the values, `slopes` (P,) d value / d x; inf where unknown."""
-        own = self.spread(np.diag(slopes))
-        return np.where(self.growing, np.inf, own) if self.growing.size else own
+        return np.where(self.growing, np.inf, self.spread(np.diag(slopes)))
+
+
+def _variances(gradient: Array, covariance: Array) -> Array:
+    """Return the variances (k,) of functions with gradients (k, P)."""
+    return np.asarray(np.einsum("ij,jk,ik->i", gradient, covariance, gradient))
 
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """A fit, its model and windows, and what they tell about the parameters."""
+    """A fit, its model and windows, and their information about the parameters."""
 
     plant: Plant
     windows: list[Window]
@@ -115,21 +116,19 @@ class Basis:
 
 
 def not_estimated(plant: Plant, fit: Fit) -> Information:
-    """Return the information of a fit of which nothing was worked out: all is unknown."""
-    total = len(plant.parameters)
-    none = np.zeros((total, total))
-    return Information(
-        fit.x, plant.parameters.widths, np.zeros(total), none[:, :0], np.eye(total), none, 1.0, none, estimated=False
-    )
+    """Return the information of a fit that ended before deviations were computed: all is unknown."""
+    widths, total = plant.parameters.widths, len(plant.parameters)
+    none, one = np.zeros((total, total)), np.eye(total)
+    return Information(fit.x, widths, np.zeros(total), none[:, :0], one, none, 1.0, none, estimated=False)
 
 
 def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> Information:
-    """Return what the windows tell; of a fit that was ended early, then or before, what can be told within GRACE."""
+    """Return the information of the windows; of a fit that ended early what can be computed within GRACE."""
     known = not_estimated(plant, found)
-    if found.status is None:
-        with stoppable() as stop:
+    with stoppable() as stop:
+        if found.status is None:
             known = estimate_covariance(plant, windows, found)
-        found.status = stop.status
+    found.status = found.status or stop.status
     if found.status is not None:
         with stoppable():
             known = estimate_covariance(plant, windows, found, Budget(GRACE))
@@ -137,7 +136,7 @@ def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> Info
 
 
 def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budget: Budget | None = None) -> Information:
-    """Return what the fit's windows tell, at the cost of one round of the fit.
+    """Return the information of the fit's windows, at the cost of one round of the fit.
 
     Sandwich covariance A^+ M A^+ of x, with S the derivatives of the residuals less what the states absorb:
 
@@ -151,7 +150,8 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     even, and weights that are right up to a common factor. Model errors are not covered.
     """
     widths, total = plant.parameters.widths, len(plant.parameters)
-    slopes = _sensitivities(windows, fit)
+    psi = zip(windows, map(fit.loss.sensitivity, fit.residuals), strict=True)
+    slopes = np.concatenate([each[window.weight.ravel() > 0.0] for window, each in psi])  # psi', gaps omitted
     mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
     models = _models(plant, windows, fit, mean, budget or Budget())
     rows = [model.shared * widths for model in models]
@@ -228,12 +228,6 @@ def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budg
     return models
 
 
-def _sensitivities(windows: Sequence[Window], fit: Fit) -> Array:
-    """Return psi' of all residuals, gaps left out."""
-    seen = [window.weight.ravel() > 0.0 for window in windows]
-    return np.concatenate([fit.loss.sensitivity(r)[s] for r, s in zip(fit.residuals, seen, strict=True)])
-
-
 def known_directions(rows: Sequence[Array]) -> tuple[Array, Array, Array]:
     """Return singular values (P,), known (P, k) and unknown (P, P - k) directions of stacked rows (M >= P, P)."""
     small = [np.linalg.qr(each, mode="r") for each in rows]
@@ -290,9 +284,8 @@ def interval(
 def of_parameters(basis: Basis, level: float = LEVEL) -> dict[str, Interval]:
     """Return intervals of all free parameters by label, from their standard deviations, within bounds."""
     information = basis.information
-    each = zip(
-        basis.plant.parameters.all, information.x, information.deviations(np.ones(information.x.size)), strict=True
-    )
+    stds = information.deviations(np.ones(information.x.size))
+    each = zip(basis.plant.parameters.all, information.x, stds, strict=True)
     return {p.label: interval(float(x), std, information.freedom, p.least, level, p.value) for p, x, std in each}
 
 

@@ -12,20 +12,20 @@ from hyperflex.identification.model import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 
-ASKED = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits of a law, which cannot be negative
+SHOWN = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits of a law, which cannot be negative
 CLOCK_POWER = {"N m s/rad": -0.5, "N m": -1.0, "N m/rad": -1.0}  # of gravity's factor, in resistances: by their unit
 LARGEST = 3.0  # logarithm of a factor, as far as it counts: 20 times; to first order it may be any number
 
 
 def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array, scatter: Array | None = None) -> Basis:
-    """Return a fit whose information counts what the model leaves out, and what was declared, beside noise.
+    """Return a fit whose information counts errors of the model and of what was declared, in addition to noise.
 
-    Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
-    by their `shift`, and leave them less known: that is taken as a standard deviation, in proportion to how far noise
-    does not explain what it gains. Where residuals are white, or much goes away, everything else that was held or
-    declared counts as well; where they are not, resistances count the size of :func:`law_error` at least. All
-    lengths of links may be off by one factor, the arm's by another, all times and all torques as well, see
-    :func:`_scale_error`. `scatter` (P, P) is what windows that disagree show.
+    Links that are too long, and each omitted resistance that the data show, would move the parameters by their `shift`,
+    and leave them less known: that is taken as a standard deviation, in proportion to the part of the gain that noise
+    does not explain. Where residuals are white, or the gain is large, all other quantities that were fixed or declared
+    count as well; where residuals are not white, resistances count the size of :func:`law_error` at least. All lengths
+    of links may be off by one factor, the arm's by another, all times and all torques as well, see
+    :func:`_scale_error`. `scatter` (P, P) is the covariance that disagreeing windows show.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
@@ -33,10 +33,9 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     for each in tests:
         if each.name == SCALES or (each.uneven and not each.significant):
             continue
-        asked = (
-            white or each.law or each.significant or each.suspected or each.name == DRIFT
-        )  # which has a std of its own
-        counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
+        own = each.law or each.name == DRIFT  # which has a separate std
+        shown = white or own or each.significant or each.suspected
+        counts = shown and each.excess_gain > SHOWN and not (each.slight and each.freed_with)
         if counts or each.name == LINKS:  # whose excess_gain is a probability
             shift = _shift(each, basis)
             model += each.excess_gain * (np.outer(shift, shift) + (each.added if each.law else 0.0))
@@ -47,8 +46,8 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
         model += scatter
     gravity = next((float(each.values[0]) for each in tests if each.name == CLOCK), 1.0)
     driven = basis.plant.motion is not None
-    told = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight))
-    scales, error = _scale_error(basis, tests, scale_std, told=told)
+    observed = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight))
+    scales, error = _scale_error(basis, tests, scale_std, observed=observed)
     return replace(basis, information=replace(information, model=model, scales=scales, scale_error=error))
 
 
@@ -71,14 +70,14 @@ def _shift(test: ScoreTest, basis: Basis) -> Array:
     return shift
 
 
-def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: bool) -> tuple[Array, Array]:
+def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observed: bool) -> tuple[Array, Array]:
     """Return how x (P, 4) goes with the logarithms of the factors of SCALES, and the covariance (4, 4) of these.
 
-    Known before to `std` (4,), of gravity twice that of a clock. A clock changes frictions, and torques, by its own
-    factor besides. What the data tell are some combinations, as a rule: the posterior covariance keeps the width of
-    `std` where they tell nothing. It is about what was declared: what the data say counts as an error if `told`, of
-    one of them, for a slip is of one. Not where gravity counts already; nor, where residuals of a free swing are not
-    white, within what a ruler errs, for a law that was left out makes it seem so. A drive has its own
+    The prior deviations are `std` (4,), of gravity twice that of a clock. A clock also changes frictions and torques by
+    its own factor. The data determine some combinations, as a rule: the posterior covariance keeps the width of
+    `std` where they determine nothing. It is about what was declared: what the data show counts as an error if
+    `observed`, of one of the factors, since a mistake is of one. Not where gravity counts already; nor, where residuals
+    of a free swing are not white, within what a ruler errs, since an omitted law looks the same. A drive has its own
     lengths and times, by which the data determine those of the rope.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
@@ -87,7 +86,7 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: 
         if each.name == SCALES:
             which = list(scale_words(basis.plant))[: each.rate.shape[1]]
             rate[:, which], known[np.ix_(which, which)] = each.rate, each.information
-            step[which] = np.log(np.clip(each.values, 1e-9, 1e9))  # of what is not told it is any number
+            step[which] = np.log(np.clip(each.values, 1e-9, 1e9))  # what is not determined may be any number
     if not rate.any():
         return rate, known
     for k, free in enumerate(parameters.all):
@@ -102,7 +101,7 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: 
     moved = error @ known @ step
     share = std**2 / max(float(std @ std), 1e-300)  # of the one cause, the probability
     causes = np.diag(moved**2 / np.where(share > 0.0, share, np.inf))
-    return rate, 0.5 * (error + error.T) + told * causes
+    return rate, 0.5 * (error + error.T) + observed * causes
 
 
 def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
@@ -121,7 +120,7 @@ def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
 def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[str]]:
     """Return by how much free resistances, of x (P,), may change if another one is free too, and which one it is.
 
-    The size of the shift, with the standard deviation that comes on top since both are hard to tell apart. One that
+    The size of the shift, with the standard deviation that comes on top since both act alike. One that
     differs along the rope counts only if that is believed: what little is known of it would leave nothing known.
     """
     parameters, x = basis.plant.parameters, basis.fit.x

@@ -17,18 +17,18 @@ class NoiseOptions:
     most_terms: int = 8
     # further terms in a row that BIC does not ask for before the search ends
     max_worse_terms: int = 2
-    # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
+    # greatest size of a partial autocorrelation: beyond it noise would almost never return to 0
     near_one: float = 0.995
-    # greatest size of all partial autocorrelations but the first: tones that hardly die away are no noise
+    # greatest size of all partial autocorrelations but the first: tones that die away very slowly are no noise
     later: float = 0.95
-    # by which autocorrelations may miss those of the residuals before no process is said to leave them
+    # by which autocorrelations may miss those of the residuals before no process explains them
     agrees: float = 0.05
     # of Gauss and Newton's steps
     rounds: int = 20
     # sum of squared misses of autocorrelations below which nothing is left to gain
     settled: float = 1e-09
-    # part of that sum which a step must gain for another to be worth its while
-    hardly: float = 0.01
+    # part of that sum which a step must gain for another one to follow
+    least_gain: float = 0.01
     # autocorrelation of neighbours from which a line bridges a gap well
     smooth: float = 0.8
     # of differences
@@ -68,18 +68,18 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     count = max(2.0, float(sum(piece.seen.sum() - piece.basis.shape[2] for piece in pieces)))
     response = expected_products(pieces, most)
     plain = partial_correlations(target[: most + 1] * _of_pairs(pieces, most))
-    parts, least, passed, chosen, gap = np.zeros(0), 0.0, 0, np.zeros(0), 0.0
+    parts = chosen = np.zeros(0)
+    least, passed, gap = 0.0, 0, 0.0
     for k in range(1, most + 1):
         parts, misfit = _fit_correlations(response[: k + 1], target[1 : k + 1], np.append(parts, plain[k - 1]))
-        asked = _bic(parts, count)
-        passed = 0 if asked < least else passed + 1
-        if passed == 0:
-            least, chosen, gap = asked, parts, misfit
+        criterion = count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))  # BIC
+        passed += 1
+        if criterion < least:
+            passed, least, chosen, gap = 0, criterion, parts, misfit
         if passed == NOISE.max_worse_terms:
             break
-    if gap <= NOISE.agrees:
-        return ar_coefficients(chosen), True
-    return ar_coefficients(plain[: chosen.size]), False
+    agrees = gap <= NOISE.agrees
+    return ar_coefficients(chosen if agrees else plain[: chosen.size]), agrees
 
 
 def partial_correlations(correlation: Array) -> Array:
@@ -103,15 +103,13 @@ def ar_coefficients(parts: Array) -> Array:
 
 def correlations(terms: Array, count: int) -> Array:
     """Return the first autocorrelations (count,) of an autoregression (k,)."""
-    k = terms.size
-    result = np.zeros(count)
+    from scipy.linalg import hankel, toeplitz
+
+    k, result = terms.size, np.zeros(count)
     result[0] = 1.0
-    if k:
-        matrix, right = np.eye(k), terms.copy()
-        row, other = np.nonzero(~np.eye(k, dtype=bool))
-        np.subtract.at(matrix, (row, np.abs(row - other) - 1), terms[other])
-        first = np.linalg.solve(matrix, right)
-        result[1 : k + 1] = first[: count - 1]
+    if k:  # Yule and Walker's equations, then the autoregression
+        before, after = toeplitz(np.append(0.0, terms[:-1]), np.zeros(k)), hankel(np.append(terms[1:], 0.0))
+        result[1 : k + 1] = np.linalg.solve(np.eye(k) - before - after, terms)[: count - 1]
         for lag in range(k + 1, count):
             result[lag] = terms @ result[lag - k : lag][::-1]
     return result
@@ -120,8 +118,8 @@ def correlations(terms: Array, count: int) -> Array:
 def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     """Return the autocorrelations (longest,) of the residuals' noise by lag, and whether they explain the residuals.
 
-    Those of an autoregression. Gaps of smooth residuals are bridged for it by straight lines: what its many terms tell
-    of such residuals hangs on differences of neighbours, which gaps blur.
+    Those of an autoregression. Gaps of smooth residuals are bridged by straight lines: the many terms of such residuals
+    depend on differences of neighbours, which gaps blur.
     """
     longest = _longest(pieces)
     if longest > 1 and min(piece.seen.min() for piece in pieces) == 0.0 and _autocorrelations(pieces)[1] > NOISE.smooth:
@@ -135,8 +133,7 @@ def _bridged(piece: Piece) -> Piece:
 
     The fit's directions are bridged as well, each then scaled to the length it had: they absorb no more than before.
     """
-    both = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2)
-    seen = piece.seen.copy()
+    both, seen = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2), piece.seen.copy()
     for c in range(seen.shape[1]):
         known = np.flatnonzero(piece.seen[:, c])
         if known.size > 1:
@@ -147,7 +144,7 @@ def _bridged(piece: Piece) -> Piece:
             both[inside, c] = (1.0 - part) * both[low, c] + part * both[high, c]
             seen[inside, c] = 1.0
     basis = both[:, :, 1:]
-    before, now = np.sqrt((piece.basis**2).sum(axis=(0, 1))), np.sqrt((basis**2).sum(axis=(0, 1)))
+    before, now = (np.sqrt((each**2).sum(axis=(0, 1))) for each in (piece.basis, basis))
     return Piece(both[:, :, 0], seen, basis * np.divide(before, now, out=np.zeros_like(now), where=now > 0.0))
 
 
@@ -166,8 +163,7 @@ def autocorrelation(pieces: Sequence[Piece]) -> float:
     1 + 2 sum of the autocorrelations up to the first below 0.05, each of the pairs of samples that are there.
     """
     part = _autocorrelations(pieces)
-    low = np.flatnonzero(part < 0.05)
-    end = int(low[0]) if low.size else part.size
+    end = int(np.argmax(np.append(part, 0.0) < 0.05))
     return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
 
 
@@ -176,19 +172,16 @@ def _autocorrelations(pieces: Sequence[Piece]) -> Array:
     sums = _lagged_products(pieces, _longest(pieces) - 1)
     if sums[0] <= 0.0:
         return np.asarray(np.eye(1, sums.size)[0])
-    found: Array = sums / sums[0] * _of_pairs(pieces, sums.size - 1)
-    return found
+    return np.asarray(sums / sums[0] * _of_pairs(pieces, sums.size - 1))
 
 
 def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:
     """Return what sums of products (most + 1,) miss for gaps: the pairs there would be without any, over those seen."""
     seen, every = np.zeros((2, most + 1))
     for piece in pieces:
-        raise_if_cancelled()
-        m, part = piece.seen.shape[0], piece.seen.mean()
-        lags = np.arange(min(most + 1, m))
-        seen[lags] += [_lagged_product(piece.seen, int(lag)) for lag in lags]
-        every[lags] += part * (m - lags) * piece.seen.shape[1]
+        m, channels = piece.seen.shape
+        seen += _lagged(piece.seen, most)
+        every += piece.seen.mean() * np.maximum(m - np.arange(most + 1), 0) * channels
     return np.asarray(every / np.maximum(seen, 1.0))
 
 
@@ -201,26 +194,19 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
     longest = max(most + 1, _longest(pieces))
     result = np.zeros((most + 1, longest))
     for piece in pieces:
-        raise_if_cancelled()
-        basis, seen, m = piece.basis, piece.seen, piece.residual.shape[0]
+        basis, pairs, m = piece.basis, _lagged(piece.seen, most), piece.residual.shape[0]
         spectrum = np.fft.rfft(basis, 2 * m, axis=0)
         crossed = spectrum.conj().swapaxes(1, 2) @ spectrum
         for lag in range(min(most + 1, m)):
             inner = np.einsum("tck,tcl->kl", basis[: m - lag], basis[lag:])
-            near = np.zeros_like(basis)
-            near[: m - lag] += seen[: m - lag, :, None] * basis[lag:]
-            near[lag:] += seen[lag:, :, None] * basis[: m - lag]
+            near = piece.seen[:, :, None] * 2.0 * _neighbours(basis, lag)
             total = np.einsum("fkl,kl->f", crossed, inner)
             total -= np.einsum("fck,fck->f", np.fft.rfft(near, 2 * m, axis=0).conj(), spectrum)
             sums = np.fft.irfft(total, 2 * m)
             result[lag, 0] += sums[0]
             result[lag, 1:m] += sums[1:m] + sums[:m:-1]
-            result[lag, lag] += _lagged_product(seen, lag)
+            result[lag, lag] += pairs[lag]
     return result
-
-
-def _bic(parts: Array, count: float) -> float:
-    return count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))
 
 
 def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
@@ -244,7 +230,7 @@ def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Arr
             z, away, damping = z + move, tried, max(0.1 * damping, 1e-9)
         else:
             damping *= 10.0
-        if after < NOISE.settled or (1.0 - NOISE.hardly) * before < after < before:
+        if after < NOISE.settled or (1.0 - NOISE.least_gain) * before < after < before:
             break
     return bound * np.tanh(z), float(np.abs(away).max())
 
@@ -255,17 +241,14 @@ def _longest(pieces: Sequence[Piece]) -> int:
 
 def _lagged_products(pieces: Sequence[Piece], most: int) -> Array:
     """Return the sums (most + 1,) of products of residuals so many samples apart."""
-    sums = np.zeros(most + 1)
-    for piece in pieces:
-        raise_if_cancelled()
-        for lag in range(min(sums.size, piece.residual.shape[0])):
-            sums[lag] += _lagged_product(piece.residual, lag)
-    return sums
+    return np.asarray(sum(_lagged(piece.residual, most) for piece in pieces))
 
 
-def _lagged_product(values: Array, lag: int) -> float:
-    """Return the sum of products of values (m, C) `lag` samples apart."""
-    return float((values[lag:] * values[: values.shape[0] - lag]).sum())
+def _lagged(values: Array, most: int) -> Array:
+    """Return the sums (most + 1,) of products of values (m, C) 0 to `most` samples apart."""
+    raise_if_cancelled()
+    m = len(values)
+    return np.array([(values[lag:] * values[: max(m - lag, 0)]).sum() for lag in range(most + 1)])
 
 
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
@@ -273,7 +256,7 @@ LAGS = 10  # samples, or a quarter of the shortest window
 
 
 def whiteness(parts: Sequence[Piece]) -> float:
-    """Return the p-value of the residuals' autocorrelation under white noise; 1 where they are too few to tell.
+    """Return the p-value of the residuals' autocorrelation under white noise; 1 where they are too few.
 
     Portmanteau test: products of residuals k samples apart, k = 1..10, summed over channels and windows, are compared
     with their mean and covariance under white noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several
@@ -289,9 +272,8 @@ def whiteness(parts: Sequence[Piece]) -> float:
     spread = _channel_covariance(parts)
     away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
     for part in parts:
-        raise_if_cancelled()
         mean, varies = _moments(part, spread, lags)
-        away += np.array([float((part.residual[k:] * part.residual[:-k]).sum()) for k in lags]) - mean
+        away += _lagged(part.residual, lags.size)[1:] - mean
         covariance += varies
     statistic = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
     return float(gammaincc(0.5 * lags.size, 0.5 * statistic))
@@ -312,34 +294,30 @@ def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:
     The residuals' covariance is M B M with M = 1 - Q Q^T, and B the channels' covariance at each instant:
     B + U D U^T with U = [Q, B Q].
     """
-    basis = part.basis
-    moved = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * basis)
-    both = np.concatenate([basis, moved], axis=2)
-    count = basis.shape[2]
-    inner = np.einsum("mck,mcl->kl", basis, moved)
-    one = np.eye(count)
-    middle = np.block([[inner, -one], [-one, np.zeros((count, count))]])
-    flat = both.reshape(part.residual.size, -1)
+
+    def spreading(values: Array) -> Array:
+        return np.asarray(part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * values))
+
+    basis, one, size = part.basis, np.eye(part.basis.shape[2]), part.residual.size
+    moved = spreading(basis)
+    both, inner = np.concatenate([basis, moved], axis=2), np.einsum("mck,mcl->kl", basis, moved)
+    middle = np.block([[inner, -one], [-one, np.zeros_like(one)]])
     shifted = [_neighbours(both, int(k)) for k in lags]
-    through = [flat.T @ each.reshape(flat.shape) for each in shifted]  # U^T A U
-    mean = np.array([float((middle * each).sum()) for each in through])
-    covariance = np.zeros((lags.size, lags.size))
-    for a, k in enumerate(lags):
-        together = part.seen[k:] * part.seen[:-k]
-        covariance[a, a] += float((spread**2 * (together.T @ together)).sum())
-        turned = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * shifted[a])
-        for b in range(lags.size):
-            cross = turned.reshape(flat.shape).T @ shifted[b].reshape(flat.shape)
-            covariance[a, b] += 4.0 * float((middle * cross).sum())
-            covariance[a, b] += 2.0 * float(((middle @ through[a]) * (middle @ through[b]).T).sum())
-    return mean, 0.5 * (covariance + covariance.T)
+    turned = np.stack([spreading(each).reshape(size, -1) @ middle for each in shifted])
+    flat = np.stack([each.reshape(size, -1) for each in shifted])
+    through = middle @ (both.reshape(size, -1).T @ flat)  # D U^T A U
+    together = [part.seen[k:] * part.seen[:-k] for k in lags]
+    covariance = np.diag([float((spread**2 * (each.T @ each)).sum()) for each in together])
+    covariance += 4.0 * np.tensordot(turned, flat, axes=([1, 2], [1, 2]))
+    covariance += 2.0 * np.einsum("aij,bji->ab", through, through)
+    return np.trace(through, axis1=1, axis2=2), 0.5 * (covariance + covariance.T)
 
 
 def _neighbours(values: Array, lag: int) -> Array:
     """Return half the sum of the values `lag` samples before and after each (m, ...), 0 beyond the ends."""
-    result = np.zeros_like(values)
-    result[lag:] += 0.5 * values[:-lag]
-    result[:-lag] += 0.5 * values[lag:]
+    result, m = np.zeros_like(values), len(values)
+    result[lag:] += 0.5 * values[: m - lag]
+    result[: m - lag] += 0.5 * values[lag:]
     return result
 
 
@@ -347,7 +325,7 @@ FILLED = 20  # a clock with more ticks than this for each sample would be nearly
 
 
 def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Array]:
-    """Return the autocorrelation of residuals, gaps left out: lags, correlations, and a 95 % band of white noise.
+    """Return the autocorrelation of residuals, gaps omitted: lags, correlations, and a 95 % band of white noise.
 
     Parameters
     ----------
@@ -369,13 +347,11 @@ def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Ar
         tick = np.arange(t.size)
     laid = np.full((tick[-1] + 1, residuals.shape[1]), np.nan)
     laid[tick] = residuals
-    known = ~np.isnan(laid)
-    filled = np.where(known, laid - np.nanmean(laid, axis=0), 0.0)
-    variance = (filled**2).sum(axis=0) / known.sum(axis=0)
-    number = np.arange(1, min(lags, tick[-1] // 2) + 1)
-    pairs = np.array([(known[k:] & known[:-k]).sum(axis=0) for k in number]).reshape(number.size, -1)
-    sums = np.array([(filled[k:] * filled[:-k]).sum(axis=0) for k in number]).reshape(number.size, -1)
+    known = (~np.isnan(laid)).astype(np.float64)
+    filled = np.nan_to_num(laid - np.nanmean(laid, axis=0))
+    number = np.arange(min(lags, tick[-1] // 2) + 1)
+    both = np.array([[(each[k:] * each[: len(each) - k]).sum(axis=0) for k in number] for each in (known, filled)])
+    pairs, products = np.where(both[0] > 0.0, both[0], np.nan), both[1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = sums / pairs / variance
-        band = 1.96 / np.sqrt(pairs)
-    return step * number, np.where(pairs > 0, correlation, np.nan), np.where(pairs > 0, band, np.nan)
+        correlation = products / pairs / (products[0] / pairs[0])
+    return step * number[1:], correlation[1:], 1.96 / np.sqrt(pairs[1:])

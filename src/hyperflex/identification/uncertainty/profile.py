@@ -1,8 +1,7 @@
 """Profile likelihood of a parameter or ratio, all else fitted again; and which intervals are found by it."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -32,51 +31,74 @@ from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
 
 # Of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is at
-# its bound they may do so a thousand times more than the standard deviation says
+# its bound they may do so a thousand times more than the standard deviation suggests
 WEIGHT = 1000.0
 TRIED = 2  # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
 
 
-@dataclass(frozen=True, eq=False)
 class Coordinate:
-    """A function of x (P,) that a profile follows: the x of a parameter, or a ratio such as ``J/p1[0]``.
+    """A function of x (P,) that a profile follows: the x of a parameter, or a ratio such as ``J/p1[0]``, by its label.
 
     Attributes
     ----------
-    basis : Basis
     label : str
-        The name, as in ``Identification.intervals``.
-    at, gradient : callable
-        Its value at x (P,), and its derivatives by x (P,).
-    value : callable
-        Return the value in SI units from that of the coordinate.
+        As in ``Identification.intervals``.
     bound : float
         The least value of the coordinate, -inf where none is known beforehand.
-    bounds : callable
-        Return for ``threshold`` at x the number of the coordinate, a covariance, and distances above the bounds.
-    known : bool
-        Whether the data determine it.
+    slope : (P,) array
+        Its derivatives at the fit.
+    std : float
+        Standard deviation by noise; 0 or not finite where the data do not determine it.
     """
 
-    basis: Basis
-    label: str
-    at: Callable[[Array], float]
-    gradient: Callable[[Array], Array]
-    value: Callable[[float], float]
-    bound: float
-    bounds: Callable[[Array], tuple[int, Array, Array]]
-    known: bool
+    def __init__(self, basis: Basis, label: str) -> None:
+        self.basis, self.label, self.parameters = basis, label, basis.plant.parameters
+        self.name, _, link = label.removesuffix("]").partition("[")
+        self.own = label in self.parameters.labels  # a parameter, else a ratio
+        self.which = self.parameters.labels.index(label) if self.own else int(link)
+        information, x = basis.information, basis.fit.x
+        self.slope = self.gradient(x)
+        variance = float(self.slope @ information.covariance @ self.slope)
+        if self.own:
+            spread = information.deviations(np.ones(x.size))[self.which]
+            self.bound = float(self.parameters.lower[self.which])
+        else:
+            spread = information.spread(self.slope[None])[0]
+            self.bound = -np.inf if self.name in SIGNED else 0.0
+            self.least = self._least_ratio() if self.name in ("J/p1", *SIGNED) else 0.0
+        self.std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(spread) else np.inf
 
-    @cached_property
-    def slope(self) -> Array:
-        """Its derivatives (P,) at the fit."""
-        return self.gradient(self.basis.fit.x)
+    def at(self, x: Array) -> float:
+        """Return its value at x (P,)."""
+        if self.own:
+            return float(x[self.which])
+        return float(ratios(self.parameters.rope(x), self.parameters.names)[self.name][self.which])
 
-    @cached_property
-    def std(self) -> float:
-        """Standard deviation by noise; 0 or not finite where the data do not determine it."""
-        variance = float(self.slope @ self.basis.information.covariance @ self.slope)
-        return float(np.sqrt(max(variance, 0.0))) if self.known else np.inf
+    def gradient(self, x: Array) -> Array:
+        """Return its derivatives (P,) at x (P,)."""
+        if self.own:
+            return np.asarray(np.eye(x.size)[self.which])
+        return np.asarray(ratio_gradients(self.parameters, x)[self.name][self.which])
+
+    def value(self, at: float) -> float:
+        """Return the value in SI units from that of the coordinate."""
+        return self.parameters.all[self.which].value(at) if self.own else max(at, self.bound)
+
+    def limit(self, x: Array, level: float) -> float:
+        """Return the rise of the squares, over the residual variance, at which the value at x is refused."""
+        information = self.basis.information
+        if self.own:
+            above = x - self.parameters.lower
+            return threshold(level, information.freedom, self.which, information.covariance, above)
+        # The bounds of other parameters do not count: where all share an unknown factor they are not in its way
+        return threshold(level, information.freedom, 0, np.array([[self.std**2]]), np.array([self.at(x) - self.least]))
+
+    def _least_ratio(self) -> float:
+        """Return the least ratio that the bound of the parameter allows by which alone it moves; else -inf."""
+        lowest, movers = self.basis.fit.x.copy(), np.flatnonzero(self.slope)
+        lowest[movers] = self.parameters.lower[movers]
+        alone = movers.size == 1 and self.slope[movers[0]] > 0.0 and np.isfinite(lowest).all()
+        return self.at(lowest) if alone and self.parameters.possible(lowest) is not None else -np.inf
 
     @property
     def widening(self) -> float:
@@ -85,14 +107,12 @@ class Coordinate:
 
     def aimed(self, x: Array, at: float) -> Array:
         """Return where a fit at `at` begins: x moved with its estimate, as far as the coordinate goes along."""
-        here, part = self.at(x), 1.0
-        column = self.basis.information.covariance @ self.slope / self.std**2
-        for _ in range(TRIED):
-            parameters = self.basis.plant.parameters
-            begun = np.maximum(x + part * column * (at - here), parameters.lower)
-            if parameters.possible(begun) is not None and abs(self.at(begun) - at) < 0.75 * abs(at - here):
-                return np.asarray(begun)
-            part *= 0.5
+        away = at - self.at(x)
+        move = self.basis.information.covariance @ self.slope / self.std**2 * away
+        for halvings in range(TRIED):
+            begun: Array = np.maximum(x + 0.5**halvings * move, self.parameters.lower)
+            if self.parameters.possible(begun) is not None and abs(at - self.at(begun)) < 0.75 * abs(away):
+                return begun
         return x
 
     def target(self, at: float, unit: float, firmness: float) -> Target:
@@ -110,50 +130,6 @@ class Coordinate:
         return interval(self.at(self.basis.fit.x), self.std, freedom, self.bound, level, self.value)
 
 
-def coordinate(basis: Basis, label: str) -> Coordinate:
-    """Return the coordinate of a free parameter or of a ratio, by its label."""
-    parameters, information = basis.plant.parameters, basis.information
-    if label in parameters.labels:
-        which, one = parameters.labels.index(label), np.ones(len(parameters))
-        return Coordinate(
-            basis,
-            label,
-            at=lambda x: float(x[which]),
-            gradient=lambda x: np.eye(x.size)[which],
-            value=parameters.all[which].value,
-            bound=float(parameters.lower[which]),
-            bounds=lambda x: (which, information.covariance, x - parameters.lower),
-            known=bool(np.isfinite(information.deviations(one)[which])),
-        )
-    name, _, link = label.removesuffix("]").partition("[")
-    bound = -np.inf if name in SIGNED else 0.0
-
-    def at(x: Array) -> float:
-        return float(ratios(parameters.rope(x), parameters.names)[name][int(link)])
-
-    def gradient(x: Array) -> Array:
-        return np.asarray(ratio_gradients(parameters, x)[name][int(link)])
-
-    def bounds(x: Array) -> tuple[int, Array, Array]:
-        # The bounds of other parameters do not count: where all share an unknown factor they are not in its way
-        return 0, np.array([[found.std**2]]), np.array([at(x) - least])
-
-    known = bool(np.isfinite(information.spread(gradient(basis.fit.x)[None])[0]))
-    found = Coordinate(basis, label, at, gradient, lambda at: max(at, bound), bound, bounds, known)
-    least = _least(found) if name in ("J/p1", *SIGNED) else 0.0
-    return found
-
-
-def _least(along: Coordinate) -> float:
-    """Return the least ratio that the bound of the parameter allows by which alone it moves; else -inf."""
-    parameters, lowest = along.basis.plant.parameters, along.basis.fit.x.copy()
-    movers = np.flatnonzero(along.slope)
-    if movers.size != 1 or along.slope[movers[0]] < 0.0 or not np.isfinite(parameters.lower[movers[0]]):
-        return -np.inf
-    lowest[movers[0]] = parameters.lower[movers[0]]
-    return along.at(lowest) if parameters.possible(lowest) is not None else -np.inf
-
-
 @dataclass(frozen=True)
 class ProfileOptions:
     """How a profile walks away from the optimum."""
@@ -162,7 +138,7 @@ class ProfileOptions:
     finish: float = 0.01
     # std to which an end is found
     close: float = 0.01
-    # std, and part of the way to it; an end that is not known so well after all TRIES is not told
+    # std, and part of the way to it; an end that is not known so well after all tries is not reported
     loose: float = 0.1
     # part of the way that a ratio may stay short of its aim
     reached: float = 0.1
@@ -172,12 +148,12 @@ class ProfileOptions:
     tries: int = 25
     # of all fits on one side; usual are ten
     most_rounds: int = 100
-    # fall of the squares, over the residual variance, from which another optimum is said to be better
+    # fall of the squares, over the residual variance, from which another optimum is reported as better
     better: float = 1.0
 
 
 WALK = ProfileOptions()
-# Firmness with which a ratio is drawn there, one after the other, before a bound is said to be in its way
+# Firmness with which a ratio is drawn there, one after the other, before a bound is taken to be in its way
 FIRMNESS = (1.0, 10.0, 100.0)
 
 
@@ -222,22 +198,6 @@ class Profile:
     better: Rope | None = None
 
 
-@dataclass(frozen=True)
-class _Point:
-    """A fit with the coordinate held at `at`."""
-
-    at: float
-    x: Array
-    states: list[Array]
-    rise: float
-    limit: float
-
-    @property
-    def excess(self) -> float:
-        """How far beyond the limit it stands, in std; negative within."""
-        return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
-
-
 @interruptible(Profile)
 def profile(
     found: Identification, name: str, level: float = 0.95, points: int = 0, *, progress: Report | None = None
@@ -266,7 +226,7 @@ def profile(
     -----
     At each value all other parameters and states are fitted again, starting from a linear extrapolation of the last
     point; a ratio is drawn to its value by one residual more, whose squares do not count. The rise of the squares,
-    divided by the factor by which autocorrelation widens the variance, is compared with F(1, freedom), or beside a
+    divided by the factor by which autocorrelation widens the variance, is compared with F(1, freedom), or near a
     bound with the distribution there (see ``threshold``). Robust losses are treated as in :func:`estimate_covariance`.
     Cost: about three fits of two or three rounds a side, a hundred rounds at most.
     """
@@ -277,7 +237,7 @@ def profile(
         raise InvalidInput(
             "no such parameter was free, and no free one moves such a ratio", got=name, allowed=", ".join(every)
         )
-    return profiled(coordinate(basis, name), level, points, report=progress)
+    return profiled(Coordinate(basis, name), level, points, report=progress)
 
 
 def profiled(
@@ -286,7 +246,7 @@ def profiled(
     """Return the profile along a coordinate; see :func:`profile`."""
     if not np.isfinite(along.std) or along.std == 0.0:
         return Profile(along.label, along.value(along.bound), np.inf, level, ("open", "open"), *np.zeros((3, 0)))
-    walk, basis = _ProfileSearch(along, level, budget or Budget(), report), along.basis
+    walk = _ProfileSearch(along, level, budget or Budget(), report)
     try:
         (below, first), (above, second) = walk.side(-1.0), walk.side(1.0)
         found = Interval(along.value(below), along.value(above), "profile", (first, second), level)
@@ -297,8 +257,8 @@ def profiled(
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: p.at)
     values, rise, limit = np.array([(along.value(p.at), max(p.rise, 0.0), p.limit) for p in known]).T
     best = min(known, key=lambda p: p.rise)
-    gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
-    better = basis.plant.parameters.rope(best.x) if gain > WALK.better else None
+    gain = (along.basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
+    better = along.parameters.rope(best.x) if gain > WALK.better else None
     ends = found.low, found.high, level, found.ends
     return Profile(along.label, *ends, values, rise, limit, found.kind, max(gain, 0.0), better)
 
@@ -307,61 +267,64 @@ class _TooLong(Exception):
     """A side has taken all its rounds."""
 
 
+@dataclass(frozen=True)
+class _Point:
+    """A fit with the coordinate held at `at`."""
+
+    at: float
+    x: Array
+    states: list[Array]
+    rise: float  # negative where this optimum is a better one
+    limit: float
+
+    @property
+    def excess(self) -> float:
+        """How far beyond the limit it is, in std; negative within."""
+        return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
+
+
 class _ProfileSearch:
     """Walks away from the optimum along one coordinate, to either side."""
 
     def __init__(self, along: Coordinate, level: float, budget: Budget, report: Report | None) -> None:
-        self.along, self.level, self.budget, self.report, self.basis = along, level, budget, report, along.basis
+        self.along, self.level, self.budget = along, level, budget
         self.rounds = WALK.most_rounds  # that one side may still take
         self.settled = True  # whether the last fit that could be simulated has converged
-        information, found = self.basis.information, self.basis.fit
-        self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
-        self.unit = information.variance * along.widening
-        self.enough = WALK.finish * information.variance / max(found.cost, 1e-300)
-        best = self._fit(found.x, found.states, 10)
-        self.least = best.cost
-        self.points = [self._point(best.x, best.states, best.cost)]
-
-    def _point(self, x: Array, states: list[Array], cost: float) -> _Point:
-        rise = (cost - self.least) / self.unit  # negative where this optimum is a better one
-        limit = threshold(self.level, self.basis.information.freedom, *self.along.bounds(x))
-        return _Point(self.along.at(x), x, states, rise, limit)
-
-    def _fit(self, x: Array, states: list[Array], rounds: int, target: Target | None = None) -> Fit:
-        """Return a fit from there, drawn to a target."""
-        found = fit(
-            self.basis.plant,
-            self.basis.windows,
-            x,
-            states,
-            loss=self.loss,
-            rounds=rounds,
-            enough=self.enough,
-            budget=self.budget,
-            report=self.report,
-            target=target,
+        basis = along.basis
+        found, variance = basis.fit, basis.information.variance
+        loss, enough = (
+            Loss(found.loss.name, found.loss.scale, fixed=True),
+            WALK.finish * variance / max(found.cost, 1e-300),
         )
+        self._fit = partial(fit, basis.plant, basis.windows, loss=loss, enough=enough, budget=budget, report=report)
+        self.unit = variance * along.widening
+        best = self._fit(found.x, found.states, rounds=10, target=None)
+        self.least = best.cost
+        self.points = [self._point(best, best.cost)]
+
+    def _point(self, found: Fit, squares: float) -> _Point:
         self.budget.check()  # else a fit that the budget has ended would pass for one that has settled
-        return found
+        rise, limit = (squares - self.least) / self.unit, self.along.limit(found.x, self.level)
+        return _Point(self.along.at(found.x), found.x, found.states, rise, limit)
 
     def at(self, value: float) -> _Point | None:
         """Return the fit with the coordinate at `value`, as firmly held as it takes; None where none can be found."""
         start = min(self.points, key=lambda p: abs(p.at - value))
         x = self.along.aimed(start.x, value)
-        follow = zip(start.states, self.basis.information.follow, strict=True)
+        follow = zip(start.states, self.along.basis.information.follow, strict=True)
         states, point = [s + f @ (x - start.x) for s, f in follow], start
         for firmness in FIRMNESS:
             if self.rounds <= 0:
                 raise _TooLong
             target = self.along.target(value, self.unit, firmness)
             try:
-                found = self._fit(x, states, min(20, self.rounds), target)
+                found = self._fit(x, states, rounds=min(20, self.rounds), target=target)
             except InvalidInput:
                 self.rounds, self.settled = self.rounds - 1, True
                 return None
             self.rounds -= max(len(found.history), 1)
             x, states, self.settled = found.x, found.states, found.converged
-            point = self._point(x, states, found.cost - target.residual(x) ** 2)
+            point = self._point(found, found.cost - target.residual(x) ** 2)
             if self.settled and not self.short(point, value):
                 break
         self.points += [point] * self.settled
@@ -375,17 +338,16 @@ class _ProfileSearch:
     def side(self, sign: float) -> tuple[float, End]:
         """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
         self.rounds = WALK.most_rounds
-        bound = self.along.bound if sign < 0.0 else np.inf
+        along, bound = self.along, self.along.bound if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
         origin = inside.at
-        step = self.along.std * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
-        value = origin + sign * step
+        value = origin + sign * along.std * float(np.sqrt(quantile(self.level, along.basis.information.freedom)))
         for _ in range(WALK.tries):
             value = max(value, bound) if sign < 0.0 else value
             if value == inside.at:  # at the bound, and allowed
                 return value, "bound"
             tried = self.at(value)
-            if tried is None or sign * (tried.at - inside.at) < -WALK.reached * self.along.std:  # or on the wrong side
+            if tried is None or sign * (tried.at - inside.at) < -WALK.reached * along.std:  # or on the wrong side
                 value = 0.5 * (value + inside.at)
                 continue
             if abs(tried.excess) < WALK.close:
@@ -394,24 +356,20 @@ class _ProfileSearch:
             inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
             if (value == bound or short) and tried is inside:
                 return bound if value == bound else tried.at, "bound"
-            value = self._next(origin, inside, outside, step)
+            if outside is None:  # the root of the rise, taken as linear, meets the limit there
+                root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / WALK.longest)
+                value = origin + max(1.0 / root, 1.05) * (inside.at - origin)
+            else:
+                part = -inside.excess / (outside.excess - inside.excess)
+                value = inside.at + float(np.clip(part, 0.05, 0.95)) * (outside.at - inside.at)
         if outside is None and self.settled:
             return sign * np.inf, "open"
         if outside is None:
             raise _TooLong
-        known = WALK.loose * min(self.along.std, abs(outside.at - origin))
+        known = WALK.loose * min(along.std, abs(outside.at - origin))
         if outside.excess > WALK.loose and abs(outside.at - inside.at) > known:
             raise _TooLong
         return outside.at, "crossed"
-
-    def _next(self, origin: float, inside: _Point, outside: _Point | None, step: float) -> float:
-        """Return where to look next: where the root of the rise, taken as linear, meets the limit."""
-        here = inside.at
-        if outside is None:
-            root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / WALK.longest)
-            return origin + max(1.0 / root, 1.05) * (here - origin) if here != origin else origin + step
-        part = -inside.excess / (outside.excess - inside.excess)
-        return here + float(np.clip(part, 0.05, 0.95)) * (outside.at - here)
 
     def fill(self, points: int) -> None:
         """Add points of the curve between the optimum and the farthest one on either side."""
@@ -423,7 +381,7 @@ class _ProfileSearch:
                     self.at(float(value))
 
 
-TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
+TIED = 0.1  # correlation with a parameter near its bound from which the bound matters
 BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
 MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
 
@@ -449,30 +407,31 @@ def all_intervals(
     if how == "covariance":
         return result
     with stoppable() as stop:
-        chosen = skewed(basis) if how == "auto" else list(range(len(result)))
-        labels = [label for k in chosen if result[label := basis.plant.parameters.labels[k]].kind != "unknown"]
+        every = list(result)
+        chosen = every if how == "profile" else [every[k] for k in skewed(basis)]
+        labels = [label for label in chosen if result[label].kind != "unknown"]
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
         for number, label in enumerate(labels):
             at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
             heard = None if report is None else with_entries(report, at)
-            found = profiled(coordinate(basis, label), level, budget=budget, report=heard)
+            along = Coordinate(basis, label)
+            found = profiled(along, level, budget=budget, report=heard)
             if found.kind == "profile":
-                own = Interval(found.low, found.high, found.kind, found.ends, level)
-                result[label] = _with_model_error(basis, label, own)
+                result[label] = _with_model_error(along, found)
             if remarks is not None:
                 remarks += _remarks(found)
     return stop.deliver(result)
 
 
-def _with_model_error(basis: Basis, label: str, own: Interval) -> Interval:
+def _with_model_error(along: Coordinate, found: Profile) -> Interval:
     """Return the interval of a profile, made wider by the model's errors; it stays within the parameter's bound."""
-    which, information = basis.plant.parameters.labels.index(label), basis.information
-    parameter, x = basis.plant.parameters.all[which], float(information.x[which])
-    one = np.eye(information.x.size)[which : which + 1] * parameter.derivative(x)
-    model = float(information.model_spread(one)[0]) * float(np.sqrt(quantile(own.level, information.freedom)))
-    value, least = parameter.value(x), -np.inf if parameter.form == "linear" else 0.0
-    low, high = value - float(np.hypot(value - own.low, model)), value + float(np.hypot(own.high - value, model))
-    return replace(own, low=max(low, least), high=high, ends=("bound" if low <= least else own.ends[0], own.ends[1]))
+    information, x, parameter = along.basis.information, along.at(along.basis.fit.x), along.parameters.all[along.which]
+    std = float(information.model_spread(along.slope[None] * parameter.derivative(x))[0])
+    model, value = std * float(np.sqrt(quantile(found.level, information.freedom))), along.value(x)
+    low, high = value - float(np.hypot(value - found.low, model)), value + float(np.hypot(found.high - value, model))
+    least = along.value(along.bound)
+    ends: tuple[End, End] = ("bound" if low <= least else found.ends[0], found.ends[1])
+    return Interval(max(low, least), high, "profile", ends, found.level)
 
 
 def _remarks(found: Profile) -> list[Finding]:
@@ -485,7 +444,7 @@ def _remarks(found: Profile) -> list[Finding]:
 def skewed(basis: Basis) -> list[int]:
     """Return the parameters for which the covariance does not suffice, MOST at most, those nearest to a bound first.
 
-    Beside a bound, its own or that of one it correlates with; or where, two standard deviations away along the line of
+    Near a bound, its own or that of one it correlates with; or where, two standard deviations away along the line of
     the covariance, the squares rise otherwise than by four. Two rollouts of all windows for each.
     """
     information, above = basis.information, basis.information.x - basis.plant.parameters.lower
@@ -501,17 +460,17 @@ def _bent(basis: Basis, which: int) -> bool:
     """Whether the squares do not rise as a parabola along the line of a parameter's covariance."""
     plain = basis.information.plain
     line = plain[:, which] / np.sqrt(plain[which, which])
-    rises = [(_rise(basis, step * line), step) for step in (-2.0, 2.0)]
-    return any(rise is None or abs(np.sqrt(max(rise, 0.0)) / abs(step) - 1.0) > BENT for rise, step in rises)
+    roots = [np.sqrt(max(_rise(basis, step * line), 0.0)) / abs(step) for step in (-2.0, 2.0)]
+    return any(abs(root - 1.0) > BENT for root in roots)
 
 
-def _rise(basis: Basis, move: Array) -> float | None:
-    """Return the rise of the cost over the residual variance, x and states moved along a straight line."""
+def _rise(basis: Basis, move: Array) -> float:
+    """Return the rise of the cost over the residual variance, x and states moved along a line; inf if it fails."""
     found, total = basis.fit, 0.0
     for window, state, follow in zip(basis.windows, found.states, basis.information.follow, strict=True):
         moved = state + follow @ move
         residual = window.residual(basis.plant, found.x + move, moved)
         if residual is None:
-            return None
+            return np.inf
         total += found.window_cost(window, moved, residual)
     return (total - found.cost) / basis.information.variance

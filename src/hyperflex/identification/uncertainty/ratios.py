@@ -1,4 +1,4 @@
-"""Ratios over the first moment p1, which a motion without known forces tells, and their standard deviations."""
+"""Ratios over the first moment p1, which a motion without known forces determines, and their standard deviations."""
 
 from collections.abc import Collection
 
@@ -18,8 +18,8 @@ def ratios(rope: Rope, free: Collection[str] = ()) -> dict[str, Array]:
     """
     p, inertia = lumped(rope)
     resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
-    told = {each.symbol for each in RESISTANCES if each.name in free or each.symbol == "c"}
-    resistances = {name: value for name, value in resistances.items() if name in told or value.any()}
+    shown = {each.symbol for each in RESISTANCES if each.name in free or each.symbol == "c"}
+    resistances = {name: value for name, value in resistances.items() if name in shown or value.any()}
     return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
 
 

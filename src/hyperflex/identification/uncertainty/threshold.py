@@ -1,8 +1,8 @@
-"""Thresholds of the profile likelihood, also beside bounds (Feldman and Cousins).
+"""Thresholds of the profile likelihood, also near bounds (Feldman and Cousins).
 
 Away from bounds the rise over the residual variance follows F(1, freedom). Beside a bound it does not: an estimate
 that noise would push beyond stays at the bound. There the distribution is that of the linear problem with the bounds,
-taken at the very value that is tested, so that intervals hold the truth as often as they say whether the truth lies
+taken at the very value that is tested, so that intervals contain the truth as often as stated, whether the truth lies
 at the bound, near it or far off (the construction of Feldman and Cousins 1998, doi:10.1103/PhysRevD.57.3873).
 """
 
@@ -39,7 +39,7 @@ def threshold(level: float, freedom: float, which: int, covariance: Array, above
     """Return the rise, over the residual variance, at which the value of parameter `which` is refused at a `level`.
 
     `freedom` is of the residual variance; covariance (P, P) as it would be without bounds; above (P,) the distances
-    above the bounds, at the tested value and the others' estimates there, inf where there is no bound. The others stand
+    above the bounds, at the tested value and the others' estimates there, inf where there is no bound. The others are
     at their estimates, not at the truth: the level is reached nearly, not exactly. About 1 ms a bound that is near.
     """
     usual = quantile(level, freedom)

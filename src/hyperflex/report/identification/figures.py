@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from hyperflex.checks import Array
 from hyperflex.identification import BAND, HeldOut, Identification, correlogram
 from hyperflex.model import PROPERTIES, Rope
 from hyperflex.recording import Recording
-from hyperflex.report.identification.tables import Number, numbers
+from hyperflex.report.identification.tables import numbers
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
 from hyperflex.report.units import amount, readable_unit
 
@@ -57,18 +58,18 @@ class FittedChannels:
         length = min(length, 2.0 * (self.t[-1] - self.t[0]))
         self.window = np.floor((self.fit_t - self.fit_t[0]) / length + 1e-6 * step / length).astype(int)
         self.end = float(found.settings["fitted_to"])
-        count, last = rms.size, rms.size // 2 - 1
-        self.chosen = tuple(range(count))
-        if angles:
-            self.names = tuple(f"link {k}" for k in range(count))
-            if count > FEW:
-                self.chosen = tuple(sorted({0, count // 2, count - 1, int(np.argmax(rms))}))
-        else:
-            self.names = tuple(f"marker {k}, {axis}" for k in range(count // 2) for axis in "xy")
-            if count > FEW:
-                markers = sorted({last // 2, last, int(np.argmax(np.hypot(rms[::2], rms[1::2])))})
-                self.chosen = tuple(c for k in markers for c in (2 * k, 2 * k + 1))
-        self.chosen = chosen or self.chosen
+        sizes = rms[:, None] if angles else rms.reshape(-1, 2)  # of each link, or each marker's x and y
+        count, wide = sizes.shape
+        some = {count - 1, int(np.argmax(np.linalg.norm(sizes, axis=1)))}
+        some |= {0, count // 2} if angles else {(count - 1) // 2}
+        picked = sorted(some) if rms.size > FEW else range(count)
+        self.chosen = chosen or tuple(wide * k + side for k in picked for side in range(wide))
+        every = [f"link {k}" for k in range(count)], [f"marker {k}, {axis}" for k in range(count) for axis in "xy"]
+        self.names = tuple(every[0 if angles else 1])
+
+    def rms_title(self, channel: int, digits: int = 3) -> str:
+        """Return a channel's name and residual."""
+        return f"{self.names[channel]}: {amount(self.found.residual_rms[channel], self.found.unit, digits)}"
 
     def worst_window(self, channel: int) -> tuple[int, float, float]:
         """Return the number, and first and last time, s, of the window in which a channel fits worst."""
@@ -79,7 +80,7 @@ class FittedChannels:
         return worst, float(inside[0]), float(inside[-1])
 
 
-def broken(axis: Any, t: Array, values: Array, number: Array | None = None, **style: Any) -> None:
+def broken(axis: Any, t: Array, values: Array, number: Any = None, **style: Any) -> None:
     """Draw a line that breaks where samples are missing, and between parts of different `number` (m,)."""
     step = np.diff(t)
     ends = step > 3.0 * np.median(step)
@@ -97,18 +98,13 @@ def samples(axis: Any, t: Array, values: Array) -> None:
         axis.plot(t, values, ".", ms=3.0 if t.size < _DENSE else 2.0, color=GREY, label="measured")
 
 
-def _titled(view: FittedChannels, channel: int, digits: int = 3) -> str:
-    """Return a channel's name and residual."""
-    return f"{view.names[channel]}: {amount(view.found.residual_rms[channel], view.found.unit, digits)}"
-
-
 def fit_figure(view: FittedChannels) -> Figure:
     """Draw the chosen channels over the whole time, and the window with the worst fit of each."""
     zoomed = np.unique(view.window).size > _FEW_WINDOWS
     with _rows(view, 2 if zoomed else 1, (2.6, 1.0) if zoomed else None) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
             _draw_fit(row[0], view, channel)
-            row[0].set(title=f"{_titled(view, channel)} rms", ylabel=_label(view, channel), xlim=view.t[[0, -1]])
+            row[0].set(title=f"{view.rms_title(channel)} rms", ylabel=_label(view, channel), xlim=view.t[[0, -1]])
             if zoomed:
                 _draw_worst(row[1], view, channel)
         legend(figure, axes[0, 0])
@@ -136,19 +132,14 @@ def _draw_fit(axis: Any, view: FittedChannels, channel: int) -> None:
 
 def _draw_predicted(axis: Any, held: HeldOut, channel: int) -> None:
     value = np.where(np.isfinite(held.predicted[:, channel]), held.predicted[:, channel], np.nan)
-    broken(axis, held.t, value, _stretch(held), color=RED, label="predicted without data")
-
-
-def _stretch(held: HeldOut) -> Array:
-    """Return the number (m,) of the prediction of each sample."""
-    return np.asarray(np.searchsorted(held.starts, held.t, side="left"), dtype=np.float64)
+    broken(axis, held.t, value, held.began, color=RED, label="predicted without data")
 
 
 def _draw_worst(axis: Any, view: FittedChannels, channel: int) -> None:
     """Draw the worst window with its neighbours' nearest parts."""
     number, start, end = view.worst_window(channel)
-    margin = 0.25 * (end - start)
-    near, fit_near = (np.abs(t - 0.5 * (start + end)) <= 0.5 * (end - start) + margin for t in (view.t, view.fit_t))
+    reach = 0.75 * (end - start)
+    near, fit_near = (np.abs(t - 0.5 * (start + end)) <= reach for t in (view.t, view.fit_t))
     axis.axvspan(start, end, color=BLUE, alpha=0.06, lw=0)
     samples(axis, view.t[near], view.measured[near, channel])
     broken(axis, view.fit_t[fit_near], view.fitted[fit_near, channel], view.window[fit_near], color=BLUE)
@@ -175,21 +166,21 @@ def prediction_figure(view: FittedChannels, held: HeldOut) -> Figure:
 
 
 def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) -> None:
-    predicted, rms, number = held.predicted[:, channel], held.rms[channel], _stretch(held)
+    predicted, rms, number = held.predicted[:, channel], held.rms[channel], held.began
     error = held.measured[:, channel] - np.where(np.isfinite(predicted), predicted, np.nan)
     greatest = float(np.nanmax(np.abs(error), initial=0.0))
     unit = readable_unit(view.found.unit, rms if np.isfinite(rms) else greatest)
     error, band = error / unit.size, BAND * held.std[:, channel] / unit.size
     for k in np.unique(number):
         part = number == k
-        label = "expected for 95 %" if k == 1 else None
+        label = "expected for 95 %" if k == 0 else None
         axis.fill_between(held.t[part], -band[part], band[part], color=RED, alpha=0.18, lw=0, label=label)
     axis.plot(held.t, error, ".", ms=2.5, color=INK, label="error")
     for start in held.failed:
         axis.axvspan(start, start + held.ahead, color=RED, alpha=0.3, lw=0)
-    told = f"{amount(rms, view.found.unit)} rms" if np.isfinite(rms) else "failed where dark"
+    size = f"{amount(rms, view.found.unit)} rms" if np.isfinite(rms) else "failed where dark"
     tallest = max(1.1 * greatest / unit.size, np.nanquantile(np.append(band, 0.0), 0.97)) or 1.0
-    axis.set(ylabel=f"error, {unit.name}", title=f"measured minus predicted: {told}", ylim=(-tallest, tallest))
+    axis.set(ylabel=f"error, {unit.name}", title=f"measured minus predicted: {size}", ylim=(-tallest, tallest))
 
 
 def residual_figure(view: FittedChannels) -> Figure:
@@ -232,7 +223,7 @@ def multiples_figure(view: FittedChannels) -> Figure:
         axes = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True).ravel()
         for channel, axis in enumerate(axes[: len(view.names)]):
             _draw_fit(axis, view, channel)
-            axis.set_title(_titled(view, channel, 2), fontsize=8.0)
+            axis.set_title(view.rms_title(channel, 2), fontsize=8.0)
             axis.tick_params(labelsize=7.0)
             axis.locator_params(nbins=4)
         for axis in axes[len(view.names) :]:
@@ -248,15 +239,15 @@ def shapes_figure(view: FittedChannels) -> Figure:
     rows = whole if whole.size else np.arange(view.fit_t.size)
     picked = rows[np.unique(np.linspace(0, rows.size - 1, _SHAPES).round().astype(int))]
     low, high = np.nanmin(fitted, axis=(0, 1)), np.nanmax(fitted, axis=(0, 1))
-    margin = 0.05 * float((high - low).max())
-    tall = float(np.clip((high - low)[1] / max((high - low)[0], 1e-9), 0.6, 2.2)) * (_WIDTH / picked.size)
-    with new_figure(_WIDTH, 0.7 + tall) as figure:
+    wide, tall = high - low
+    ends = np.stack([low, high], axis=1) + 0.05 * float(max(wide, tall)) * np.array([-1.0, 1.0])
+    height = float(np.clip(tall / max(wide, 1e-9), 0.6, 2.2)) * (_WIDTH / picked.size)
+    with new_figure(_WIDTH, 0.7 + height) as figure:
         axes = figure.subplots(1, picked.size, squeeze=False, sharex=True, sharey=True)[0]
         for axis, row in zip(axes, picked, strict=True):
             axis.plot(*fitted[row].T, "-", color=BLUE, lw=1.2)
             axis.plot(*measured[row].T, "o", ms=4.0, mfc="none", mec=INK, mew=0.8)
-            axis.set(aspect="equal", title=f"{view.fit_t[row]:.3g} s", xlabel="x, m")
-            axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+            axis.set(aspect="equal", title=f"{view.fit_t[row]:.3g} s", xlabel="x, m", xlim=ends[0], ylim=ends[1])
             axis.locator_params(nbins=4)
         axes[0].set_ylabel("y, m")
     return figure
@@ -266,15 +257,13 @@ def history_figure(found: Identification) -> Figure:
     """Draw the cost over the iterations of each stage, relative to the smallest of the stage."""
     with new_figure(_WIDTH, 2.4) as figure:
         axis: Any = figure.subplots()
-        first = 0
-        for stage in dict.fromkeys(entry["stage"] for entry in found.history):
-            own = [entry for entry in found.history if entry["stage"] == stage]
-            cost, length = np.array([entry["cost"] for entry in own]), own[0]["window"]
+        first, place = 0, {"transform": axis.get_xaxis_transform(), "va": "bottom"}
+        for _, entries in groupby(found.history, key=lambda entry: entry["stage"]):
+            cost, lengths = np.array([(entry["cost"], entry["window"]) for entry in entries]).T
             rounds = first + np.arange(cost.size)
             axis.plot(rounds, cost / max(float(cost.min()), 1e-300), "o-", ms=3.5, color=BLUE)
             axis.axvline(first - 0.5, color=GREY, lw=0.8, ls=(0, (3.0, 2.0)))
-            place = {"transform": axis.get_xaxis_transform(), "va": "bottom"}
-            axis.text(first - 0.4, 1.02, f"windows of {length:.3g} s", fontsize=8.0, color=INK, **place)
+            axis.text(first - 0.4, 1.02, f"windows of {lengths[0]:.3g} s", fontsize=8.0, color=INK, **place)
             first += cost.size
         axis.set(yscale="log", xlabel="round", ylabel="cost over its stage's least", xlim=(-0.5, first - 0.5))
         axis.locator_params(axis="x", integer=True)
@@ -283,22 +272,21 @@ def history_figure(found: Identification) -> Figure:
 
 def along_figure(found: Identification, guess: Rope | None = None) -> Figure | None:
     """Draw each property with separate values for many links, with 95 % intervals; None if there is none."""
-    own: dict[str, list[Number]] = {}
+    own: dict[str, list[tuple[float, ...]]] = {}
     for each in numbers(found):
-        own.setdefault(each.name, []).append(each)
-    shown = {k: v for k, v in own.items() if len(v) >= _LEAST_LINKS and PROPERTIES[k].owner == "link"}
+        if each.place is not None and PROPERTIES[each.name].owner == "link":
+            own.setdefault(each.name, []).append((each.place, each.value, each.low, each.high))
+    shown = {name: np.array(rows).T for name, rows in own.items() if len(rows) >= _LEAST_LINKS}
     if not shown:
         return None
-    with new_figure(10.0, 0.5 + 2.0 * len(shown)) as figure:
+    with new_figure(_WIDTH, 0.5 + 2.0 * len(shown)) as figure:
         axes = figure.subplots(len(shown), 1, squeeze=False, sharex=True)[:, 0]
-        for axis, (name, every) in zip(axes, shown.items(), strict=True):
-            places = np.array([each.place for each in every])
-            values, low, high = (np.array([getattr(each, key) for each in every]) for key in ("value", "low", "high"))
+        for axis, (name, (places, values, low, high)) in zip(axes, shown.items(), strict=True):
             unit = readable_unit(name, values)
             axis.vlines(places, low / unit.size, high / unit.size, color=BLUE, lw=2.0, alpha=0.45)
             axis.plot(places, values / unit.size, "o", ms=4.0, color=BLUE, label="identified, 95 % interval")
             if guess is not None:
-                start = getattr(guess, name)[places] / unit.size
+                start = getattr(guess, name)[places.astype(int)] / unit.size
                 axis.plot(places, start, "x", ms=4.0, color=GREY, label="first guess")
             axis.set(ylabel=unit.name, title=name.replace("_", " "))
         axes[-1].set_xlabel("link, from the first joint to the tip")

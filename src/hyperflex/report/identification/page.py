@@ -124,8 +124,7 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
         notes.append("If a value is not determined, the one shown is one of many with the same motion.")
     if tied := ties(found):
         notes.append(f"Correlated errors: {', '.join(tied)}.")
-    along = along_figure(found, guess)
-    pictures = () if along is None else (_picture(along, "Values along the rope with 95 % intervals."),)
+    pictures = _pictures((along_figure(found, guess), "Values along the rope with 95 % intervals."))
     sections = [
         Section("Parameters", pictures=pictures, table=table, notes=tuple(notes), folded=_folded(table, "numbers"))
     ]
@@ -142,11 +141,13 @@ def _fit(view: FittedChannels, many: bool) -> Section:
     which = "First, middle and last link" if view.found.unit == "rad" else "Middle and last marker"
     held = "" if view.found.held_out is None else "; red: what was held out"
     some = f"{which}, and the one that fits worst. " if many else ""
-    pictures = [_picture(fit_figure(view), f"{some}Each window is fitted with its own initial state{held}.")]
-    if view.found.unit == "m":
-        pictures.append(_picture(shapes_figure(view), "Markers (rings) and fit (line) at some instants."))
+    shapes = shapes_figure(view) if view.found.unit == "m" else None
+    pictures = _pictures(
+        (fit_figure(view), f"{some}Each window is fitted with its own initial state{held}."),
+        (shapes, "Markers (rings) and fit (line) at some instants."),
+    )
     links = (("all", f"All {len(view.names)} channels"),) if many else ()
-    return Section("Fit over data", pictures=tuple(pictures), links=links)
+    return Section("Fit over data", pictures=pictures, links=links)
 
 
 def _prediction(view: FittedChannels) -> Section:
@@ -167,7 +168,7 @@ def _prediction(view: FittedChannels) -> Section:
         "linearised: covariance of the parameters, uncertainty of the state and noise, with the exact derivatives of "
         "the motion. If the errors are larger than the band, the model is wrong by the difference."
     )
-    return Section(title, text=(text,), pictures=(_picture(prediction_figure(view, held), caption),))
+    return Section(title, text=(text,), pictures=_pictures((prediction_figure(view, held), caption)))
 
 
 def _residuals(view: FittedChannels) -> Section:
@@ -175,14 +176,14 @@ def _residuals(view: FittedChannels) -> Section:
         "Residuals over time; their histogram, with a normal distribution; and their autocorrelation, with the band "
         "that contains that of white noise."
     )
-    return Section("Residuals", pictures=(_picture(residual_figure(view), caption),))
+    return Section("Residuals", pictures=_pictures((residual_figure(view), caption)))
 
 
 def _history(found: Identification) -> Section:
     if not found.history:
         return Section("How the fit went", text=("The fit was interrupted during its first iteration.",))
     caption = "Cost after each iteration, relative to the smallest of its stage; short windows tolerate a poor guess."
-    return Section("How the fit went", pictures=(_picture(history_figure(found), caption),))
+    return Section("How the fit went", pictures=_pictures((history_figure(found), caption)))
 
 
 def _rope(found: Identification) -> Section:
@@ -197,10 +198,11 @@ def _folded(table: TextTable, what: str) -> str:
     return f"All {len(table.rows)} {what}" if len(table.rows) > LONG else ""
 
 
-def _picture(figure: "Figure", caption: str) -> Picture:
-    return Picture(png(figure, dpi=_DPI), caption)
+def _pictures(*drawn: tuple["Figure | None", str]) -> tuple[Picture, ...]:
+    """Return figures with their captions, without those that there is nothing for."""
+    return tuple(Picture(png(figure, dpi=_DPI), caption) for figure, caption in drawn if figure is not None)
 
 
 def _all(view: FittedChannels) -> Section:
-    picture = _picture(multiples_figure(view), "Every channel: measured, fitted (blue), predicted (red).")
-    return Section("All channels", pictures=(picture,), folded=f"Show all {len(view.names)} channels", anchor="all")
+    pictures = _pictures((multiples_figure(view), "Every channel: measured, fitted (blue), predicted (red)."))
+    return Section("All channels", pictures=pictures, folded=f"Show all {len(view.names)} channels", anchor="all")

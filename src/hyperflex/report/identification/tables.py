@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex.checks import Array
 from hyperflex.identification import BAND, Identification
 from hyperflex.model import LINK_PROPERTIES, PROPERTIES, RATIOS, Label, Rope, parse_label
 from hyperflex.recording import Recording
@@ -19,7 +18,7 @@ LAWS = {
     "shared": ", of each link alike",
     "inner": ", of each link but the first alike",
     "factor": ", factor on the guess of all links",
-    "taper": ", at the tip over that at the motor (as far as it departs from the guess)",
+    "taper": ", at the tip over that at the first joint (relative to the guess)",
 }
 
 
@@ -38,11 +37,6 @@ class Number:
     std: float
     low: float
     high: float
-
-    @property
-    def words(self) -> str:
-        """What it is."""
-        return described(self.label, PROPERTIES[self.name].words)
 
 
 def described(label: str, words: str = "") -> str:
@@ -63,12 +57,11 @@ def _number(found: Identification, label: str) -> Number:
     which = -1 if law == "inner" else place or 0
     value, std = (float(np.atleast_1d(each[key])[which]) for each in (found.values, found.std))
     linear = law == "taper" or (PROPERTIES[name].form == "linear" and law != "factor")
-    low, high = _interval(found, label, value, std, signed=linear)
-    if law == "taper":
-        value, std, low, high = (
-            float(each) for each in (np.exp(value), np.exp(value) * std, np.exp(low), np.exp(high))
-        )
-    return Number(label, name, place, law, value, std, low, high)
+    every = np.array([value, std, *_interval(found, label, value, std, signed=linear)])
+    if law == "taper":  # the fit knows its logarithm
+        every = np.exp(every)
+        every[1] = every[0] * std
+    return Number(label, name, place, law, *every.tolist())
 
 
 def _interval(found: Identification, label: str, value: float, std: float, *, signed: bool) -> tuple[float, float]:
@@ -77,23 +70,23 @@ def _interval(found: Identification, label: str, value: float, std: float, *, si
         return np.nan, np.nan
     if label in found.intervals:
         return float(found.intervals[label].low), float(found.intervals[label].high)
-    return (value - BAND * std if signed else max(value - BAND * std, 0.0)), value + BAND * std
+    return max(value - BAND * std, -np.inf if signed else 0.0), value + BAND * std
 
 
 def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
     """Return all free numbers with standard deviations and intervals, and the first guess if it is given."""
     every, rows = numbers(found), []
     for each in every:
-        alike = [other.value for other in every if other.name == each.name and other.law == each.law]
+        alike = [other.value for other in every if (other.name, other.law) == (each.name, each.law)]
         unit = readable_unit("" if each.law in ("factor", "taper") else each.name, alike)
         value, std, low, high = (number / unit.size for number in (each.value, each.std, each.low, each.high))
-        cells = [each.label, each.words, rounded(value, std) + unit.after, *_spread(std, low, high)]
+        words = described(each.label, PROPERTIES[each.name].words)
+        rows.append([each.label, words, rounded(value, std) + unit.after, *_spread(std, low, high)])
         if guess is not None:
             start = _start(each, found, guess)
-            cells.append("" if start is None else f"{start / unit.size:.4g}")
-        rows.append(tuple(cells))
-    header = ("name", "what it is", "value", "std", "95 % interval")
-    return TextTable(header if guess is None else (*header, "first guess"), tuple(rows))
+            rows[-1].append("" if start is None else f"{start / unit.size:.4g}")
+    header = ("name", "what it is", "value", "std", "95 % interval", *["first guess"] * (guess is not None))
+    return TextTable(header, tuple(map(tuple, rows)))
 
 
 def _start(each: Number, found: Identification, guess: Rope) -> float | None:
@@ -103,23 +96,25 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
         return 1.0
     if owner in ("camera", "arm"):
         return None
-    if owner == "marker":
-        return float(found.settings["arc_lengths"][each.place or 0])
     if owner == "motion" or each.name == "gravity_angle":
         return float(found.settings.get(f"{each.name}_from", 0.0))
-    own = np.atleast_1d(getattr(guess, each.name))
+    own = np.asarray(found.settings["arc_lengths"] if owner == "marker" else np.atleast_1d(getattr(guess, each.name)))
     return float(np.mean({"shared": own, "inner": own[1:]}.get(each.law, own[each.place or 0])))
 
 
 def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str, ...]:
     """Return correlated pairs of numbers as text: correlation at least `least`, the closest first."""
-    std = np.sqrt(np.diag(found.covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
+        std = np.sqrt(np.diag(found.covariance))
         correlation = np.nan_to_num(found.covariance / np.outer(std, std))
-    known = np.array([np.isfinite(each.std) for each in numbers(found)])
+    known = np.isfinite([each.std for each in numbers(found)])
     upper = np.triu(np.abs(correlation) * np.outer(known, known), 1)
-    pairs = [divmod(int(k), std.size) for k in np.argsort(-upper, axis=None)[:most] if upper.ravel()[k] >= least]
-    return tuple(f"{found.parameters[i]} and {found.parameters[j]} ({correlation[i, j]:+.3f})" for i, j in pairs)
+    pairs = [np.unravel_index(k, upper.shape) for k in np.argsort(-upper, axis=None)[:most]]
+    return tuple(
+        f"{found.parameters[i]} and {found.parameters[j]} ({correlation[i, j]:+.3f})"
+        for i, j in pairs
+        if upper[i, j] >= least
+    )
 
 
 def ratios_table(found: Identification) -> TextTable | None:
@@ -131,8 +126,8 @@ def ratios_table(found: Identification) -> TextTable | None:
         for link, (value, std) in enumerate(zip(values[: 1 if alike else None], spreads, strict=False)):
             if std > 0.0:
                 ends = _interval(found, f"{name}[{link}]", value, std, signed=name == "p/p1")
-                told = rounded(value, std) + unit.after
-                rows.append((name, "each" if alike else str(link), told, *_spread(std, *ends), RATIOS[name].words))
+                shown = rounded(value, std) + unit.after
+                rows.append((name, "each" if alike else str(link), shown, *_spread(std, *ends), RATIOS[name].words))
     return TextTable(("ratio", "link", "value", "std", "95 % interval", "what it is"), tuple(rows)) if rows else None
 
 
@@ -154,11 +149,9 @@ def rope_table(rope: Rope, found: Identification) -> TextTable:
     free = {each.name for each in numbers(found)}
     shown = [name for name, there in present(rope).items() if there]
     units = [readable_unit(name, getattr(rope, name)) for name in shown]
-    header = [
-        f"{name.replace('_', ' ')}{'*' if name in free else ''}, {unit.name}"
-        for name, unit in zip(shown, units, strict=True)
-    ]
-    columns: list[Array] = [getattr(rope, name) / unit.size for name, unit in zip(shown, units, strict=True)]
+    names = [f"{name.replace('_', ' ')}{'*' if name in free else ''}" for name in shown]
+    header = [f"{name}, {unit.name}" for name, unit in zip(names, units, strict=True)]
+    columns = [getattr(rope, name) / unit.size for name, unit in zip(shown, units, strict=True)]
     rows = [(str(k), *(f"{column[k]:.4g}" for column in columns)) for k in range(rope.n_links)]
     return TextTable(("link", *header), tuple(rows))
 
@@ -180,9 +173,11 @@ def _contents(recording: Recording) -> str:
 
 def fit_table(found: Identification) -> TextTable:
     """Return the table of the fit's settings."""
-    free = {each.name for each in numbers(found)}
-    there = {name.replace("_", " "): own for name, own in present(found.rope).items() if name not in free}
-    fixed, zero = ([name for name, own in there.items() if own is whether] for whether in (True, False))
+    free, owned = {each.name for each in numbers(found)}, present(found.rope)
+    fixed, zero = (
+        [name.replace("_", " ") for name, own in owned.items() if name not in free and own is whether]
+        for whether in (True, False)
+    )
     content = {"found": found, "done": found.settings, "free": _free(found), "fixed": fixed, "zero": zero}
     return _filled("fit.txt", version_of=version, platform=platform, **content)
 
