@@ -368,7 +368,7 @@ def _plan(
         return Plan(experiment, {}, {}, str(failure))
     found = spreads(parameters, information, want).items()
     stds, parts = ({name: each[k] for name, each in found} for k in (0, 1))
-    return Plan(experiment, stds, parts, _scaled=bool(information.growing.any()))
+    return Plan(experiment, stds, parts, _scaled=bool(np.any(information.growing)))
 
 
 def _recommendation(ranked: Sequence[Plan], want: Sequence[str], free: Sequence[str]) -> str:
