@@ -9,7 +9,7 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.integrate.rollout import TAKEN
 from hyperflex.model import Setup
-from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits, runge_kutta_limit
+from hyperflex.simulation import Rollout, runge_kutta_limit
 
 NAME = "hyperflex"
 ARM = "prescribed exactly: the arm's end moves the first joint and its angle turns it; restart at every switch"
@@ -25,9 +25,8 @@ def run(cast: Cast, **how: object) -> Array:
 def steps(cast: Cast, tol: float) -> int:
     """Steps for the whole cast, rejected ones too."""
     setup = Setup(cast.rope, cast.motion, cast.arm, duration=cast.duration, tol=tol)
-    chain, times = setup.chain(), np.array([0.0, cast.duration])
-    rollout = prepare_rollout(chain, setup.drive(), setup.start(), times, rollout_limits(setup, chain, cast.duration))
-    finish_rollout(rollout)
+    rollout = Rollout(setup, np.array([0.0, cast.duration]))
+    rollout.complete()
     return int(rollout.progress.clock[TAKEN])
 
 

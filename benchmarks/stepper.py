@@ -12,7 +12,7 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
+from hyperflex.simulation import Rollout
 
 DT, SECONDS, SWITCH = 1 / 30, 10.0, 0.5  # s: an interval, a run, and between changes of the command's sense
 ARM = hf.Arm(length=0.105, inertia=2e-3, friction=1e-3)
@@ -68,14 +68,12 @@ class Ride:
         end = setup.duration
         if self.pegs:
             return lambda: hf.simulate(setup, t_eval=[end]).q[-1]
-        chain, drive, n = setup.chain(), setup.drive(), self.rope.n_links
+        chain, drive = setup.chain(), setup.drive()
 
         def run() -> Array:
-            rollout = prepare_rollout(
-                chain, drive, setup.start(), np.array([0.0, end]), rollout_limits(setup, chain, end)
-            )
-            finish_rollout(rollout)
-            return rollout.y[-1, chain.length.size - n : chain.length.size]
+            rollout = Rollout(setup, np.array([0.0, end]), chain=chain, drive=drive)
+            rollout.complete()
+            return rollout.y[-1, rollout.links[0]]
 
         return run
 

@@ -30,7 +30,8 @@ STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 
 def run_of(it: hf.Setup, ways: ParameterDirections | None = None) -> Rollout:
     chain = ways.with_faint_terms(it.chain()) if ways else it.chain()
-    return record_steps(chain, it.drive(), it.start(), rollout_limits(it, chain, it.duration), np.zeros(1))
+    limits = rollout_limits(it, chain, it.duration)
+    return record_steps(chain, lambda log: Rollout(it, np.zeros(1), chain=chain, limits=limits, log=log))
 
 
 class Frozen:

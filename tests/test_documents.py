@@ -20,7 +20,7 @@ from hyperflex.model import Arm, Setup
 from hyperflex.model.obstacles import KINDS
 from hyperflex.model.rope import TOTALS
 from hyperflex.model.setup import PLANNING
-from hyperflex.motion.tables import MAKERS
+from hyperflex.motion.profiles import MOTIONS
 from hyperflex.planning import MotorLimits, TipTarget
 from hyperflex.simulation.runs import status_of
 from hyperflex.status import Status
@@ -113,7 +113,7 @@ def test_page_on_files_names_every_table_and_key_of_a_set_up():
     keys |= {"walls", "grounds", *PLANNING, "n_links", *signature(hyperflex.Rope).parameters}
     keys |= {f"{whole}_{name}" for whole in ("total", "link") for name in TOTALS}
     assert keys - words == {"control", "control_rate"}  # which cannot be written
-    for kind, maker in MAKERS.items():
+    for kind, (maker, *_) in MOTIONS.items():
         row = rows_of(page, f'"{kind}"') or page
         assert {name for name in signature(maker).parameters if f"`{name}`" not in row} == set(), kind
     for table, obstacle in KINDS.items():

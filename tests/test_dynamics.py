@@ -71,22 +71,13 @@ def test_mass_matrix_of_arm_and_rope(seed):
 @both
 @seeds
 def test_bias_is_what_the_accelerations_owe_to(seed, friction_model):
-    q, w = state(seed)
-    links = with_arm(rope(friction_model))
-    free = np.asarray(dense.accelerations(links, q, w, np.zeros(7)).alpha, float)
-    want = -dense.mass_matrix(links, q) @ free
-    got = bias(rope(friction_model), q[1:], w[1:], arm=ARM, arm_angle=q[0], arm_rate=w[0])
-    np.testing.assert_allclose(got, want, rtol=0, atol=SAME * np.abs(want).max())
-
-
-@both
-@seeds
-def test_bias_of_a_rope_alone_hangs_on_a_wall(seed, friction_model):
-    q, w = state(seed)
-    links = links_of(rope(friction_model))
-    free = np.asarray(dense.accelerations(links, q[1:], w[1:], np.zeros(7)).alpha, float)
-    want = -dense.mass_matrix(links, q[1:]) @ free
-    np.testing.assert_allclose(bias(rope(friction_model), q[1:], w[1:]), want, rtol=0, atol=SAME * np.abs(want).max())
+    """Of arm and rope, and of a rope alone, on a wall."""
+    (q, w), cable = state(seed), rope(friction_model)
+    whole = bias(cable, q[1:], w[1:], arm=ARM, arm_angle=q[0], arm_rate=w[0])
+    for links, first, got in ((with_arm(cable), 0, whole), (links_of(cable), 1, bias(cable, q[1:], w[1:]))):
+        free = np.asarray(dense.accelerations(links, q[first:], w[first:], np.zeros(7)).alpha, float)
+        want = -dense.mass_matrix(links, q[first:]) @ free
+        np.testing.assert_allclose(got, want, rtol=0, atol=SAME * np.abs(want).max())
 
 
 @both

@@ -47,7 +47,8 @@ def setup(**changes: Any) -> hf.Setup:
 
 
 def run_of(it: hf.Setup) -> Rollout:
-    return record_steps(it.chain(), it.drive(), it.start(), rollout_limits(it, it.chain(), it.duration), np.zeros(1))
+    limits = rollout_limits(it, it.chain(), it.duration)
+    return record_steps(it.chain(), lambda log: Rollout(it, np.zeros(1), limits=limits, log=log))
 
 
 def retimed(run: Rollout, it: hf.Setup) -> Array:

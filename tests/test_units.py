@@ -15,19 +15,14 @@ from hyperflex.errors import InvalidInput
 ROPE = hf.Rope.uniform(length=0.9, mass=0.05, n_links=10)
 SLIPS: list[tuple[Callable[[], object], str]] = [
     (lambda: hf.Rope.uniform(length=900, mass=0.05, n_links=10), "rope length is 900 m: is it meant in mm.*are 0.9"),
-    (lambda: hf.Rope(length=[300.0, 300.0], mass=0.02), "rope length is 600 m"),
     (lambda: hf.Rope.uniform(length=0.9, mass=50, n_links=10), "mass over length is 55.5.*kg/m: is it meant in g/m"),
     (lambda: hf.Arm(length=150), "arm length is 150 m: is it meant in mm.*are 0.15"),
     (lambda: hf.Peg(x=-800, y=-0.6, radius=0.03), "peg x is -800 m: is it meant in mm.*are -0.8"),
     (lambda: hf.TipTarget(x=0.3, y=-2050, direction=0.2), "target y is -2050 m: is it meant in mm"),
     (lambda: hf.arm_swings(t_move=730), "t_move is 730 s: is it meant in ms.*are 0.73"),
-    (lambda: hf.arm_swings(t_rest=530), "t_rest is 530 s"),
     (lambda: hf.move_arm(0.0, 90.0, 1.0), "arm angle is 90 rad: is it meant in degrees"),
-    (lambda: hf.move_arm(0.0, 1.0, 730.0), "duration is 730 s"),
     (lambda: hf.hold_arm(-90), "angle is -90 rad"),
-    (lambda: hf.sampled_motion([0.0, 1.0], [0.0, 90.0]), "angle is 90 rad"),
     (lambda: hf.arm_moves([0.0, 90.0], [0.0], [1.0]), "angles is 90 rad"),
-    (lambda: hf.arm_moves([0.0, 1.0], [0.0], [730.0]), "durations is 730 s"),
     (lambda: hf.MotorLimits(angles=(-180, 180)), "motor angles is -180 rad"),
     (lambda: hf.Setup(ROPE, q0=np.full(10, 90.0)), "q0 is 90 rad"),
 ]
@@ -48,6 +43,7 @@ def test_density_of_a_rope_in_grams_is_refused():
 def test_real_large_ropes_and_arms_pass():
     """Warnings are errors in these tests."""
     assert hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02).total_length == pytest.approx(30.0)
+    assert hf.Rope(length=[0.3], mass=[60.0]).mass[0] == 60.0  # masses in proportion, from angles alone
     assert hf.Arm(length=3.0).length == 3.0
     assert hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0).breaks[-1] == 60.0
 
@@ -62,11 +58,6 @@ def test_a_run_goes_on_from_many_turns():
     """As it ends after a long whirl; a start at rest is asked for its unit."""
     setup = hf.Setup(ROPE, arm=hf.Arm(), q0=np.full(10, 90.3), qd0=np.full(10, 12.0))
     assert setup.replace(duration=0.1).q0 is not None
-
-
-def test_ropes_whose_scale_no_motion_tells_pass():
-    """Identification from angles alone leaves masses in proportion, as heavy as may be."""
-    assert hf.Rope(length=[0.3], mass=[60.0]).mass[0] == 60.0
 
 
 def test_the_command_line_says_it_in_a_line(tmp_path, capsys):

@@ -40,24 +40,26 @@ _ALLOWED = {"any": "finite", "positive": "finite and > 0", "nonnegative": "finit
 
 def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infinite: bool = False) -> float:
     """Return `value` as a finite float of the required sign (``infinite=True`` lets +inf pass)."""
-    allowed = f"a number, {_ALLOWED[sign]}" + (" (or inf)" if infinite else "") + (f", in {unit}" if unit else "")
-    if isinstance(value, (str, bytes, bool)):
-        raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed)
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.item()
+    result, got = math.nan, value
     try:
-        result = float(value)  # type: ignore[arg-type]
+        if isinstance(value, (str, bytes, bool)):
+            raise TypeError
+        result = got = float(value.item() if isinstance(value, np.ndarray) and value.size == 1 else value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed) from None
+        wrong = "is not a number"
     except OverflowError:
-        raise InvalidInput(f"{name} is too large", got=value, allowed=allowed) from None
-    if not math.isfinite(result) and not (infinite and result > 0.0):
-        raise InvalidInput(f"{name} is not finite", got=result, allowed=allowed)
-    if LARGEST < abs(result) < math.inf:
-        raise InvalidInput(f"{name} is too large", got=result, allowed=f"{allowed}, up to {LARGEST:g} in size")
-    if (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
-        raise InvalidInput(f"{name} has the wrong sign", got=result, allowed=allowed)
-    return result
+        wrong = "is too large"
+    else:
+        if not math.isfinite(result) and not (infinite and result > 0.0):
+            wrong = "is not finite"
+        elif LARGEST < abs(result) < math.inf:
+            wrong = f"is larger than {LARGEST:g} in size"
+        elif (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
+            wrong = "has the wrong sign"
+        else:
+            return result
+    allowed = f"a number, {_ALLOWED[sign]}" + (" (or inf)" if infinite else "") + (f", in {unit}" if unit else "")
+    raise InvalidInput(f"{name} {wrong}", got=got, allowed=allowed) from None
 
 
 def meant(name: str, value: npt.ArrayLike, unit: str, *, most: float | None = None) -> None:

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain import articulated_body as core
+from hyperflex.core.chain.drive import ANGLE
+from hyperflex.core.integrate.observation import observe, senses
 from hyperflex.core.read_only import read_only
-from hyperflex.core.stiction import find_modes, new_stiction_workspace
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.simulation import Stepper, commanded_accelerations, setup_for
+from hyperflex.simulation import Interval, Stepper, commanded_accelerations, setup_for
 
 
 class PartialLinearization(NamedTuple):
@@ -95,7 +96,7 @@ def forward_kinematics(rope: Rope, q: ArrayLike, *, arm: Arm | None = None, arm_
     >>> hf.forward_kinematics(rope, [0.0, 0.0], arm=hf.Arm(length=0.5)).tolist()
     [[0.0, -0.5], [0.0, -1.5], [0.0, -2.5]]
     """
-    _check_rope(rope)
+    checks.instance("rope", rope, Rope)
     angles = checks.array("q", q, None, unit="rad")
     angles = checks.array("q", angles, (*angles.shape[:-1], rope.n_links), unit="rad")
     turned = checks.array("arm_angle", arm_angle, angles.shape[:-1], scalar=True, unit="rad")
@@ -146,7 +147,7 @@ def linearize(
     Exact derivatives, as (M.19)-(M.25), not differences; O(n^2). Joints that stick in this state are locked. For a
     sequence of states use the faster :meth:`hyperflex.Stepper.linearize`.
     """
-    _check_rope(rope)
+    checks.instance("rope", rope, Rope)
     q, qd = (checks.array(name, value, (rope.n_links,)) for name, value in (("q", q), ("qd", qd)))
     if np.isfinite(rope.max_bend).any():
         raise InvalidInput("derivatives are of free flight", got="a rope with joint limits", fix="Leave max_bend out")
@@ -209,12 +210,21 @@ def partial_linearization(
     angles = checks.array("q", q, (rope.n_links,), unit="rad")
     rates = checks.array("qd", qd, (rope.n_links,), unit="rad/s")
     angle, rate = checks.number("arm_angle", arm_angle), checks.number("arm_rate", arm_rate)
-    slip = np.ones(rope.n_links)
-    if rope.dry_friction.any():
-        base = _base(arm, angle, rate, 0.0)
-        find_modes(rope.chain(), angles, rates, base, 0.0, 1.0, slip, new_stiction_workspace(rope.n_links))
-    rest = _driven(rope, arm, angles, rates, angle, rate, 0.0, slip)
-    unit = _driven(rope, arm, angles, rates, angle, rate, 1.0, slip)
+    chain, interval = rope.chain(), Interval(Setup(rope, None, arm).drive())
+    interval.set(0.0, 1.0, ANGLE, [angle, rate, 0.0, 0.0, 0.0, 0.0])
+    t, y = np.zeros(1), np.concatenate([angles, rates])[None]
+    slip, outputs = senses(chain, interval.drive, t, y), (np.empty((1, rope.n_links)), np.empty((1, 9)))
+    shaft = arm.shaft_torque(rope.gravity, np.array(angle), np.array(rate), np.zeros(()))
+
+    def driven(u: float) -> tuple[Array, float]:
+        """Rope accelerations (n,) and motor torque where the arm has the acceleration u."""
+        interval.set(0.0, 1.0, ANGLE, [angle, rate, 0.5 * u, 0.0, 0.0, 0.0])
+        loads = np.empty((1, 5))
+        observe(chain, interval.drive, t, y, slip, *outputs, loads)
+        own = shaft + (arm.inertia + arm.mass * arm.com**2) * u
+        return outputs[0][0].copy(), float(own + arm.rope_torque(angle, loads[:, 2:])[0])
+
+    rest, unit = driven(0.0), driven(1.0)
     return PartialLinearization(rest[0], unit[0] - rest[0], unit[1] - rest[1], rest[1])
 
 
@@ -229,43 +239,9 @@ def torque_from_input(linear: PartialLinearization, u: float) -> float:
 
 
 def _joined(rope: Rope, value: ArrayLike, name: str, unit: str, arm: Arm | None, own: float) -> Array:
-    _check_rope(rope)
+    checks.instance("rope", rope, Rope)
     links = checks.array(name, value, (rope.n_links,), unit=unit)
     if arm is not None:
         checks.instance("arm", arm, Arm)
     arm_name = "arm_angle" if name == "q" else "arm_rate"
     return links if arm is None else np.append(checks.number(arm_name, own, unit=unit), links)
-
-
-def _check_rope(rope: object) -> None:
-    checks.instance("rope", rope, Rope)
-
-
-def _base(arm: Arm, angle: float, rate: float, acceleration: float) -> Array:
-    """Motion (7,) of the rope's first joint, as the kernels take it, on an arm that turns about a fixed pivot."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array(
-        [
-            arm.length * (cos * acceleration - sin * rate**2),
-            arm.length * (sin * acceleration + cos * rate**2),
-            acceleration,
-            rate,
-            angle,
-            arm.length * cos * rate,
-            arm.length * sin * rate,
-        ]
-    )
-
-
-def _driven(
-    rope: Rope, arm: Arm, q: Array, qd: Array, angle: float, rate: float, acceleration: float, slip: Array
-) -> tuple[Array, float]:
-    """Rope accelerations (n,) and motor torque under a given acceleration of the arm; `slip` (n,) as in core."""
-    n = rope.n_links
-    cos, sin = np.cos(angle), np.sin(angle)
-    base = _base(arm, angle, rate, acceleration)
-    qdd = np.empty(n)
-    fx, fy, moment = core.accelerations(rope.chain(), q, qd, slip, base, 0.0, 0.0, qdd, np.empty(6 * n))
-    own = arm.shaft_torque(rope.gravity, np.array(angle), np.array(rate), np.zeros(()))
-    own += (arm.inertia + arm.mass * arm.com**2) * acceleration
-    return qdd, float(own + moment + arm.length * (cos * fx + sin * fy))

@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.motion import Motion, sampled_motion
+from hyperflex.motion import Motion, hold_arm, sampled_motion
 
 __all__ = ["SAMPLE_TIME", "SimulatedMotor"]
 SAMPLE_TIME = 2e-3  # s, between samples of what it has done
@@ -66,8 +66,7 @@ class SimulatedMotor:
         self.torque = checks.number("torque", torque, sign="positive", unit="N m", infinite=True)
         self.inertia = checks.number("inertia", inertia, sign="positive", unit="kg m^2")
         start = checks.number("angle", angle, unit="rad")
-        self._asked: list[tuple[float, Motion]] = []
-        self._start = start
+        self._asked: list[tuple[float, Motion]] = [(-math.inf, hold_arm(start))]
         self._now = 0.0  # until when others know of it
         self._t, self._y, self._v = 0.0, start, 0.0  # how far it has been simulated
         self._seen: list[tuple[float, float]] = [(0.0, start)]
@@ -75,10 +74,8 @@ class SimulatedMotor:
     def set_motion(self, motion: Motion, at: float) -> None:
         """Ask for a motion from a time `at` (s) on, after the latency; see :class:`hyperflex.interfaces.Motor`."""
         when = self._later("at", at)
-        if not isinstance(motion, Motion):
-            raise InvalidInput("motion is not a Motion", got=motion, allowed="hyperflex.motion.Motion")
+        self._asked.append((when + self.latency, checks.instance("motion", motion, Motion)))
         self._now = when
-        self._asked.append((when + self.latency, motion))
 
     def angle(self, t: float) -> float:
         """Return the encoder's angle at a time `t` (s), rad, rounded down to whole steps."""
@@ -111,9 +108,8 @@ class SimulatedMotor:
         if count < 1:
             return
         times: Array = self._t + step * np.arange(1.0, count + 1.0)
-        commanded = self._commanded(
-            times - step
-        )  # of each step's beginning: so it is late by the lag, and no step more
+        # of each step's beginning: so it is late by the lag, and no step more
+        commanded = self._commanded(times - step)
         w, most = 2.0 / self.lag, self.torque / self.inertia
         y, v = self._y, self._v
         for t, u in zip(times.tolist(), commanded.tolist(), strict=True):
@@ -125,7 +121,7 @@ class SimulatedMotor:
 
     def _commanded(self, t: Array) -> Array:
         """Angle (T,) asked for at times t (T,), rad: by the last motion that has come through by then."""
-        commanded = np.full(t.size, self._start)
+        commanded = np.empty(t.size)
         for since, motion in self._asked:
-            commanded = np.where(t >= since, motion.angle(t), commanded)
+            commanded[t >= since] = motion.angle(t[t >= since])
         return commanded

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from hyperflex.core.chain.drive import ANGLE, Drive
 from hyperflex.core.integrate.observation import observe, senses
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Arm, Rope, Setup
+from hyperflex.model import PROPERTIES, Arm, Rope, Setup
 from hyperflex.simulation import Interval, ParameterChange, arm_polynomials, commanded_accelerations
 from hyperflex.trajectory import State
 
@@ -271,11 +271,18 @@ class Accelerometer:
         state locked. Where a torque drives the arm, its acceleration depends on the state too: let A, B be those of
         ``linearize(..., command="torque")`` without `dt`; then H + D A[n + 1] and D B[n + 1] are the derivatives.
         """
-        angles, rates, alphas, slopes = _moving(rope, arm, state, acceleration)
-        beyond = self._beyond(rope)
-        lengths = np.append(arm.length, rope.length)  # the arm is treated as a link before the others
-        y, dy = _seen(lengths, rope.gravity, self.link + 1, beyond, angles, rates, alphas, slopes)
-        return Measurement(y + self.bias, dy[:, :-1], dy[:, -1:])
+        q, w, alphas, slopes = _moving(rope, arm, state, acceleration)
+        link, arms = self.link + 1, np.append(arm.length, rope.length)  # the arm is treated as a link before the others
+        arms[link:] = 0.0
+        arms[link] = self._beyond(rope)
+        dq, dw = np.eye(q.size, slopes.shape[1]), np.eye(q.size, slopes.shape[1], k=q.size)
+        across, along = arms * np.stack([np.cos(q), np.sin(q)]), arms * np.stack([np.sin(q), -np.cos(q)])  # (2, n + 1)
+        seen = across @ alphas - along @ w**2 - rope.gravity
+        moved = across @ slopes - (along * alphas + across * w**2) @ dq - (2.0 * along * w) @ dw
+        frame = np.array([[np.cos(q[link]), np.sin(q[link])], [-np.sin(q[link]), np.cos(q[link])]])
+        x, y = frame @ seen
+        moved = frame @ moved + np.outer([y, -x], dq[link])
+        return Measurement(self.bias + np.array([x, y]), moved[:, :-1], moved[:, -1:])
 
     def value_jacobian(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Array:
         """Return the derivatives (2, 3) by bias and arc length; arguments as of :meth:`measure`."""
@@ -304,34 +311,6 @@ def _moving(rope: Rope, arm: Arm, state: State, acceleration: float) -> tuple[Ar
     angles, rates = angles_and_rates(rope, arm, state)
     u = checks.number("acceleration", acceleration, unit="rad/s^2")
     return angles, rates, *commanded_accelerations("acceleration", Setup(rope, None, arm), angles, rates, u)
-
-
-def _seen(
-    lengths: Array, gravity: Array, link: int, beyond: float, q: Array, w: Array, alphas: Array, dalphas: Array
-) -> tuple[Array, Array]:
-    """Return proper acceleration (2,) and its derivatives (2, 2 N + 1) by angles, rates and arm acceleration.
-
-    Parameters
-    ----------
-    lengths, q, w, alphas : (N,) arrays
-        Of the arm and all links, m, rad, rad/s, rad/s^2.
-    link, beyond : int, float
-        Which of them, and how far from its first joint, m.
-    dalphas : (N, 2 N + 1) array
-        Derivatives of `alphas`.
-    """
-    dq, dw = np.eye(q.size, dalphas.shape[1]), np.eye(q.size, dalphas.shape[1], k=q.size)
-    across, along = np.stack([np.cos(q), np.sin(q)]), np.stack([np.sin(q), -np.cos(q)])  # (2, N)
-    before = slice(0, link)
-    joint = (across * alphas - along * w**2)[:, before] @ lengths[before] - gravity
-    turned = -(along * alphas + across * w**2)  # by the angle of each
-    djoint = (across * lengths)[:, before] @ dalphas[before] + (turned * lengths)[:, before] @ dq[before]
-    djoint -= (2.0 * along * w * lengths)[:, before] @ dw[before]
-    frame = np.stack([across[:, link], -along[:, link]])
-    x, y = frame @ joint
-    own = frame @ djoint + np.outer([y, -x], dq[link])
-    own += beyond * np.stack([dalphas[link], 2.0 * w[link] * dw[link]])
-    return np.array([x, y]) + beyond * np.array([alphas[link], w[link] ** 2]), own
 
 
 class MotorTorque:
@@ -400,8 +379,7 @@ class MotorTorque:
         result: Array = np.einsum("mi,mid->md", by_state, dy)
         for k, part in enumerate(parts):
             up, down = (
-                self._torque(_moved(chain, part, step), _shifted(drive, part, step), t, y, slip)
-                for step in (ANGLE_STEP, -ANGLE_STEP)
+                self._torque(*_changed(chain, drive, part, step), t, y, slip) for step in (ANGLE_STEP, -ANGLE_STEP)
             )
             result[:, 2 * n + k] += (up - down) / (2.0 * ANGLE_STEP)
         return result
@@ -427,23 +405,18 @@ class MotorTorque:
         return np.stack([scalars[:, 4] + drive.arm_length * pull, angle, rate, acceleration], axis=1)
 
 
-def _moved(chain: Chain, part: ParameterChange, step: float) -> Chain:
-    """Return the chain with the properties in `part` changed by `step` times as much."""
-    changes: dict[str, object] = {}
+def _changed(chain: Chain, drive: Drive, part: ParameterChange, step: float) -> tuple[Chain, Drive]:
+    """Return chain and drive with the properties in `part` changed by `step` times as much as it says."""
+    of_chain, of_drive = dict[str, Any](), dict[str, Any]()
     for name, change in part.items():
-        if name == "gravity":
-            changes |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
-        elif name in PROPERTIES and (field := PROPERTIES[name].field):
-            changes[field] = getattr(chain, field) + step * (
-                change if PROPERTIES[name] in LINK_PROPERTIES else float(change[0])
-            )
-    return read_only(chain._replace(**changes))  # type: ignore[arg-type]
-
-
-def _shifted(drive: Drive, part: ParameterChange, step: float) -> Drive:
-    """Return the drive with its breaks, pieces and arm changed by `step` times as much as `part` says."""
-    names = ("breaks", "coef")
-    changes: dict[str, object] = {name: getattr(drive, name) + step * part[name] for name in names if name in part}
-    if "arm_length" in part:
-        changes["arm_length"] = drive.arm_length + step * float(part["arm_length"][0])
-    return read_only(drive._replace(**changes))  # type: ignore[arg-type]
+        known = PROPERTIES.get(name)
+        if name in ("breaks", "coef"):
+            of_drive[name] = getattr(drive, name) + step * change
+        elif name == "arm_length":
+            of_drive[name] = drive.arm_length + step * float(change[0])
+        elif name == "gravity":
+            of_chain |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
+        elif known is not None and known.field:
+            by = change if known.owner == "link" else float(change[0])
+            of_chain[known.field] = getattr(chain, known.field) + step * by
+    return read_only(chain._replace(**of_chain)), read_only(drive._replace(**of_drive))

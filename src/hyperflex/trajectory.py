@@ -106,12 +106,10 @@ class State:
 
     def variables(self) -> dict[str, Variable]:
         """Return the state as variables of a file, the checkpoint's with a prefix."""
-        given = {name: getattr(self, name) for name in STATE}
-        found = {
-            name: Variable(STATE[name][0], value, {"units": STATE[name][1]})
-            for name, value in given.items()
-            if value is not None
-        }
+        found = {}
+        for name, (dims, unit) in STATE.items():
+            if (value := getattr(self, name)) is not None:
+                found[name] = Variable(dims, value, {"units": unit})
         for name, value in self.checkpoint.items():
             found[CHECKPOINT + name] = Variable(tuple(f"{name}_{axis}" for axis in range(np.ndim(value))), value)
         return found
@@ -219,7 +217,7 @@ class Trajectory:
     def tip_velocity(self) -> Array:
         """Tip velocity (T, 2), m/s."""
         speed = self.setup.rope.length * self.qd
-        rope = np.stack([(speed * np.cos(self.q)).sum(axis=1), (speed * np.sin(self.q)).sum(axis=1)], axis=-1)
+        rope = np.stack([(speed * each(self.q)).sum(axis=1) for each in (np.cos, np.sin)], axis=-1)
         return _read_only(self.base_velocity + rope)
 
     @property
@@ -232,12 +230,8 @@ class Trajectory:
     @cached_property
     def dataset(self) -> "xr.Dataset":
         """The whole run as an ``xarray.Dataset`` with units, long names and the set-up in its attributes."""
-        extras.require(("xarray",), "xarray", "Datasets")
-        import xarray as xr
-
-        variables = self.variables()
-        coords = {name: variables.pop(name) for name in ("time", "axis")}
-        return xr.Dataset(variables, coords, attrs=self.attributes())
+        xr, variables = extras.load("xarray", "xarray", "Datasets"), self.variables()
+        return xr.Dataset(variables, attrs=self.attributes())
 
     def variables(self) -> dict[str, Variable]:
         """Return the samples as variables of a dataset or a file, with the coordinates ``time`` and ``axis``."""
@@ -253,17 +247,10 @@ class Trajectory:
         """What the dataset and the file say about the run as a whole, the set-up as TOML text included."""
         from hyperflex import __version__
 
-        own: dict[str, Any] = {
-            "format": FORMAT,
-            "source": "simulated",
-            "hyperflex_version": __version__,
-            "status": str(self.status),
-            "message": self.message,
-            "setup": self.setup.dumps(),
-        }
-        if self.event is not None:
-            own |= {"event": self.event[0], "event_time": self.event[1]}
-        return {**{key: value for key, value in self.attrs.items() if value is not None}, **own}
+        found = {key: value for key, value in self.attrs.items() if value is not None}
+        found |= {"format": FORMAT, "source": "simulated", "hyperflex_version": __version__}
+        found |= {"status": str(self.status), "message": self.message, "setup": self.setup.dumps()}
+        return found if self.event is None else found | {"event": self.event[0], "event_time": self.event[1]}
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write the run, its set-up and its final state to the NetCDF file `path`, usually ``.nc``.
@@ -279,13 +266,12 @@ class Trajectory:
         The columns are time ``t``, arm_angle, arm_rate, link angles (th1, th2, ..) and rates (w1, w2, ..), joints
         (x0, y0, .., the tip last), energies, motor_work and motor_torque.
         """
-        n, numbers = self.setup.rope.n_links, {name: getattr(self, name) for name in VARIABLES}
-        columns = {"t": self.t, "arm_angle": numbers["arm_angle"], "arm_rate": numbers["arm_rate"]}
+        n, columns = self.q.shape[1], {"t": self.t, "arm_angle": self.arm_angle, "arm_rate": self.arm_rate}
         columns |= {
             f"{name}{k + 1}": values[:, k] for name, values in (("th", self.q), ("w", self.qd)) for k in range(n)
         }
         columns |= {f"{axis}{k}": self.joints[:, k, j] for k in range(n + 1) for j, axis in enumerate("xy")}
-        columns |= {name: value for name, value in numbers.items() if VARIABLES[name][1] in ("J", "N m")}
+        columns |= {name: getattr(self, name) for name, (_, unit, _) in VARIABLES.items() if unit in ("J", "N m")}
         notes = {"source": "simulated", "contents": "s, rad, rad/s, m, J and N m; angles: 0 hangs down; y upwards"}
         files.write_table(path, list(columns), np.column_stack(list(columns.values())), notes=notes)
 
@@ -402,14 +388,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
 
 def _state(variables: Mapping[str, Variable]) -> State:
-    checkpoint: dict[str, Any] = {
-        name.removeprefix(CHECKPOINT): _number_or_array(each.values)
-        for name, each in variables.items()
-        if name.startswith(CHECKPOINT)
-    }
-    given = {name: _number_or_array(variables[name].numbers(name)) for name in STATE if name in variables}
-    return State(**given, checkpoint=checkpoint)
-
-
-def _number_or_array(values: Any) -> Any:
-    return values.item() if np.ndim(values) == 0 else values
+    plain = {name: each.values for name, each in variables.items()}
+    plain |= {name: variables[name].numbers(name) for name in STATE if name in variables}
+    plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in plain.items()}
+    kept = {name.removeprefix(CHECKPOINT): value for name, value in plain.items() if name.startswith(CHECKPOINT)}
+    return State(**{name: plain[name] for name in STATE if name in plain}, checkpoint=kept)

@@ -8,12 +8,11 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.core.chain.drive import motion_at
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import Peg, Rope
+from hyperflex.model import Peg, Rope, Setup
 from hyperflex.motion import moving_pivot
-from hyperflex.simulation import simulate
+from hyperflex.simulation import base_motion, simulate
 from hyperflex.trajectory import State, Trajectory, swept
 
 TOUCH = 1e-4  # m, gap below which a link lies on a peg
@@ -97,15 +96,12 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
         If the run had no such peg.
     """
     _own(run, peg)
-    rope, away = run.setup.rope, run.joints - np.array([peg.x, peg.y])
-    angles = swept(away)
+    rope, angles = run.setup.rope, swept(run.joints - np.array([peg.x, peg.y]))
     arc, contact, before, after, tail = np.repeat([0.0, 0.0, np.nan, np.nan, np.nan], run.t.size).reshape(5, -1)
-    reach = peg.radius + rope.radius + TOUCH + float(rope.length.max())
-    near = np.flatnonzero((away**2).sum(axis=-1).min(axis=1) <= reach**2)  # samples at which a link may touch
-    _, out, gap = closest_points(rope, peg, run.q[near], run.joints[near])
+    _, out, gap = closest_points(rope, peg, run.q, run.joints)
+    near = np.flatnonzero((gap < TOUCH).any(axis=1))  # samples at which a link touches
+    gap, out = gap[near], out[near]
     touching = gap < TOUCH
-    some = touching.any(axis=1)
-    near, touching, gap, out = near[some], touching[some], gap[some], out[some]
     first = touching.argmax(axis=1)
     last = touching.shape[1] - 1 - touching[:, ::-1].argmax(axis=1)
     rows = np.arange(near.size)
@@ -155,10 +151,7 @@ def _joint_forces(run: Trajectory, rows: npt.NDArray[np.intp]) -> Array:
     if run.setup.torque_driven:
         base = np.gradient(run.base_velocity, run.t, axis=0)[rows]
     else:
-        motion, base = np.empty(9), np.empty((rows.size, 2))
-        for k, t in enumerate(run.t[rows]):
-            motion_at(drive, t, motion)
-            base[k] = motion[:2]
+        base = np.array([base_motion(drive, t)[:2] for t in run.t[rows]]).reshape(-1, 2)
     across = np.stack([np.cos(q), np.sin(q)], axis=-1)
     along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
     bend = run.qdd[rows, :, None] * across - (rate**2)[..., None] * along
@@ -264,19 +257,10 @@ def tug_test(
     away /= np.hypot(*away)
     time = np.cumsum([0.0, quick / (QUICK * speed), rest / speed])[quick == 0.0 :]
     path = end + np.array([[0.0], [quick], [quick + rest]])[quick == 0.0 :] * away
-    setup = run.setup
-    pulled = simulate(
-        setup.rope,
-        moving_pivot(time, path[:, 0], path[:, 1]),
-        duration=float(time[-1]),
-        state=State(t=0.0, q=run.q[-1], qd=run.qd[-1], peg_rate=None if run.peg_rate is None else run.peg_rate[-1]),
-        pegs=setup.pegs,
-        contact_step=setup.contact_step,
-        tip_force=setup.tip_force,
-        tol=setup.tol,
-        refine=False,
-        time_budget=time_budget,
-    )
+    start = State(t=0.0, q=run.q[-1], qd=run.qd[-1], peg_rate=None if run.peg_rate is None else run.peg_rate[-1])
+    same = {name: getattr(run.setup, name) for name in ("pegs", "contact_step", "tip_force", "tol")}
+    setup = Setup(run.setup.rope, moving_pivot(time, *path.T), duration=float(time[-1]), **same)
+    pulled = simulate(setup, state=start, time_budget=time_budget)
     way = slid(pulled.setup.rope, peg, pulled.q, pulled.joints)
     gone = np.abs(way) > allowed
     slipped = bool(gone.any())

@@ -41,10 +41,7 @@ def test_the_kernels_are_compiled_for_one_kind_of_arrays():
     kinds = set()
     for setup in (hf.Setup(rope), hf.Setup(rope, hf.arm_swings(), arm), hf.Setup(rope, arm=arm, torque=torque)):
         for t in (np.array([0.0, 0.1]), checks.times("t_eval", [0.0, 0.1])):
-            chain = setup.chain()
-            run = rollouts.prepare_rollout(
-                chain, setup.drive(), setup.start(), t, rollouts.rollout_limits(setup, chain, 0.1)
-            )
+            run = rollouts.Rollout(setup, t)
             if setup.torque_driven:
                 interval = rollouts.Interval(run.drive)
                 interval.set(0.0, 0.1, TORQUE, np.zeros(6))

@@ -13,7 +13,7 @@ from hyperflex.estimate import Change, ChangeTests, EstimatedParameter, Observat
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import Disturbances, Process
 from hyperflex.sensors import lever_arms
-from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
+from hyperflex.simulation import Rollout
 from hyperflex.simulation.sensitivity import AngleJacobian
 
 LENGTH, FINE, RATE = 2.0, 100, 600.0  # m; links of the truth; samples a second
@@ -111,10 +111,8 @@ def disturbed(
             rows[-1][-1] = np.concatenate([q, qd])
         if touch is not None and at - 1e-9 <= t[first] < at + touch[3] - 1e-9:
             qd = qd + pushed_rates(now, q, touch[0], (touch[1] / rate, touch[2] / rate))
-        chain = now.chain()
-        bounds = rollout_limits(setup, chain, float(t[last]))
-        run = prepare_rollout(chain, drive, (q, qd), t[first : last + 1], bounds)
-        assert finish_rollout(run) == 0
+        run = Rollout(setup, t[first : last + 1], (q, qd), chain=now.chain(), drive=drive)
+        run.complete()
         rows.append(run.y[1:, : 2 * n])
         q, qd = rows[-1][-1, :n].copy(), rows[-1][-1, n:].copy()
     y = np.concatenate(rows)

@@ -83,7 +83,7 @@ def test_times_do_not_go_back_and_limits_are_checked():
         motor.angle(0.4)
     with pytest.raises(InvalidInput, match="time goes back"):
         motor.set_motion(RAMP, 0.1)
-    with pytest.raises(InvalidInput, match="not a Motion"):
+    with pytest.raises(InvalidInput, match="motion is not of its class"):
         motor.set_motion("now", 1.0)
     for wrong in ({"lag": 0.0}, {"torque": -1.0}, {"counts": 0}, {"inertia": math.nan}, {"latency": -0.1}):
         with pytest.raises(InvalidInput):

@@ -7,7 +7,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation.lyapunov import _displaced, _first_nudges
+from hyperflex.simulation.sensitivity import _displaced, _first_nudges
 from tests.reference.arm import cast, links_of, still
 
 MASS, COM, ABOUT_JOINT = 0.3, 0.4, 0.02 + 0.3 * 0.4**2

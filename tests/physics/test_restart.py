@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.simulation import angles
-from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
+from hyperflex.simulation import Rollout
 
 ARM = hf.Arm(length=0.105)
 STOP, END = 1.0, 2.5  # s; at 1.0 s the arm rests in the middle of a stretch, at no switch
@@ -106,10 +105,9 @@ def test_looking_up_between_steps_leaves_no_trace(dry):
     for stop in np.linspace(0.05, 1.5, 59):  # some of these ends cut a step that is then refused and tried shorter
         marks = []
         for budget in (1, 10_000):
-            chain = setup.chain()
-            bounds = rollout_limits(setup, chain, float(stop), budget)
-            rollout = prepare_rollout(chain, setup.drive(), setup.start(), np.array([0.0, stop]), bounds)
-            finish_rollout(rollout)
+            rollout = Rollout(setup, np.array([0.0, stop]))
+            rollout.limits = rollout.limits._replace(budget=budget)
+            rollout.complete()
             marks.append(
                 np.concatenate(
                     [rollout.progress.clock[:8], rollout.progress.y, rollout.progress.mark, rollout.progress.mark_slip]
@@ -149,15 +147,3 @@ def test_an_interrupted_run_goes_on_from_where_it_stood():
     np.testing.assert_allclose(rest.q, whole.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(rest.arm_angle, whole.arm_angle, rtol=0, atol=1e-9)
     np.testing.assert_allclose(rest.motor_work, whole.motor_work, rtol=0, atol=1e-10)
-
-
-def test_the_fast_door_gives_the_angles_of_the_whole_run():
-    """`angles` starts at its first time, wherever the motion is then."""
-    q, qd = np.linspace(0.1, 0.4, 12), np.linspace(-1.0, 1.0, 12)
-    t = np.array([0.9, 1.3, 1.31, 2.2])
-    got_q, got_qd = angles(cable(), t, q, qd, motion=hf.arm_swings(), arm=ARM, tol=1e-7)
-    start = hf.State(t=0.9, q=q, qd=qd)
-    run = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=1.3 + 1e-12, state=start, t_eval=t, tol=1e-7)
-    np.testing.assert_allclose(got_q, run.q, rtol=0, atol=1e-9)  # the end is 1e-12 s later: steps differ in last bits
-    np.testing.assert_allclose(got_qd, run.qd, rtol=0, atol=1e-7)
-    np.testing.assert_array_equal(got_q[0], q)

@@ -340,78 +340,62 @@ def optimize_pumping(
     greatest amplitude before a deadline is maximized by differential evolution, and the deadline is bisected. A local
     search cannot prove that there is nothing better. Costs some thousands of rollouts a deadline.
     """
+    from scipy.optimize import differential_evolution
+
     want = checks.number("target", target, sign="positive", unit="m")
     rounds = checks.count("rounds", rounds, least=0)
-    rest = hanging_state(model.rope)
-    constants = np.arange(0.0, 0.5 * model.period, 0.01)
-    count = max(2, math.ceil(longest / model.t_move))
-    t, amplitude = model.predict(rest, 0, _from_first(np.tile(constants[:, None], (1, count))), longest)
+    begin, most, rollouts = hanging_state(model.rope), 0.5 * model.period, 0
+
+    def predicted(rests: Array, until: float) -> tuple[Array, Array]:
+        """Predict half turns of which the first starts at once, and the others after rests (m, k), s."""
+        nonlocal rollouts
+        rollouts += len(rests)
+        return model.predict(begin, 0, np.pad(rests, ((0, 0), (1, 0))), until)
+
+    def shortfall(rests: Array, deadline: float) -> Array:
+        return np.asarray(want - predicted(rests.T, deadline)[1].max(axis=1))
+
+    constants = np.arange(0.0, most, 0.01)
+    t, amplitude = predicted(np.tile(constants[:, None], (1, max(2, math.ceil(longest / model.t_move)))), longest)
     times = arrival_time(t, amplitude, want)
-    best = int(np.argmin(times))
-    if not math.isfinite(times[best]):
+    arrival, rest = float(times.min()), float(constants[np.argmin(times)])
+    if not math.isfinite(arrival):
         raise InvalidInput(
             "no constant rest pumps the rope up so far",
             got=want,
             allowed=f"at most {amplitude.max():.2f} m in {longest:g} s",
         )
-    found = PumpingPlan(
-        np.full(max(1, int(times[best] / (model.t_move + constants[best]))), constants[best]),
-        float(times[best]),
-        float(constants[best]),
-        float(times[best]),
-        constants.size,
-    )
-    low, high = found.arrival_time - 0.6 * model.period, found.arrival_time
+    rests = np.full(max(1, int(arrival / (model.t_move + rest))), rest)
+    found = PumpingPlan(rests, arrival, rest, arrival, rollouts)
+    low, high = arrival - 0.6 * model.period, arrival
     with stoppable() as stop:
         while rounds and high - low > 0.04:  # s, to which the deadline is bisected
             deadline = 0.5 * (low + high)
-            found, reached = _before(deadline, model, want, rest, found, rounds, seed)
-            low, high = (low, found.arrival_time) if reached else (deadline, high)
-    return stop.deliver(replace(found, interrupted=stop.received))
-
-
-def _from_first(later: Array) -> Array:
-    """Rests before each half turn (m, k + 1), s; the first one starts at once."""
-    return np.pad(later, ((0, 0), (1, 0)))
-
-
-def _before(
-    deadline: float, model: SwingModel, target: float, rest: RopeState, found: PumpingPlan, rounds: int, seed: int
-) -> tuple[PumpingPlan, bool]:
-    """Search a plan that reaches the amplitude by a deadline, s; return the better plan, and whether it does."""
-    from scipy.optimize import differential_evolution
-
-    count = max(1, math.ceil(deadline / (model.t_move + found.constant_rest)))
-    random = np.random.default_rng(seed)
-    members, spread = 60, 0.08  # of a generation; s, of the first one about constant rests
-    middle = found.constant_rest * np.linspace(0.4, 1.6, members)
-    first = np.clip(middle[:, None] + spread * random.standard_normal((members, count)), 0.0, 0.5 * model.period)
-    first[0] = np.resize(found.rests, count)
-    rollouts = 0
-
-    def shortfall(rests: Array) -> Array:
-        nonlocal rollouts
-        rollouts += rests.shape[1]
-        return np.asarray(target - model.predict(rest, 0, _from_first(rests.T), deadline)[1].max(axis=1))
-
-    result = differential_evolution(
-        shortfall,
-        [(0.0, 0.5 * model.period)] * count,
-        vectorized=True,
-        updating="deferred",
-        strategy="best1bin",
-        mutation=(0.4, 0.9),
-        recombination=0.8,
-        init=first,
-        maxiter=rounds,
-        tol=1e-4,
-        polish=False,
-        rng=random,
-        callback=lambda intermediate_result: intermediate_result.fun <= 0.0,
-    )
-    tried = found.rollouts + rollouts
-    t, amplitude = model.predict(rest, 0, _from_first(result.x[None]), deadline)
-    time = float(arrival_time(t, amplitude, target)[0])
-    if not math.isfinite(time):
-        return replace(found, rollouts=tried), False
-    return replace(found, rests=result.x, arrival_time=time, rollouts=tried), True
+            count = max(1, math.ceil(deadline / (model.t_move + rest)))
+            random = np.random.default_rng(seed)
+            members, spread = 60, 0.08  # of a generation; s, of the first one about constant rests
+            middle = rest * np.linspace(0.4, 1.6, members)
+            first = np.clip(middle[:, None] + spread * random.standard_normal((members, count)), 0.0, most)
+            first[0] = np.resize(found.rests, count)
+            result = differential_evolution(
+                shortfall,
+                [(0.0, most)] * count,
+                args=(deadline,),
+                vectorized=True,
+                updating="deferred",
+                strategy="best1bin",
+                mutation=(0.4, 0.9),
+                recombination=0.8,
+                init=first,
+                maxiter=rounds,
+                tol=1e-4,
+                polish=False,
+                rng=random,
+                callback=lambda intermediate_result: intermediate_result.fun <= 0.0,
+            )
+            arrival = float(arrival_time(*predicted(result.x[None], deadline), want)[0])
+            if math.isfinite(arrival):
+                found, high = replace(found, rests=result.x, arrival_time=arrival), arrival
+            else:
+                low = deadline
+    return stop.deliver(replace(found, rollouts=rollouts, interrupted=stop.received))

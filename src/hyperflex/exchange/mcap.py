@@ -6,7 +6,7 @@ message contains its exact time ``t``, s.
 
 import json
 from collections.abc import Iterator, Sequence
-from typing import Any
+from importlib import resources
 
 import numpy as np
 
@@ -18,11 +18,7 @@ from hyperflex.recording import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_
 from hyperflex.trajectory import Trajectory
 
 TOPICS = {JOINT_STATES: "/joints", POSES_IN_FRAME: "/rope"}
-_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-_NUMBERS = {"type": ["number", "null"]}  # null in gaps
-_VECTOR = {"type": "object", "properties": dict.fromkeys("xyz", _NUMBERS)}
 Channel = Iterator[tuple[int, str]]  # messages with their times, ns
-_TURN = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyzw"}}
 
 
 def write_mcap(source: Trajectory | Recording, path: PathLike) -> None:
@@ -57,8 +53,10 @@ def write_mcap(source: Trajectory | Recording, path: PathLike) -> None:
         out.add_metadata(
             MCAP_METADATA, {"format": MCAP_FORMAT, **{key: value for key, value in notes.items() if value}}
         )
-        schemas = {kind: out.register_schema(kind, "jsonschema", _schema(kind)) for kind in channels}
-        ids = [out.register_channel(TOPICS[kind], "json", schema) for kind, schema in schemas.items()]
+        ids = []
+        for kind in channels:
+            schema = (resources.files(__package__) / "templates" / f"{kind}.json").read_bytes()
+            ids.append(out.register_channel(TOPICS[kind], "json", out.register_schema(kind, "jsonschema", schema)))
         for k, together in enumerate(zip(*channels.values(), strict=True)):
             for channel, (stamp, message) in zip(ids, together, strict=True):
                 out.add_message(channel, stamp, message.encode(), stamp, k)
@@ -112,16 +110,3 @@ def _filled(t: Array, form: str, values: Array, noise: Array | None) -> Channel:
         stamp = round((time - first) * 1e9)
         numbers = ("null" if value != value else repr(value) for value in row.tolist())
         yield stamp, form % (*divmod(stamp, 1_000_000_000), time, *numbers)
-
-
-def _schema(kind: str) -> bytes:
-    """Return the JSON schema of a message."""
-    if kind == JOINT_STATES:
-        state = {"name": {"type": "string"}, "position": _NUMBERS, "velocity": _NUMBERS}
-        held: dict[str, Any] = {"joints": {"type": "array", "items": {"type": "object", "properties": state}}}
-    else:
-        pose = {"position": _VECTOR, "orientation": _TURN}
-        held = {"frame_id": {"type": "string"}}
-        held["poses"] = {"type": "array", "items": {"type": "object", "properties": pose}}
-    held |= {"timestamp": _TIME, "t": {"type": "number"}, "std": {"type": "array", "items": {"type": "number"}}}
-    return json.dumps({"title": kind, "type": "object", "properties": held}).encode()

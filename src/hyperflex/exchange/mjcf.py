@@ -197,15 +197,13 @@ def _rope(root: ET.Element, held: Rope) -> Rope:
     weight = root.find("worldbody//body[@name='tip']/inertial")
     gravity = _numbers(_part(root, "option"), "gravity", 3)
     thick = links[0].find("geom")
+    hinge = {"friction": "damping", "dry_friction": "frictionloss", "stiffness": "stiffness", "rest_angle": "springref"}
     return held.replace(
         length=[-_numbers(each, "pos", 3)[2] for each in ends],
         mass=[_numbers(each, "mass", 1)[0] for each in inertials],
         com=[0.0 - _numbers(each, "pos", 3)[2] for each in inertials],
         inertia=[_numbers(each, "diaginertia", 3)[1] for each in inertials],
-        friction=[_numbers(each, "damping", 1)[0] for each in hinges],
-        dry_friction=[_numbers(each, "frictionloss", 1)[0] for each in hinges],
-        stiffness=[_numbers(each, "stiffness", 1)[0] for each in hinges],
-        rest_angle=[_numbers(each, "springref", 1)[0] for each in hinges],
+        **{name: [_numbers(each, attribute, 1)[0] for each in hinges] for name, attribute in hinge.items()},
         tip_mass=0.0 if weight is None else _numbers(weight, "mass", 1)[0],
         gravity=[gravity[0], gravity[2]],
         radius=0.0 if thick is None else _numbers(thick, "size", 1)[0],

@@ -12,7 +12,6 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
-from hyperflex.core.integrate.rollout import Limits
 from hyperflex.core.tangent.forward_sensitivity import Directions, place_changes
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.model import (
@@ -33,11 +32,9 @@ from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, Markers, MotorTorque, PostureSensor
 from hyperflex.simulation import (
     ParameterDirections,
-    finish_rollout,
+    Rollout,
     forward_derivatives,
-    prepare_rollout,
     record_steps,
-    rollout_limits,
 )
 
 Law = Literal["own", "factor", "taper", "pivot"]
@@ -519,7 +516,7 @@ class Plant:
             return None
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
-            run = record_steps(at.chain, at.drive, start, self._limits(at, t), t)
+            run = record_steps(at.chain, lambda log: self._rollout(at, t, start, log))
             _, dy = forward_derivatives(run, at.directions, start, t, at.seeds)
         except SimulationError:
             return None
@@ -544,17 +541,17 @@ class Plant:
             return None
         return PredictedChannels(seen, moved[:, :, : 2 * n], shared)
 
-    def _limits(self, at: _Evaluation, t: Array) -> Limits:
-        return rollout_limits(self._setup, at.chain, float(t[-1]))
+    def _rollout(self, at: _Evaluation, t: Array, start: tuple[Array, Array], log: Array | None = None) -> Rollout:
+        return Rollout(self._setup, t, start, chain=at.chain, drive=at.drive, log=log)
 
     def _run(self, x: Array, t: Array, state: Array) -> tuple[_Evaluation, Array] | None:
         """Return what follows from x, and the states at t (m,) from `state` (2n,); None where that fails."""
         at, n = self._at(x), state.size // 2
         if at is None or not np.isfinite(state).all():
             return None
-        run = prepare_rollout(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
+        run = self._rollout(at, t, (state[:n], state[n:]))
         most = max(MOST_STEPS, MOST_STEPS_A_SECOND * float(t[-1] - t[0])) / run.limits.budget
-        return (at, run.y) if finish_rollout(run, most=most) == status.OK else None
+        return (at, run.y) if run.finish(most=most) == status.OK else None
 
     def _channels(self, at: _Evaluation, t: Array, y: Array) -> Array:
         """Return the channels (m, C) of states y (m, 2n or more)."""

@@ -111,6 +111,14 @@ class Arm:
         checks.keys("the arm table", checks.mapping("the arm table", table), [f.name for f in fields(cls)])
         return cls(**table)
 
+    def rope_torque(self, angle: ArrayLike, loads: Array) -> Array:
+        """Return the torque (T,), N m, that turns the rope.
+
+        `loads` (T, 3) are force x and y on the rope, N, and torque through its first joint, N m.
+        """
+        fx, fy, moment = loads.T
+        return np.asarray(moment + self.length * (np.cos(angle) * fx + np.sin(angle) * fy))
+
     def shaft_torque(self, gravity: Array, angle: Array, rate: Array, acceleration: Array) -> Array:
         """Return the torque (T,), N m, that turns the arm alone: for its inertia, weight and friction.
 

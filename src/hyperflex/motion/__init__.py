@@ -8,20 +8,24 @@ if TYPE_CHECKING:
     from hyperflex.motion.piecewise import Motion, lagged
     from hyperflex.motion.profiles import (
         BANG_BANG,
+        MOVES,
         PATHS,
         PROFILES,
         Profile,
         arm_moves,
         arm_strokes,
         arm_swings,
+        from_spec,
         hold_arm,
         motion_derivatives,
+        motion_keys,
         motion_parameters,
         move_arm,
         moving_pivot,
+        read_motion,
         sampled_motion,
+        to_spec,
         torque_profile,
     )
-    from hyperflex.motion.tables import MOVES, from_spec, motion_keys, read_motion, to_spec
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

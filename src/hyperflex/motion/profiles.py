@@ -1,22 +1,26 @@
-"""Ready-made motions: hold, moves with rests in between, the paper's swings, and measured samples."""
+"""Ready-made motions: hold, moves with rests in between, the paper's swings, measured samples; and their files."""
 
+import inspect
+import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hyperflex import checks
+from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.motion.piecewise import CHANNELS, MEET, POWERS, Motion
 
 Profile = Literal["bang-bang", "ramp", "minimum-jerk"]
 PROFILES = ("bang-bang", "ramp", "minimum-jerk")
 PATHS = ("under", "over")
+MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
 BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
 
 
@@ -83,9 +87,8 @@ def move_arm(start: float, end: float, duration: float, profile: Profile = "bang
     checks.meant("arm angle", [start, end], "rad")
     checks.meant("duration", duration, "s")
     profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
-    ramp = _ramp(ramp)
-    spec = {"kind": "move", "start": start, "end": end, "duration": duration, "profile": profile, "ramp": ramp}
-    return motion_of_pieces(*move_pieces(start, end, duration, profile, ramp), spec)
+    given = {"start": start, "end": end, "duration": duration, "profile": profile, "ramp": _ramp(ramp)}
+    return motion_of_pieces(*move_pieces(**given), {"kind": "move", **given})
 
 
 def _ramp(value: float) -> float:
@@ -333,28 +336,106 @@ def _spline(t: ArrayLike, channels: dict[int, tuple[str, ArrayLike]], kind: str)
     return Motion(time, coef, np.ones(time.size, dtype=np.bool_), -1, spec)
 
 
+def read_motion(path: str | Path) -> Motion:
+    """Read a sampled arm motion from a CSV file with the columns ``t`` (s) and ``angle`` (rad).
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Motion
+        A spline through the samples (:func:`sampled_motion`). For a file written by a plan, the exact moves from the
+        note MOVES in its header, if they agree with the samples within MEET: a spline needs up to 1.4 times the
+        acceleration next to each of its jumps.
+
+    Raises
+    ------
+    InvalidInput
+        If the columns are others, or a value is missing or not a number.
+    """
+    table = files.read_table(path)
+    if table.names != ["t", "angle"]:
+        raise InvalidInput(f"columns of {path} are not those of a motion", got=table.names, allowed="t,angle (s, rad)")
+    with located(str(path)):
+        sampled = sampled_motion(t := table.times("t"), angle := table.values[:, 1])
+    try:
+        exact = arm_moves(**json.loads(table.notes[MOVES]))
+    except (InvalidInput, KeyError, TypeError, ValueError):  # not what a plan wrote
+        return sampled
+    return exact if np.abs(exact.angle(t) - angle).max() <= MEET else sampled
+
+
+def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
+    """Build the motion that a ``[motion]`` table describes; a file that it names lies in `folder` (or where one is)."""
+    kind = checks.choice("motion kind", spec.get("kind"), tuple(MOTIONS))
+    maker = MOTIONS[kind].maker
+    arguments = inspect.signature(maker).parameters.values()
+    needed = [each.name for each in arguments if each.default is each.empty]
+    checks.keys(f"the motion table of kind {kind!r}", spec, motion_keys(kind), needed=needed)
+    rest = {key: value for key, value in spec.items() if key not in ("kind", "delay")}
+    if folder is not None and kind == "file" and isinstance(rest.get("path"), str):
+        rest["path"] = folder / rest["path"]
+    motion = maker(**rest)
+    return motion.shifted(spec["delay"]) if "delay" in spec else motion
+
+
+def motion_keys(kind: object) -> list[str]:
+    """Return the keys of a motion table of this kind, or of all kinds where it is none."""
+    kinds = [MOTIONS[kind]] if isinstance(kind, str) and kind in MOTIONS else MOTIONS.values()
+    return ["kind", "delay", *(key for each in kinds for key in inspect.signature(each.maker).parameters)]
+
+
+def to_spec(motion: Motion) -> dict[str, Any]:
+    """Return a table for a TOML file from which :func:`from_spec` builds the same motion again."""
+    if motion.spec:
+        return dict(motion.spec)
+    return {
+        "kind": "pieces",
+        "breaks": motion.breaks.tolist(),
+        "coef": motion.coef.ravel().tolist(),
+        "switch": motion.switch.tolist(),
+        "loop": motion.loop,
+    }
+
+
+def _from_pieces(breaks: list[float], coef: list[float], switch: list[bool], loop: int) -> Motion:
+    flat = checks.array("coef", coef, (-1,))
+    if flat.size != (np.size(breaks) - 1) * CHANNELS * POWERS:
+        raise InvalidInput("coef has the wrong size", got=flat.size, allowed=f"{CHANNELS * POWERS} numbers a piece")
+    return Motion(np.array(breaks), flat.reshape(-1, CHANNELS, POWERS), np.array(switch), loop)
+
+
 _TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
 
 
-# kind: (durations and coefficients of its pieces, the parameters that may vary; of a list each number)
-_FORMULAS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
-    "hold": (lambda angle: ([1.0], [[angle]]), ("angle",)),
-    "move": (move_pieces, ("start", "end", "duration", "ramp")),
-    "swings": (swing_pieces, ("t_move", "t_rest", "ramp")),
-    "moves": (move_rows, ("angles", "rests", "durations", "ramps")),
-}
-# motions that depend linearly on their samples
-_SAMPLES: dict[str, tuple[Callable[..., Motion], tuple[str, ...]]] = {
-    "sampled": (sampled_motion, ("angle",)),
-    "moving point": (moving_pivot, ("x", "y")),
-    "torque": (torque_profile, ("torque",)),
+class Kind(NamedTuple):
+    """A kind of motion, as of the table of a file."""
+
+    maker: Callable[..., Motion]
+    varies: tuple[str, ...] = ()  # the parameters that may vary; of a list each number
+    pieces: Callable[..., Any] | None = None  # their durations and coefficients; None: linear in its samples
+
+
+MOTIONS = {
+    "hold": Kind(hold_arm, ("angle",), lambda angle: ([1.0], [[angle]])),
+    "move": Kind(move_arm, ("start", "end", "duration", "ramp"), move_pieces),
+    "swings": Kind(arm_swings, ("t_move", "t_rest", "ramp"), swing_pieces),
+    "strokes": Kind(arm_strokes),
+    "moves": Kind(arm_moves, ("angles", "rests", "durations", "ramps"), move_rows),
+    "sampled": Kind(sampled_motion, ("angle",)),
+    "moving point": Kind(moving_pivot, ("x", "y")),
+    "torque": Kind(torque_profile, ("torque",)),
+    "pieces": Kind(_from_pieces),
+    "file": Kind(read_motion),
 }
 
 
 def motion_parameters(motion: Motion) -> list[str]:
     """Return the names by which a motion can vary: its times and angles, each of its samples, and its delay."""
     names = ["delay"]
-    for name in {**_FORMULAS, **_SAMPLES}.get(motion.spec.get("kind", ""), (None, ()))[1]:
+    for name in MOTIONS[kind].varies if (kind := motion.spec.get("kind")) in MOTIONS else ():
         value = motion.spec[name]
         names += [f"{name}[{i}]" for i in range(len(value))] if isinstance(value, list) else [name]
     return names
@@ -383,10 +464,10 @@ def motion_derivatives(motion: Motion, name: str) -> tuple[Array, Array]:
         )
     if name == "delay":
         return np.ones_like(motion.breaks), np.zeros_like(motion.coef)
-    kind = motion.spec["kind"]
-    if kind in _SAMPLES:
+    kind = MOTIONS[motion.spec["kind"]]
+    if kind.pieces is None:
         return _of_sample(motion, kind, name)
-    durations, rows = _FORMULAS[kind][0](**_complex_step(motion, name))
+    durations, rows = kind.pieces(**_complex_step(motion, name))
     breaks = np.concatenate([[0.0], np.cumsum(np.imag(durations))]) / _TINY
     coef = np.zeros_like(motion.coef)
     for piece, row in zip(coef, rows, strict=True):
@@ -394,14 +475,13 @@ def motion_derivatives(motion: Motion, name: str) -> tuple[Array, Array]:
     return breaks, coef
 
 
-def _of_sample(motion: Motion, kind: str, name: str) -> tuple[Array, Array]:
+def _of_sample(motion: Motion, kind: Kind, name: str) -> tuple[Array, Array]:
     """A spline through samples depends linearly on them: its derivative is the spline through a unit sample."""
-    maker, channels = _SAMPLES[kind]
     channel, _, index = name.rstrip("]").partition("[")
     t = motion.spec["t"]
-    samples = {key: np.zeros(len(t)) for key in channels}
+    samples = {key: np.zeros(len(t)) for key in kind.varies}
     samples[channel][int(index)] = 1.0
-    return np.zeros_like(motion.breaks), np.array(maker(t, **samples).coef)
+    return np.zeros_like(motion.breaks), np.array(kind.maker(t, **samples).coef)
 
 
 def _complex_step(motion: Motion, name: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Simulation: :func:`simulate` for whole runs, :func:`simulate_batch` for many, :func:`sensitivities` for derivatives.
 
-:func:`angles` and :class:`AngleJacobian` give the bare arrays that identification needs.
+:class:`AngleJacobian` gives the bare arrays that filters and fits need.
 """
 
 from typing import TYPE_CHECKING
@@ -9,15 +9,14 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.simulation.batch import Batch, BatchFields, BatchState, BatchStepper, simulate_batch
-    from hyperflex.simulation.contact import check_limits, check_outside
+    from hyperflex.simulation.contact import check_outside
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
-    from hyperflex.simulation.lyapunov import Predictability, predictability
     from hyperflex.simulation.rollouts import (
         Interval,
-        finish_rollout,
+        Rollout,
+        base_motion,
         first_moment,
         link_accelerations,
-        prepare_rollout,
         rollout_limits,
         runge_kutta_limit,
     )
@@ -26,8 +25,10 @@ if TYPE_CHECKING:
         AngleJacobian,
         ParameterChange,
         ParameterDirections,
+        Predictability,
         Sensitivities,
         forward_derivatives,
+        predictability,
         record_steps,
         sensitivities,
     )

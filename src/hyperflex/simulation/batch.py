@@ -18,7 +18,6 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch.rollouts import LENGTH, LEVER, Members, Terms, observe_block
-from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.core.integrate.step_size import FIRST_STEP
@@ -30,11 +29,11 @@ from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, SetupFields
 from hyperflex.motion import Motion
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact import check_start
-from hyperflex.simulation.rollouts import Interval, balanced, least_scale, lever, stored
-from hyperflex.simulation.runs import output_times, setup_of, simulate, status_of
+from hyperflex.simulation.rollouts import Interval, balanced, lever, status_of, stored
+from hyperflex.simulation.runs import output_times, setup_of, simulate
 from hyperflex.simulation.stepper import COMMANDS, arm_polynomials, setup_for
 from hyperflex.status import Status
-from hyperflex.trajectory import Trajectory, swept
+from hyperflex.trajectory import DERIVED, OPTIONAL, VARIABLES, Trajectory, swept
 
 MOST_MEMBERS = 1_000_000
 # Order by tolerance, m: where lanes are full, an order costs p (p + 1) / 2 sweeps, so few cheap columns beat the high
@@ -86,8 +85,9 @@ def setups_of(
 
 def _each(name: str, given: object, kind: type) -> list[Any]:
     """Return what members have each; one entry if it is the same for all."""
-    alone = given is None or isinstance(given, kind)
-    return [given] if alone else checks.sequence(name, given, f"a {kind.__name__}, or one for each member")
+    if given is None or isinstance(given, kind):
+        return [given]
+    return checks.sequence(name, given, f"a {kind.__name__}, or one for each member")
 
 
 def _alike(what: str, found: set[Any]) -> None:
@@ -104,8 +104,9 @@ def starts_of(setups: Sequence[Setup]) -> Array:
     return np.pad(starts, ((0, 0), (0, 2)))
 
 
-def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Members:
-    """Return chains, drives and starts (M, 2 n + 2) of the members as kernel arrays."""
+def members_of(setups: Sequence[Setup], drives: list[Drive]) -> Members:
+    """Return chains, drives and starts of the members as kernel arrays."""
+    chains = [setup.chain() for setup in setups]
     links = np.stack([np.stack([*c[:LEVER], lever(c)]) for c in chains])
     whole = np.array(
         [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
@@ -115,7 +116,7 @@ def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Membe
     return Members(
         links,
         whole,
-        starts,
+        starts_of(setups),
         np.concatenate([d.breaks for d in drives]),
         np.concatenate([part for d in drives for part in (d.coef, padding)]),
         np.ones(sum(d.breaks.size for d in drives), dtype=np.bool_),
@@ -125,10 +126,10 @@ def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Membe
     )
 
 
-def terms_of(setup: Setup, chain: Chain, step: float = 0.0) -> Terms:
+def terms_of(setup: Setup, step: float = 0.0) -> Terms:
     """Return what all members have in common: the tolerance of one's set-up, or a chosen `step`, s."""
     table = scheme(next(order for least, order in ORDERS if setup.tol >= least))
-    return Terms(0.0, setup.tol, chain.reaction, step, table.best, table.gap, table.rounding)
+    return Terms(0.0, setup.tol, setup.chain().reaction, step, table.best, table.gap, table.rounding)
 
 
 if TYPE_CHECKING:
@@ -142,16 +143,11 @@ STATES = 1e6  # numbers that a block may hold in work
 CHUNK, CONTACT_CHUNK = 64, 4  # members of a chunk on an executor
 # Part of the time left that a member with contact may take while others wait: one that never ends must not lose them.
 PART_OF_A_MEMBER = 0.5
+_SHARED = ("tip", "q", "qd", "motor_work", "dissipated_energy", "peg_angle", "peg_rate")  # with a Trajectory
 # name: (dimensions after member and time, units, long name)
 KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "tip": (("axis",), "m", "position of the tip"),
-    "q": (("link",), "rad", "absolute link angle"),
-    "qd": (("link",), "rad/s", "link rate"),
-    "motor_work": ((), "J", "work done by the motor and the moving base since the start"),
-    "dissipated_energy": ((), "J", "energy lost to friction and air since the start"),
+    **{name: {**DERIVED, **VARIABLES, **OPTIONAL}[name] for name in _SHARED},
     "turns": (("peg",), "1", "signed turns about a peg from the first joint to the tip"),
-    "peg_angle": (("peg",), "rad", "angle by which a round peg has turned"),
-    "peg_rate": (("peg",), "rad/s", "rate of a round peg"),
 }
 
 
@@ -215,17 +211,15 @@ class Batch:
     @property
     def dataset(self) -> "xr.Dataset":
         """The batch as an ``xarray.Dataset`` with the dimensions member, time, link and axis."""
-        extras.require(("xarray",), "xarray", "Datasets")
-        import xarray as xr
-
+        xr = extras.load("xarray", "xarray", "Datasets")
         variables: dict[str, Any] = {
             name: (("member", "time", *KEPT[name][0]), value, {"units": KEPT[name][1], "long_name": KEPT[name][2]})
             for name, value in self.values.items()
         }
         variables["status"] = ("member", np.array(self.status, dtype=str))
         variables["reached"] = ("member", self.reached, {"units": "s", "long_name": "time reached"})
-        coords = {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
-        return xr.Dataset(variables, coords, attrs={"source": "simulated"})
+        variables |= {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
+        return xr.Dataset(variables, attrs={"source": "simulated"})
 
 
 @interruptible(Batch)
@@ -401,13 +395,10 @@ def _in_flight(
     step: float,
 ) -> Stop:
     """Run members in free flight in this process: blocks of them in SIMD lanes, on threads."""
-    chains = [setup.chain() for setup in setups]
-    members = members_of(chains, [setup.drive() for setup in setups], starts_of(setups))
-    terms = terms_of(setups[0], chains[0], step)
+    members, terms = members_of(setups, [setup.drive() for setup in setups]), terms_of(setups[0], step)
     t, first = results.t, int(results.t[0] == 0.0)  # 1: the start is the first sample
     after, times = t[first:].copy(), t if first else np.append(terms.begin, t)
-    n = chains[0].length.size
-    width = 2 * n + 2
+    n, width = members.links.shape[2], members.start.shape[1]
     columns: dict[str, Any] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n, "dissipated_energy": -1}
     halt = np.zeros(1, dtype=np.int64)  # 1: running blocks end where they are
 
@@ -419,9 +410,8 @@ def _in_flight(
         states = np.concatenate([members.start[rows, None], y], axis=1)
         energies, joint = np.empty((4, count, times.size)), np.empty((count, times.size, 2))
         observe_block(members, terms, low, high, times, states, energies[0], energies[1], joint)
-        floor = np.array([least_scale(setup.rope) for setup in setups[rows]])[:, None]
         energies[2], energies[3] = states[:, :, 2 * n], states[:, :, 2 * n + 1]
-        good = balanced(floor, energies, lambda m: stored(chains[low + m], states[m, :, :n]))
+        good = balanced(setups[rows], energies, lambda m: stored(setups[low + m].chain(), states[m, :, :n]))
         for m in np.flatnonzero((codes == status.OK) & (good < times.size)):
             codes[m], reached[m] = status.ENERGY, times[good[m]]
             states[m, good[m] :] = np.nan
@@ -586,8 +576,7 @@ class BatchStepper:
             raise InvalidInput("members and ropes do not fit together", got=members, allowed=f"{len(setups)}")
         self.setups = tuple(setups)
         self._own = int(command == "torque")
-        self._members = _members_of(setups)
-        self._terms = terms_of(setups[0], setups[0].chain())
+        self._members, self._terms = members_of(setups, _intervals(setups)), terms_of(setups[0])
         self._stop = np.zeros(1, dtype=np.int64)
         workers = Budget(threads=threads).threads
         size = -(-len(setups) // (workers * len(MEMBERS))) * len(MEMBERS)
@@ -654,7 +643,7 @@ class BatchStepper:
         new = self._begin(given, (q0, qd0, arm_angle, arm_rate), state.t)
         if ropes is not None:
             setups = self._setups(given, arm=first.arm, tol=first.tol)
-            rows = _members_of(setups)
+            rows = members_of(setups, _intervals(setups))
             links = self._members.links.copy()
             links[chosen], self._members.whole[chosen] = rows.links, rows.whole
             links.setflags(write=False)
@@ -745,17 +734,16 @@ class BatchStepper:
             raise InvalidInput("state is not a BatchState", got=state, allowed="what start() or step() returned")
         checks.number("state t", state.t, unit="s")
         columns = {"q": (n,), "qd": (n,), "memory": (len(INITIAL_CLOCK),)}
-        for name in ROWS:
-            value, shape = getattr(state, name), (count, *columns.get(name, ()))
-            if np.shape(value) != shape or np.asarray(value).dtype.kind not in "if":
+        values = {name: np.asarray(getattr(state, name)) for name in ROWS}
+        for name, value in values.items():
+            shape = (count, *columns.get(name, ()))
+            if value.shape != shape or value.dtype.kind not in "if":
                 raise InvalidInput(f"state {name} is not of this batch", got=value, allowed=f"numbers of shape {shape}")
-        moving = state.codes == status.OK
-        for name in ROWS[:-2]:
-            if not np.isfinite(getattr(state, name)[moving]).all():
-                raise InvalidInput(f"state {name} is not finite", got=getattr(state, name), allowed="finite numbers")
-        if not (state.memory[moving, 0] > 0.0).all() or np.isnan(state.memory[moving]).any():
-            fix = "Take it from start() or step()"
-            raise InvalidInput("state memory is no integrator's", got=state.memory, allowed="a first step > 0", fix=fix)
+        for name, value in values.items():
+            now = value[values["codes"] == status.OK]
+            if not (np.isfinite(now) if name != "memory" else (now[:, :1] > 0.0) & ~np.isnan(now)).all():
+                fix = "Take it from start() or step()"
+                raise InvalidInput(f"state {name} is not finite", got=value, allowed="finite numbers", fix=fix)
 
     def _all(self, block: Callable[[int, int], None]) -> None:
         """Call a function for the members low..high - 1 of each block, on threads."""
@@ -776,19 +764,14 @@ class BatchStepper:
 def _members(which: npt.ArrayLike, count: int) -> npt.NDArray[np.intp]:
     """Return the numbers of members that were chosen by their numbers or by a mask."""
     chosen = np.asarray(which)
-    chosen = chosen if chosen.size else chosen.astype(np.intp)
-    try:
-        found = np.arange(count)[chosen]
-    except IndexError:
-        found = np.full(1, -1)
-    if found.ndim != 1 or (chosen < 0).any() or np.unique(found).size < found.size or (found < 0).any():
+    found = np.flatnonzero(chosen) if chosen.dtype == np.bool_ and chosen.shape == (count,) else chosen
+    known = found.dtype != np.bool_ and np.isin(found, np.arange(count)).all()
+    if not known or found.ndim != 1 or np.unique(found).size < found.size:
         allowed = f"each a number from 0 to {count - 1}, once, or a mask of {count}"
         raise InvalidInput("these are no members of the batch", got=which, allowed=allowed)
-    return np.asarray(found)
+    return found.astype(np.intp)
 
 
-def _members_of(setups: Sequence[Setup]) -> Members:
-    """Return the members of set-ups, to be driven by one polynomial at a time."""
-    chains = [setup.chain() for setup in setups]
-    drives = [Interval(setup.drive()).drive for setup in setups]
-    return members_of(chains, drives, np.zeros((len(setups), 2 * chains[0].length.size + 2)))
+def _intervals(setups: Sequence[Setup]) -> list[Drive]:
+    """Return drives of one polynomial at a time."""
+    return [Interval(setup.drive()).drive for setup in setups]

@@ -4,48 +4,46 @@ A flight is so short that no joint can reach a peg meanwhile, as far as the spee
 more than was allowed for, it is flown again by the stepper for contacts. A flight ends where a joint reaches its limit.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import energies
-from hyperflex.core.chain.drive import motion_at
+from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.chain.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.contact import run as at
 from hyperflex.core.contact.arrays import STICK, new_contact_memory
 from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.contact.run import Scene
-from hyperflex.core.integrate.rollout import INDEX, MARK, T
+from hyperflex.core.integrate.rollout import INDEX, MARK, Limits, T
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import deferred, raise_if_cancelled
 from hyperflex.model import DEFAULT_TOL, Setup, Wall, round_places
-from hyperflex.simulation.rollouts import Rollout, starting_clock
+from hyperflex.simulation.rollouts import Rollout, base_motion, starting_clock
 from hyperflex.trajectory import State
 
 SHALLOW = 5e-4  # m, penetration that may be there at the start: a polygon laid on a circle by its joints has some
 PASSED = 1e-3  # rad, by which a joint may be past its limit at the start
 
 
-def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
+def check_outside(
+    setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope", drive: Drive | None = None
+) -> None:
     """Refuse a start at t, s, whose rope is inside an obstacle by more than SHALLOW.
 
-    q (n,), rad, are the angles of the chain's links there, by default those that the set-up starts from; the message is
-    about `who`, and names the link that is deepest inside, the obstacle and the depth.
+    q (n,), rad, are the angles of the chain's links there, by default those that the set-up starts from, and `drive`
+    what drives it, by default that of the set-up; the message is about `who`, and names the link that is deepest
+    inside, the obstacle and the depth.
     """
     if not setup.pegs:
         return
-    chain, drive, pegs = setup.chain(), setup.drive(), setup.contacts()
-    q = setup.start()[0] if q is None else q
-    base = np.empty(9)
-    motion_at(drive, t, base)
-    steps = chain.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=1)
-    joints = np.concatenate([base[None, 7:9], base[7:9] + np.cumsum(steps, axis=0)])
-    found = depths(pegs, joints)
+    q, base = setup.start()[0] if q is None else q, base_motion(drive or setup.drive(), t)
+    steps = setup.chain().length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=1)
+    pegs = setup.contacts()
+    found = depths(pegs, np.cumsum([base[7:9], *steps], axis=0))
     i, p = np.unravel_index(int(np.argmax(found)), found.shape)
     if found[i, p] <= SHALLOW:
         return
@@ -58,18 +56,17 @@ def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str
     )
 
 
-def check_start(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
-    """Refuse a start inside an obstacle or past a joint's limit; arguments as for :func:`check_outside`."""
-    check_outside(setup, t, q, who)
-    check_limits(setup, t, q, who)
+def check_start(
+    setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope", drive: Drive | None = None
+) -> None:
+    """Refuse a start inside an obstacle, or with a joint bent past its limit by more than PASSED.
 
-
-def check_limits(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
-    """Refuse a start with a joint bent past its limit by more than PASSED; arguments as for :func:`check_outside`."""
+    Arguments are as for :func:`check_outside`.
+    """
+    check_outside(setup, t, q, who, drive)
     if not setup.rope.limited:
         return
-    chain, drive, base = setup.chain(), setup.drive(), np.empty(9)
-    motion_at(drive, t, base)
+    chain, base = setup.chain(), base_motion(drive or setup.drive(), t)
     bend = np.diff(setup.start()[0] if q is None else q, prepend=base[4]) - chain.rest
     past = np.abs(bend) - chain.max_bend
     i = int(np.argmax(past))
@@ -104,56 +101,6 @@ def depths(pegs: Pegs, joints: Array) -> Array:
 
 
 SHOWN = ("peg_angle", "peg_rate")  # of a State, and of a Trajectory
-
-
-def starting_spin(setup: Setup, state: State | None) -> Array:
-    """Return angles, rad, and rates, rad/s, of all obstacles at the start (2, m): 0 unless a state says otherwise."""
-    places, turning = round_places(setup.pegs), turning_inertia(setup)
-    spin = np.zeros((2, turning.size))
-    for row, name, unit in zip(spin, SHOWN, ("rad", "rad/s"), strict=True):
-        if state is None or (given := getattr(state, name)) is None:
-            continue
-        row[places] = checks.array(f"state {name}", given, (len(places),), unit=unit)
-        if row[turning == 0.0].any():
-            fix = "Give the peg an inertia"
-            raise InvalidInput(f"state {name} turns a fixed peg", got=row[places].tolist(), allowed="0 there", fix=fix)
-    return spin
-
-
-def turning_inertia(setup: Setup) -> Array:
-    """Return the moments of inertia (m,), kg m^2, of the obstacles that turn; 0 of others."""
-    inertia = setup.contacts().inertia
-    return np.where(np.isfinite(inertia), inertia, 0.0)
-
-
-def coast(setup: Setup, spin: Array, spans: Array) -> tuple[Array, Array]:
-    """Return what pegs that nothing touches do: exponential decay of their rates, exactly.
-
-    `spin` (2, m) are angles, rad, and rates, rad/s, before; the answer (k, 2, m) is for the times since then, `spans`
-    (k,), s, and comes with the energy (k,) that the axles took meanwhile, J.
-    """
-    pegs = setup.contacts()
-    x = spans[:, None] * pegs.bearing / pegs.inertia
-    mean = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
-    spins = np.stack([spin[0] + spans[:, None] * mean * spin[1], np.exp(-x) * spin[1]], axis=1)
-    return spins, np.asarray((-0.5 * np.expm1(-2.0 * x) * turning_inertia(setup) * spin[1] ** 2).sum(axis=1))
-
-
-def spin_energy(setup: Setup, rates: Array) -> Array:
-    """Return the kinetic energy (...,), J, of pegs with rates (..., m), rad/s; what is fixed has none."""
-    inertia = turning_inertia(setup)
-    turns = inertia > 0.0
-    return np.asarray(0.5 * (inertia[turns] * rates[..., turns] ** 2).sum(axis=-1))
-
-
-def shown(setup: Setup, spin: Array | None) -> dict[str, Any]:
-    """Return angles and rates (..., P) of the round pegs by name, from all obstacles (..., 2, m); {} if none turns."""
-    if spin is None or not setup.pegs_turn:
-        return {}
-    turning = np.where(turning_inertia(setup) > 0.0, spin, 0.0)[..., round_places(setup.pegs)]
-    return {name: turning[..., row, :].copy() for row, name in enumerate(SHOWN)}
-
-
 STEP = "contact_step"
 # in a state's checkpoint, in the order of ``contact.arrays.ContactMemory``
 KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_penalty", "joint_torque", "joint_mode")
@@ -180,182 +127,193 @@ FACTS = {
 }
 
 
-class ContactRun:
-    """A rollout with pegs, or of a rope whose joints have limits.
+class ContactRollout(Rollout):
+    """A rollout with pegs, or of a rope whose joints have limits; arguments are as of :class:`Rollout`."""
 
-    The `run` is prepared, and resumed if it goes on from a `state`; its arrays are filled.
-    """
-
-    def __init__(self, run: Rollout, setup: Setup, state: State | None) -> None:
-        contacts = setup.contacts()
-        n, m = run.chain.length.size, contacts.x.size
-        self.looser = setup.tol / DEFAULT_TOL
+    def __init__(self, setup: Setup, t: Array, *, drive: Drive | None = None, limits: Limits | None = None) -> None:
+        super().__init__(setup, t, drive=drive, limits=limits)
+        self.contacts, n = setup.contacts(), self.chain.length.size
+        m = self.contacts.x.size
         if setup.pegs:
-            run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
-        self.run, self.setup = run, setup
-        self.contacts = contacts
-        self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
-        run.spin, run.seen = np.zeros((2, m)), np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
-        torque = np.zeros((len(WINDOWS), COLUMNS))
-        self.contact = at.ContactState(run.progress.y, np.zeros(at.CLOCK), run.spin, new_contact_memory(n, m), torque)
+            self.limits = self.limits._replace(tol=FLIGHT_TOL * setup.tol)
+        # what ``contact_run.run`` sees at each output; NaN in free flight, but for the spin of pegs that turn
+        self.seen = np.full((t.size, 3 * n + 4 + 2 * m), np.nan)
+        memory, torque = new_contact_memory(n, m), np.zeros((len(WINDOWS), COLUMNS))
+        self.contact = at.ContactState(self.progress.y, np.zeros(at.CLOCK), np.zeros((2, m)), memory, torque)
+        self.turning, self.round = np.flatnonzero(np.isfinite(self.contacts.inertia)), round_places(setup.pegs)
         self.flights, self.flown, self.clear = 0, 0.0, CLEAR
-        self.enter(state)
+        self._begin(None)
 
-    def enter(self, state: State | None) -> None:
-        """Begin anew at the state that the run stands at; forces and modes of contacts are those of `state`, if any."""
+    def check_start(self) -> None:
+        """Refuse to begin where the run is if that is inside an obstacle or past a joint's limit."""
+        check_start(self.setup, self.time, self.progress.y[: self.chain.length.size], drive=self.drive)
+
+    def resume(self, state: State) -> bool:
+        """Continue from a state, with its forces and modes of contacts, if any; see :meth:`Rollout.resume`."""
+        as_saved = super().resume(state)
+        self._begin(state)
+        return as_saved and STEP in state.checkpoint
+
+    def _begin(self, state: State | None) -> None:
+        """Begin anew where the run is; forces and modes of contacts are those of `state`, if any."""
         contact, saved = self.contact, {} if state is None else state.checkpoint
         contact.clock[:] = 0.0
-        contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = self.longest, 1.0
-        contact.spin[:] = starting_spin(self.setup, state)
+        contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = self.setup.contact_step, 1.0
+        contact.spin[:] = 0.0
+        for row, name, unit in zip(contact.spin, SHOWN, ("rad", "rad/s"), strict=True):
+            if (given := getattr(state, name, None)) is None:
+                continue
+            row[self.round] = checks.array(f"state {name}", given, (len(self.round),), unit=unit)
+            if np.delete(row, self.turning).any():
+                got, fix = row[self.round].tolist(), "Give the peg an inertia"
+                raise InvalidInput(f"state {name} turns a fixed peg", got=got, allowed="0 there", fix=fix)
         for name, array in zip(KEPT, contact.memory, strict=True):
             array[:] = saved[name] if np.shape(saved.get(name, ())) == array.shape else 0
         if STEP in saved and np.array_equal(saved["y"], contact.y):
-            contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = min(float(saved[STEP]), self.longest), 0.0
+            step = min(float(saved[STEP]), self.setup.contact_step)
+            contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = step, 0.0
 
-    def finish(self, watch: Callable[[float], None] | None = None) -> int:
-        """Run to the end and return the status code; `watch` is called with the time reached, s, now and then."""
-        code = status.RUNNING
-        while code in (status.RUNNING, status.LEFT):
-            code = self._fly()
-            if code == status.LEFT:
-                code = self._touch()
-            raise_if_cancelled()
-            if watch is not None and code in (status.RUNNING, status.LEFT):
-                watch(self.run.time)
-        self.run.progress.clock[MARK] = -np.inf  # where the run stands is where it goes on from
-        self.run.facts = self._facts()
-        names = zip(KEPT, self.contact.memory, strict=True)
-        self.run.kept = {STEP: float(self.contact.clock[at.STEP]), **{name: array.copy() for name, array in names}}
-        return code
+    def advance(self) -> int:
+        """Fly, or step with contacts, for one budget of steps and return the status code."""
+        code = self._fly()
+        return self._touch() if code == status.LEFT else code
 
     def _fly(self) -> int:
         """Fly freely while no peg or limit can be reached: LEFT if one may be, RUNNING or OK after a flight."""
-        run, clock = self.run, self.run.progress.clock
-        stop = run.limits.stop
-        if run.time >= stop:
+        y, clock, stop = self.progress.y, self.progress.clock, self.limits.stop
+        if self.time >= stop:
             return status.OK
-        if self.pull.any():
+        if any(self.setup.tip_force):  # free flight knows no force on the tip
             return status.LEFT
-        gap, speed, left = at.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y, 0.0)
+        gap, speed, left = at.clearance(self.chain, self.drive, self.contacts, self.time, y, 0.0)
         bound = FASTER * speed + SUDDEN
         self.clear = max(CLEAR, SHORTEST_FLIGHT * bound)
         if gap < self.clear or left <= SLACK:
             return status.LEFT
         self._lock()
-        y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.contact.spin.copy()
-        span = gap / bound
-        run.limits = run.limits._replace(stop=min(begin + span, stop))
+        arrays = y, clock, self.contact.spin, *self.contact.memory
+        before, begin, span = [each.copy() for each in arrays], self.time, gap / bound
+        for memory in self.contact.memory:
+            memory[:] = 0
+        self.limits = self.limits._replace(stop=min(begin + span, stop))
         code = status.RUNNING
         while code == status.RUNNING:
-            code = self._advance()
+            code = self._coast()
             raise_if_cancelled()
-        run.limits = run.limits._replace(stop=stop)
+        self.limits = self.limits._replace(stop=stop)
+        clock[MARK] = -np.inf  # the run continues from where it is
         if code not in (status.OK, status.LIMIT):
             return code
-        gap, speed, _ = at.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y, 0.0)
+        gap, speed, _ = at.clearance(self.chain, self.drive, self.contacts, self.time, y, 0.0)
         if np.isfinite(span) and (speed > bound or gap <= 0.0):
             with deferred():
-                run.progress.y[:], clock[:], self.contact.spin[:] = y, before, spin
+                for array, value in zip(arrays, before, strict=True):
+                    array[:] = value
                 return self._touch(begin + span)
-        self.flights, self.flown = self.flights + 1, self.flown + run.time - begin
-        for array in self.contact.memory:
-            array[:] = 0
+        self.flights, self.flown = self.flights + 1, self.flown + self.time - begin
         if code == status.LIMIT:
             self.contact.clock[at.IMPACT_DUE] = 1.0
             return status.LEFT
-        return status.RUNNING if run.time < stop else status.OK
+        return status.RUNNING if self.time < stop else status.OK
 
     def _lock(self) -> None:
         """Set the rates of stuck joints to rest, as free flight needs; the proximal method leaves small ones."""
-        if not self.contact.memory.bent.any():
-            return
-        run, base, n = self.run, np.empty(9), self.run.chain.length.size
-        motion_at(run.drive, run.time, base)
+        base, rates = base_motion(self.drive, self.time), self.progress.y[self.chain.length.size : -2]
         for i in np.flatnonzero(self.contact.memory.bent == STICK):
-            run.progress.y[n + i] = run.progress.y[n + i - 1] if i > 0 else base[3]
+            rates[i] = rates[i - 1] if i > 0 else base[3]
 
-    def _advance(self) -> int:
+    def _coast(self) -> int:
         """Fly on for one budget of steps; pegs that turn coast meanwhile, also where Ctrl-C ends the flight."""
-        run, begin, row = self.run, self.run.time, self.run.done
+        begin, row = self.time, self.done
         try:
-            return run.advance()
+            return super().advance()
         finally:
-            if self.setup.pegs_turn and run.seen is not None:
-                n, m = run.chain.length.size, self.contact.spin.shape[1]
-                spins, taken = coast(self.setup, self.contact.spin, np.append(run.t[row : run.done], run.time) - begin)
-                run.seen[row : run.done, 3 * n + 4 :] = spins[:-1].reshape(-1, 2 * m)
-                run.y[row : run.done, 2 * n + 1] += taken[:-1]
-                run.progress.y[2 * n + 1] += taken[-1]
-                self.contact.spin[:] = spins[-1]
+            if self.turning.size:  # their rates decay exponentially
+                rows, pegs, (angle, rate) = slice(row, self.done), self.contacts, self.contact.spin
+                spans = np.append(self.t[rows], self.time)[:, None] - begin
+                x = spans * pegs.bearing / pegs.inertia
+                mean = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
+                spins = np.stack([angle + spans * mean * rate, np.exp(-x) * rate], axis=1)
+                taken = self.spin_energy(rate) - self.spin_energy(spins[:, 1])
+                self.spins[rows], self.contact.spin[:] = spins[:-1], spins[-1]
+                self.y[rows, -1] += taken[:-1]
+                self.progress.y[-1] += taken[-1]
 
     def _touch(self, least: float = -np.inf) -> int:
         """Step with contacts until the rope has left the pegs, and at least until `least`, s."""
-        run, clock, contact = self.run, self.run.progress.clock, self.contact
-        scale = self._energy()
-        friction = float(run.chain.viscous.max())
-        rate = self.looser * scale * (GAIN if friction >= LOW_FRICTION else GAIN_FREE)
+        setup, clock, contact = self.setup, self.progress.clock, self.contact
+        gain = GAIN if self.chain.viscous.max() >= LOW_FRICTION else GAIN_FREE
+        rate = setup.tol / DEFAULT_TOL * self._energy() * gain
         contact.clock[at.T], contact.clock[at.INDEX] = clock[T], clock[INDEX]
-        always = bool(self.pull.any())  # free flight knows no force on the tip
-        forced = run.time < least
-        stop = min(run.limits.stop, least) if forced else run.limits.stop
-        clear = np.inf if always or forced else self.clear
-        bounds = at.Bounds(stop, self.longest, self.setup.tol, rate, clear, SLACK, BUDGET)
+        forced = self.time < least
+        stop = min(self.limits.stop, least) if forced else self.limits.stop
+        clear = np.inf if forced or any(setup.tip_force) else self.clear
+        bounds = at.Bounds(stop, setup.contact_step, setup.tol, rate, clear, SLACK, BUDGET)
         with deferred():  # else state and clock would not fit together
-            scene = Scene(run.chain, run.drive, self.contacts, self.pull)
-            code = int(at.run(scene, bounds, contact, run.t, run.y, run.seen))
-            index = contact.clock[at.INDEX]
+            scene = Scene(self.chain, self.drive, self.contacts, np.array(setup.tip_force))
+            code = int(at.run(scene, bounds, contact, self.t, self.y, self.seen))
             clock[:MARK] = starting_clock(float(contact.clock[at.T]))
-            clock[INDEX], clock[MARK] = index, -np.inf
-        return status.RUNNING if code == status.OK and run.time < run.limits.stop else code
+            clock[INDEX], clock[MARK] = contact.clock[at.INDEX], -np.inf
+        return status.RUNNING if code == status.OK and self.time < self.limits.stop else code
 
     def _energy(self) -> float:
         """Energy scale, J: kinetic, potential by a fall of the whole rope, and by the force on the tip or a torque."""
-        run = self.run
-        chain, n, base = run.chain, run.chain.length.size, np.empty(9)
-        motion_at(run.drive, run.time, base)
-        y = run.progress.y
+        chain, y, n = self.chain, self.progress.y, self.chain.length.size
+        base = base_motion(self.drive, self.time)
         kinetic, _ = energies(chain, y[:n], y[n : 2 * n], base, np.empty(2 * n))
-        kinetic += float(spin_energy(self.setup, self.contact.spin[1]))
-        lever = chain.length.sum()
-        mass = chain.mass.sum() + chain.tip_mass
-        torque = float(np.abs(run.drive.coef[:, 3]).max()) if n else 0.0
-        return float(kinetic + mass * np.hypot(chain.gx, chain.gy) * lever + np.hypot(*self.pull) * lever + torque)
+        weight = (chain.mass.sum() + chain.tip_mass) * np.hypot(chain.gx, chain.gy)
+        moved = (weight + np.hypot(*self.setup.tip_force)) * chain.length.sum()
+        torque = np.abs(self.drive.coef[:, TORQUE]).max()
+        return float(kinetic + self.spin_energy(self.contact.spin[1]) + moved + torque)
 
-    def _facts(self) -> dict[str, float]:
+    def facts(self) -> dict[str, float]:
+        """Return counts and extremes of contacts for the trajectory."""
         facts = {name: float(self.contact.clock[row]) for name, row in FACTS.items()}
         facts |= {"free_flights": float(self.flights), "free_time": self.flown}
         for name, window in zip(("torque_peak", "torque_mean"), self.contact.torque, strict=True):
             facts |= {name: float(window[PEAK]), f"{name}_time": float(window[WHEN])}
         return facts
 
+    def kept(self) -> dict[str, Any]:
+        """Return what the contacts of a run that continues need, by name."""
+        names = zip(KEPT, self.contact.memory, strict=True)
+        return {STEP: float(self.contact.clock[at.STEP]), **{name: array.copy() for name, array in names}}
 
-def contact_run(run: Rollout, setup: Setup, state: State | None) -> ContactRun:
-    """Make a prepared rollout one beside the pegs of its set-up, and within the limits of its joints.
+    @property
+    def spins(self) -> Array:
+        """Angles, rad, and rates, rad/s, of all obstacles at the outputs (T, 2, m), a view of what was seen."""
+        return self.seen[:, 3 * self.chain.length.size + 4 :].reshape(len(self.seen), 2, self.contacts.x.size)
 
-    A start inside a peg, or past a limit, is refused.
-    """
-    check_start(setup, run.time, run.progress.y[: run.chain.length.size])
-    return ContactRun(run, setup, state)
+    def shown(self, row: int | None) -> dict[str, Any]:
+        """Return angles and rates of the round pegs by name, at an output or at the time reached; {} if none turns."""
+        return self._turned(self.contact.spin if row is None else self.spins[row])
 
+    def _turned(self, spin: Array) -> dict[str, Any]:
+        """Return angles and rates (..., P) of the round pegs by name, from all obstacles (..., 2, m)."""
+        turning = np.where(np.isfinite(self.contacts.inertia), spin, 0.0)[..., self.round]
+        return {name: turning[..., row, :].copy() for row, name in enumerate(SHOWN) if self.turning.size}
 
-class ContactSamples(NamedTuple):
-    """Contact outputs of a run at its samples."""
+    def spin_energy(self, rates: Array) -> Array:
+        """Return the kinetic energy (...,), J, of pegs with rates (..., m), rad/s; what is fixed has none."""
+        return np.asarray(0.5 * (self.contacts.inertia[self.turning] * rates[..., self.turning] ** 2).sum(axis=-1))
 
-    free: npt.NDArray[np.bool_]  # (T,) samples in free flight
-    qdd: Array  # (T, n) rad/s^2; NaN there
-    force: Array  # (T, n, 2) of the pegs on the links, N; 0 there
-    load: Array  # (T, 3) force, N, and torque, N m, at the first joint; NaN there
-    loss: Array  # (T,) energy lost to contact since the start of the run, J
-    spin: Array  # (T, 2, m) angles, rad, and rates, rad/s, of the obstacles; of those that turn
+    def spin_energies(self) -> Array:
+        """Return the kinetic energy of the pegs at the outputs and, last, at the time reached (T + 1,), J."""
+        return self.spin_energy(np.append(self.spins[: self.done, 1], self.contact.spin[None, 1], axis=0))
 
+    def outputs(self, rows: slice, qdd: Array, scalars: Array) -> dict[str, Any]:
+        """Return the contact outputs of a trajectory at some samples, by name.
 
-def split_samples(seen: Array, n: int) -> ContactSamples:
-    """Split contact outputs (T, 3 n + 4 + 2 m) of n links and m obstacles into their parts."""
-    free = np.isnan(seen[:, 0])
-    force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
-    latest = np.maximum.accumulate(np.where(free, -1, np.arange(free.size)))  # contact loses nothing in free flight
-    loss = np.where(latest < 0, 0.0, seen[np.maximum(latest, 0), 3 * n + 3])
-    spin = seen[:, 3 * n + 4 :].reshape(free.size, 2, (seen.shape[1] - 3 * n - 4) // 2)
-    return ContactSamples(
-        free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss, spin
-    )
+        Where the rope touches, its accelerations and loads become those in contact: `qdd` (k, n) and `scalars` (k, 5)
+        of :func:`observe`, which follow from (1) in free flight.
+        """
+        n = self.chain.length.size
+        seen = self.seen[rows]
+        touched = ~np.isnan(seen[:, 0])
+        qdd[touched], scalars[touched, 2:] = seen[touched, :n], seen[touched, 3 * n : 3 * n + 3]
+        force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
+        force[~touched] = 0.0
+        latest = np.maximum.accumulate(np.where(touched, np.arange(touched.size), -1))
+        loss = np.where(latest < 0, 0.0, seen[latest, 3 * n + 3])  # contact loses nothing in free flight
+        found = {"contact_force": force[:, n - self.setup.rope.n_links :], "contact_loss": loss}
+        return found | self._turned(self.spins[rows])

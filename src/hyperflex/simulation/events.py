@@ -11,8 +11,6 @@ from hyperflex.core.integrate.events import ANGLE, CROSSES, PEAK, PHASE, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 
-_HINT = "either sense: 0; only with the direction: 1; only against it: -1"
-
 
 @dataclass(frozen=True)
 class Event:
@@ -80,7 +78,7 @@ def tip_crosses(point: ArrayLike, direction: ArrayLike, *, sense: int = 1, after
     size = math.hypot(dx, dy)
     if size == 0.0:
         raise InvalidInput("direction has no length", got=[dx, dy], allowed="a vector at right angles to the line")
-    return Event("tip crosses", CROSSES, (float(x), float(y), dx / size, dy / size), _sense(sense), _after(after))
+    return _event("tip crosses", CROSSES, (x, y, dx / size, dy / size), sense, after)
 
 
 def tip_speed_peak(*, after: float = -math.inf) -> Event:
@@ -95,7 +93,7 @@ def tip_speed_peak(*, after: float = -math.inf) -> Event:
     -----
     A peak may be a corner: where the arm's acceleration jumps, or a joint sticks.
     """
-    return Event("tip speed peak", PEAK, (0.0, 0.0, 0.0, 0.0), 1, _after(after))
+    return _event("tip speed peak", PEAK, (), 1, after)
 
 
 def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
@@ -117,7 +115,7 @@ def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
     Reached means passed in the sense of growing phase.
     """
     angle, scale = checks.number("phase", phase, unit="rad"), checks.number("c", c, sign="positive", unit="s")
-    return Event("phase reached", PHASE, (angle, scale, 0.0, 0.0), 1, _after(after))
+    return _event("phase reached", PHASE, (angle, scale), 1, after)
 
 
 def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, after: float = -math.inf) -> Event:
@@ -135,16 +133,14 @@ def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, afte
         What happens before this time does not count, s.
     """
     number = -1 if link is None else checks.count("link", link, least=0)
-    numbers = (checks.number("angle", angle, unit="rad"), float(number), 0.0, 0.0)
-    return Event("angle reached", ANGLE, numbers, _sense(sense), _after(after))
+    return _event("angle reached", ANGLE, (checks.number("angle", angle, unit="rad"), number), sense, after)
 
 
-def _sense(sense: int) -> int:
+def _event(name: str, kind: int, numbers: tuple[float, ...], sense: int, after: float) -> Event:
     if not isinstance(sense, (int, float, np.number)) or sense not in (-1, 0, 1):
-        raise InvalidInput("sense is not a sense", got=sense, allowed=_HINT)
-    return int(sense)
-
-
-def _after(after: float) -> float:
+        allowed = "either sense: 0; only with the direction: 1; only against it: -1"
+        raise InvalidInput("sense is not a sense", got=sense, allowed=allowed)
     ever = isinstance(after, float) and after == -math.inf
-    return -math.inf if ever else checks.number("after", after, unit="s")
+    start = -math.inf if ever else checks.number("after", after, unit="s")
+    a, b, c, d = (float(each) for each in (*numbers, 0.0, 0.0, 0.0, 0.0)[:4])
+    return Event(name, kind, (a, b, c, d), int(sense), start)

@@ -1,14 +1,16 @@
-"""Rollouts of a set-up: kernel arrays, step control, torque callbacks."""
+"""Rollouts of a set-up: kernel arrays, step control, the state from which a run continues, energy balance."""
 
+import hashlib
 import math
+import struct
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
@@ -17,14 +19,15 @@ from hyperflex.core.chain.drive import Drive, motion_at
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.events import NEVER, Until
 from hyperflex.core.integrate.observation import senses
-from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T
+from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import MOST_ORDER, scheme
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import OutOfTime, defer_while_compiling, raise_if_cancelled
-from hyperflex.model import Rope, Setup
+from hyperflex.model import Setup
 from hyperflex.status import Status
+from hyperflex.trajectory import State
 
 # s of processor time: allowed to a run without a time budget, and spent before the whole is predicted
 LONGEST, PREDICTED = 1800.0, 10.0
@@ -136,47 +139,72 @@ def first_moment(chain: Chain) -> Array:
 LEAST_ORDER = 7
 DRY_ORDER = 3  # the least where many joints may stick, whose events cut steps short
 TABLES = tuple(scheme(order) for order in range(DRY_ORDER - 1, MOST_ORDER + 1))
-# A run is refused when its energy balance is off by more than this part of the energy that went through it.
-ENERGY_ALLOWANCE = 0.02
 BUDGET, SHORT = 2000, 100  # steps between two looks at progress and Ctrl-C, of a rope of so many links or fewer
 
 defer_while_compiling()
 
 
-@dataclass
+def rollout_limits(setup: Setup, chain: Chain, stop: float, until: Until = NEVER) -> Limits:
+    """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
+    budget = max(1, BUDGET * SHORT // max(SHORT, chain.length.size))
+    weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
+    scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
+    least = DRY_ORDER if sticks_often(chain) else LEAST_ORDER
+    if setup.step is not None and setup.step > (longest := runge_kutta_limit(chain)):
+        raise InvalidInput(
+            "step is beyond the stability limit of rk4, where results look smooth and are wrong",
+            got=setup.step,
+            allowed=f"at most {longest:.3e} s for this rope",
+            fix="Take a smaller step, or method='extrapolation', which has no such limit",
+        )
+    return Limits(stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, least, MOST_ORDER, budget, until)
+
+
 class Rollout:
-    """A run in progress on plain arrays.
+    """A run of a set-up in progress, in free flight, on plain arrays.
+
+    Parameters
+    ----------
+    setup : Setup
+    t : (T,) float64
+        Output times, s; the run begins at the first.
+    start : (array, array), optional
+        Angles, rad, and rates, rad/s, of the chain (n,); by default those of the set-up.
+    chain, drive : Chain, Drive, optional
+        Others than the set-up's.
+    limits : Limits, optional
+        From :func:`rollout_limits`; by default the run ends with the last output.
+    log : (m, k) float64, optional
+        Filled with the first m steps.
 
     Attributes
     ----------
-    chain, drive : Chain, Drive
-    limits : Limits
     progress : Progress
-    t : (T,) float64
-        Output times, s.
     y : (T, 2 n + 2) float64
-        States at those times: angles, rates, work, dissipation; the first `done` rows are filled.
-    seen : (T, 3 n + 4 + 2 m) float64, optional
-        Beside m obstacles: what ``contact_run.run`` saw at each time; NaN in free flight, but for pegs that turn.
-    spin : (2, m) float64, optional
-        Beside obstacles: their angles, rad, and rates, rad/s, at the time reached.
-    facts, kept : dict
-        Beside pegs: counts and extremes of contacts for the trajectory, and what a run that goes on needs of them.
+        States at the output times: angles, rates, work, dissipation; the first `done` rows are filled.
     """
 
-    chain: Chain
-    drive: Drive
-    limits: Limits
-    progress: Progress
-    t: Array
-    y: Array
-    seen: Array | None = None
-    spin: Array | None = None
-    facts: dict[str, float] = field(default_factory=dict)
-    kept: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Find out which events are watched; neither the chain nor what ends the run changes."""
+    def __init__(
+        self,
+        setup: Setup,
+        t: Array,
+        start: tuple[Array, Array] | None = None,
+        *,
+        chain: Chain | None = None,
+        drive: Drive | None = None,
+        limits: Limits | None = None,
+        log: Array | None = None,
+    ) -> None:
+        self.setup, self.chain, self.drive = setup, chain or setup.chain(), drive or setup.drive()
+        self.limits = limits or rollout_limits(setup, self.chain, float(t[-1]))
+        n, own = self.chain.length.size, int(setup.torque_driven)
+        self.links = slice(own, n), slice(n + own, 2 * n)  # of a state y: the rope's angles and rates
+        y = np.concatenate([*(setup.start() if start is None else start), np.zeros(2)])
+        clock = np.zeros(CLOCK)
+        clock[:MARK], clock[MARK] = starting_clock(t[0]), -np.inf
+        self.progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((0, 3)) if log is None else log)
+        # A copy of the times, which may be read-only or not: the kernels are compiled for one kind.
+        self.t, self.y = np.array(t), np.empty((t.size, y.size))
         self._events = rollout.watched(self.chain, self.limits.until)
 
     @property
@@ -189,26 +217,159 @@ class Rollout:
         """Time reached, s."""
         return float(self.progress.clock[T])
 
+    @property
+    def steps(self) -> int:
+        """Number of steps that succeeded."""
+        return int(self.progress.clock[rollout.TAKEN] - self.progress.clock[rollout.REJECTED])
+
     def advance(self) -> int:
         """Run for one budget of steps and return the status code."""
         given = self.chain, self.drive, TABLES, self.limits, self._events, self.progress
         return int(rollout.run(*given, self.t, self.y))
 
+    def finish(self, watch: Callable[[float], None] | None = None, most: float = np.inf) -> int:
+        """Run to the end and return the status code; `watch` is called with the time reached, s, between its budgets.
 
-def prepare_rollout(
-    chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: Array | None = None
-) -> Rollout:
-    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; steps go to the `log`."""
-    n = chain.length.size
-    y = np.zeros(2 * n + 2)
-    y[:n], y[n : 2 * n] = start
-    clock = np.zeros(CLOCK)
-    clock[:MARK] = starting_clock(t[0])
-    clock[MARK] = -np.inf
-    noted = np.empty((0, 3)) if log is None else log
-    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, noted)
-    # A copy of the times, which may be read-only or not: the kernels are compiled for one kind.
-    return Rollout(chain, drive, limits, progress, np.array(t), np.empty((t.size, 2 * n + 2)))
+        After `most` budgets of steps the code is RUNNING.
+        """
+        code, budgets = status.RUNNING, 0
+        self.progress.clock[MARK] = -np.inf
+        while code in (status.RUNNING, status.LEFT) and budgets < most:
+            code, budgets = self.advance(), budgets + 1
+            raise_if_cancelled()
+            if watch is not None and code in (status.RUNNING, status.LEFT):
+                watch(self.time)
+        return code
+
+    def complete(self, watch: Callable[[float], None] | None = None) -> None:
+        """Run to the end, as :meth:`finish` does; raise the error of a run that fails."""
+        if (code := self.finish(watch)) != status.OK:
+            raise self.failure(code)
+
+    def failure(self, code: int, time: float | None = None) -> SimulationError:
+        """Return the error of a status code: when and where, and what to try; of a sample at `time`, s, if given."""
+        n, where = self.chain.length.size, ""
+        rates = np.abs(self.progress.y[n : 2 * n])
+        if time is None and np.isfinite(rates).any():
+            where = f"; fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s"
+        time, name = self.time if time is None else time, status_of(code)
+        message = f"stopped at t = {time:.6g} s ({name}{where}): {status.ADVICE[code]}."
+        return SimulationError(message, status=name, time=time)
+
+    def end_at_event(self) -> None:
+        """Make the instant at which an event ended the run its last output, and the place from which it continues."""
+        done, clock = self.done, self.progress.clock
+        self.t, self.y = self.t[:done], self.y[:done]
+        if done == 0 or self.t[-1] < self.time:
+            self.t, self.y = np.append(self.t, self.time), np.concatenate([self.y, self.progress.y[None]])
+        clock[INDEX], clock[MARK] = self.t.size, -np.inf
+
+    def resume(self, state: State) -> bool:
+        """Continue from a state: bit for bit if nothing but the run's end has changed.
+
+        What was saved counts while the state is as it was saved; one that was changed by hand, or saved where the arm
+        was driven in another way, counts by its own values alone. Returns whether what was saved counts.
+        """
+        checked_kind(state)
+        n, y, clock, slip = self.chain.length.size, self.progress.y, self.progress.clock, self.progress.slip
+        saved, arm = state.checkpoint, list[float]()
+        if self.setup.torque_driven:  # the arm starts where the state says, or else the set-up
+            arm = [self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle]
+            arm += [self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate]
+        slip[:] = 1.0
+        as_saved = all(np.shape(saved.get(name)) == shape for name, shape in (("y", y.shape), ("clock", (MARK,))))
+        if as_saved:
+            before, now = saved["y"], saved["clock"]
+            numbers = now[T], now[STEP], *before[2 * n :], *before[[0, n]][: len(arm)]
+            as_saved = numbers == (state.t, state.step, state.work, state.dissipated, *arm)
+            parts = zip(self.links, (state.q, state.qd), strict=True)
+            as_saved = as_saved and all(np.array_equal(before[part], value) for part, value in parts)
+        if as_saved and "end" in saved and saved["end"][0] == self.fingerprint():
+            y[:], slip[:], clock[:MARK] = np.split(saved["end"][1:], [y.size, y.size + n])
+        elif as_saved:
+            y[:], clock[:MARK] = saved["y"], saved["clock"]
+            restart(clock)
+        else:
+            check_state(state, self.setup.rope.n_links)
+            y[self.links[0]], y[self.links[1]], y[-2:] = state.q, state.qd, (state.work, state.dissipated)
+            y[[0, n][: len(arm)]] = arm
+            clock[:MARK] = starting_clock(state.t)
+            clock[STEP] = state.step or FIRST_STEP
+        return as_saved
+
+    def state(self, row: int | None = None, *, arm: tuple[float, float] | None = None, end: bool = False) -> State:
+        """Return the state that the run has reached, or that of an output `row`, where a run begins anew.
+
+        `arm` has angle, rad, and rate, rad/s, of a prescribed arm, by default those of the set-up's motion. With `end`
+        it has what a run needs that continues bit for bit.
+        """
+        y, slip, clock = self.progress.y, self.progress.slip, self.progress.clock
+        now, kept = clock[:MARK], {} if row is not None else self.kept()
+        if row is not None:
+            y, now = self.y[row], starting_clock(float(self.t[row]))
+        elif end and clock[MARK] == -np.inf:  # no step was cut: the run is where one ended
+            kept["end"] = np.concatenate([[self.fingerprint()], y, slip, now])
+        elif end:
+            marked = self.progress.mark, self.progress.mark_slip, clock[MARK : 2 * MARK]
+            kept["end"] = np.concatenate([[self.fingerprint()], *marked])
+        if self.setup.torque_driven:
+            arm = float(y[0]), float(y[self.chain.length.size])
+        elif arm is None:
+            motion = base_motion(self.drive, float(now[T]))
+            arm = float(motion[4]), float(motion[3])
+        q, qd = (y[part].copy() for part in self.links)
+        q.setflags(write=False)
+        qd.setflags(write=False)
+        return State(
+            t=float(now[T]),
+            q=q,
+            qd=qd,
+            step=float(now[STEP]),
+            work=float(y[-2]),
+            dissipated=float(y[-1]),
+            checkpoint={"y": y.copy(), "clock": now.copy(), **kept},
+            arm_angle=arm[0],
+            arm_rate=arm[1],
+            **self.shown(row),
+        )
+
+    def kept(self) -> dict[str, Any]:
+        """Return what else a run that continues needs, by name; nothing in free flight."""
+        return {}
+
+    def shown(self, row: int | None) -> dict[str, Any]:
+        """Return what a State has of pegs that turn, by name, at an output `row` or at the time reached."""
+        return {}
+
+    def fingerprint(self) -> float:
+        """Return a fingerprint of what is integrated and how; equal for runs that can be resumed from each other."""
+        digest = hashlib.sha256()
+        for part in (*self.chain, *self.drive, self.limits.tol, self.limits.fixed, self.setup.torque_driven):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        return float(struct.unpack("<Q", digest.digest()[:8])[0] >> 11)  # 53 bits: exact as a float
+
+
+def status_of(code: int) -> Status:
+    """Return the status of a result for the status code of the kernels."""
+    return Status.SUCCESS if code in (status.OK, status.REACHED, status.LEFT) else Status(status.NAMES[code])
+
+
+def checked_kind(state: object) -> State:
+    """Return a State; refuse what is none."""
+    if not isinstance(state, State):
+        raise InvalidInput("state is not a State", got=state, allowed="what a run, start() or step() returned")
+    return state
+
+
+def check_state(given: object, n: int) -> None:
+    """Refuse a state that no run of a rope of n links can begin with."""
+    state = checked_kind(given)
+    checks.array("state q", state.q, (n,), unit="rad")
+    checks.array("state qd", state.qd, (n,), unit="rad/s")
+    checks.number("state step", state.step, sign="nonnegative", unit="s")
+    for name, unit in (("t", "s"), ("work", "J"), ("dissipated", "J"), ("arm_angle", "rad"), ("arm_rate", "rad/s")):
+        if (value := getattr(state, name)) is not None:
+            checks.number(f"state {name}", value, unit=unit)
 
 
 def starting_clock(t: float) -> Array:
@@ -229,56 +390,17 @@ def link_accelerations(chain: Chain, drive: Drive, t: float, q: Array, qd: Array
     return alphas
 
 
+def base_motion(drive: Drive, t: float) -> Array:
+    """Return the motion (9,) of the chain's first joint at time t, s, as ``drive.base_state`` orders it."""
+    base = np.empty(9)
+    motion_at(drive, t, base)
+    return base
+
+
 def lever(chain: Chain) -> Array:
     """Return the lever of each link's mass (n,), m: the larger of its length and its radius of gyration."""
     gyration = np.sqrt(chain.inertia / np.maximum(chain.mass, 1e-300) + chain.com**2)
     return np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
-
-
-def rollout_limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
-    """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
-    budget = max(1, budget * SHORT // max(SHORT, chain.length.size))
-    weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
-    scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
-    least = DRY_ORDER if sticks_often(chain) else LEAST_ORDER
-    bounds = Limits(stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, least, MOST_ORDER, budget, until)
-    if setup.step is None:
-        return bounds
-    longest = runge_kutta_limit(chain)
-    if setup.step > longest:
-        raise InvalidInput(
-            "step is beyond the stability limit of rk4, where results look smooth and are wrong",
-            got=setup.step,
-            allowed=f"at most {longest:.3e} s for this rope",
-            fix="Take a smaller step, or method='extrapolation', which has no such limit",
-        )
-    return bounds
-
-
-def end_at_event(run: Rollout) -> None:
-    """Make the instant at which an event ended a run its last output, and the place from which it goes on."""
-    done, clock = run.done, run.progress.clock
-    if done == 0 or run.t[done - 1] < run.time:
-        run.t = np.append(run.t[:done], run.time)
-        run.y = np.concatenate([run.y[:done], run.progress.y[None]])
-    else:
-        run.t, run.y = run.t[:done], run.y[:done]
-    clock[INDEX], clock[MARK] = run.t.size, -np.inf
-
-
-def finish_rollout(run: Rollout, watch: Callable[[float], None] | None = None, most: float = np.inf) -> int:
-    """Run to the end and return the status code; `watch` is called with the time reached, s, between its budgets.
-
-    After `most` budgets of steps the code is RUNNING.
-    """
-    code, budgets = status.RUNNING, 0
-    run.progress.clock[MARK] = -np.inf
-    while code == status.RUNNING and budgets < most:
-        code, budgets = run.advance(), budgets + 1
-        raise_if_cancelled()
-        if watch is not None and code == status.RUNNING:
-            watch(run.time)
-    return code
 
 
 class Interval:
@@ -299,6 +421,11 @@ class Interval:
         self._coef[0, channel] = powers
 
 
+# A run is refused when its energy balance is off by more than this part of the energy that went through it. Of a rope
+# that hardly moves it is compared with a fall by the second part of its length.
+ENERGY_ALLOWANCE, LEAST_FALL = 0.02, 0.01
+
+
 def stored(chain: Chain, q: Array) -> Array:
     """Return the energy (..., T) that links (..., T, n) store above hanging straight, and bent joints, J.
 
@@ -311,18 +438,12 @@ def stored(chain: Chain, q: Array) -> Array:
     return np.asarray(raised + bent.sum(axis=-1))
 
 
-def least_scale(rope: Rope) -> float:
-    """Return the energy, J, that a rope that hardly moves is compared with: a fall by a hundredth of its length."""
-    return 0.01 * rope.total_mass * rope.total_length * float(np.hypot(*rope.gravity))
-
-
-def balanced(floor: Array, energies: Array, held: Callable[[int], Array]) -> npt.NDArray[np.int64]:
+def balanced(setups: Sequence[Setup], energies: Array, held: Callable[[int], Array]) -> npt.NDArray[np.int64]:
     """Return the number of leading samples (M,) of each member whose energy balance holds.
 
     Parameters
     ----------
-    floor : (M, 1) float64
-        Scale of a run in which hardly anything happens, J (:func:`least_scale`).
+    setups : sequence of M Setup
     energies : (4, M, T) float64
         Kinetic and potential energy, work and dissipation, J; the balance is drawn against the first sample.
     held : callable
@@ -330,6 +451,8 @@ def balanced(floor: Array, energies: Array, held: Callable[[int], Array]) -> npt
         it counts for the scale. It is computed where the balance does not hold without.
     """
     kinetic, _, work, dissipated = energies
+    ropes = [setup.rope for setup in setups]
+    floor = LEAST_FALL * np.array([[each.total_mass * each.total_length * np.hypot(*each.gravity)] for each in ropes])
     gained = energies - energies[..., :1]
     change = gained[0] + gained[1]
     error = np.abs(change - gained[2] + gained[3])

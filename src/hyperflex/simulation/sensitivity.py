@@ -1,9 +1,10 @@
-"""Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
+"""Exact derivatives of rollouts by the start, the rope, the arm and the motion; and how small errors grow."""
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -15,7 +16,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick, mass_matrix
 from hyperflex.core.chain.drive import TORQUE, Drive, segment
-from hyperflex.core.integrate.rollout import JOINT, MODES, REJECTED, STEP, TAKEN, Limits
+from hyperflex.core.integrate.rollout import JOINT, MODES, STEP
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.read_only import read_only
 from hyperflex.core.tangent import forward_sensitivity as core
@@ -25,16 +26,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interruption import OutOfTime, interruptible
 from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields
 from hyperflex.motion import Motion, motion_derivatives, motion_parameters
-from hyperflex.simulation.rollouts import (
-    TABLES,
-    Rollout,
-    Watch,
-    finish_rollout,
-    out_of_time,
-    prepare_rollout,
-    rollout_limits,
-)
-from hyperflex.simulation.runs import output_times, refuse_failure, refuse_unbalanced, setup_of
+from hyperflex.simulation.rollouts import TABLES, Rollout, Watch, out_of_time, rollout_limits
+from hyperflex.simulation.runs import observed, output_times, setup_of
 
 DIFFERENTIABLE = tuple(each.name for each in LINK_PROPERTIES if each.form)
 STATE_NAMES = ("q0", "qd0")
@@ -64,12 +57,10 @@ class ParameterDirections:
 
     def start(self, n: int) -> Array:
         """Derivatives of the start, angles above rates: (2 n, p), p even."""
-        result = np.zeros((2 * n, self.width))
+        result = np.zeros((self.width, 2, n))
         for p, part in enumerate(self.parts):
-            for row, name in enumerate(STATE_NAMES):
-                if name in part:
-                    result[row * n : (row + 1) * n, p] = part[name]
-        return result
+            result[p] = [part.get(name, np.zeros(n)) for name in STATE_NAMES]
+        return result.reshape(-1, 2 * n).T.copy()
 
     @property
     def width(self) -> int:
@@ -103,9 +94,8 @@ class ParameterDirections:
             if part.keys() & {"breaks", "coef", "arm_length"}:
                 driven[p] = len(rows)
                 rows.append(part)
-        if (
-            can_stick(chain) and drive.coef[..., 1:].any()
-        ):  # events move in every direction, and then the base with them
+        # where joints may stick, events move in every direction, and then the base with them
+        if can_stick(chain) and drive.coef[..., 1:].any():
             driven[driven < 0] = len(rows)
             rows.append({})
         breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))
@@ -171,43 +161,44 @@ def _with_arm(part: ParameterChange, n: int) -> ParameterChange:
     return joined
 
 
+def _singles(setup: Setup) -> dict[str, str]:
+    """Return the names of single numbers that derivatives can be with respect to, and what a direction calls them."""
+    arm = {} if setup.arm is None else {"arm.length": "arm_length"}
+    return {"tip_mass": "tip_mass", **arm, **({name: name for name in ARM_NAMES} if setup.torque_driven else {})}
+
+
+def _drives(setup: Setup) -> dict[str, Motion]:
+    """Return what drives the arm or the pivot, by the prefix of the names of its parameters."""
+    return {name: each for name, each in (("motion", setup.motion), ("torque", setup.torque)) if each is not None}
+
+
 def _allowed(setup: Setup) -> str:
-    links = ", ".join((*STATE_NAMES, *DIFFERENTIABLE))
-    moving = ", ".join(f"motion.{name}" for name in motion_parameters(setup.motion)[:8]) if setup.motion else ""
-    if setup.torque is not None:
-        moving = ", ".join(f"torque.{name}" for name in motion_parameters(setup.torque)[:8])
-    arm = ", arm.length" if setup.arm is not None else ""
-    if setup.torque_driven:
-        arm = "".join(f", {name}" for name in ARM_NAMES)
+    names = [*_singles(setup), "gravity[0]", "gravity[1]"]
+    names += [f"{prefix}.{name}" for prefix, each in _drives(setup).items() for name in motion_parameters(each)[:8]]
     return (
-        f"{links} (of all links as one, name[3] of one, name[:] of each; q0 and qd0 are always of each), tip_mass, "
-        f"gravity[0], gravity[1]{arm}{moving and ', ' + moving}, or a mapping {{name: {{property: change}}}}"
+        f"{', '.join((*STATE_NAMES, *DIFFERENTIABLE))} (of all links as one, name[3] of one, name[:] of each; q0 and "
+        f"qd0 are always of each), {', '.join(names)}, or a mapping {{name: {{property: change}}}}"
     )
 
 
 def _by_name(setup: Setup, name: str) -> dict[str, ParameterChange]:
-    n = setup.rope.n_links
+    n, singles, drives = setup.rope.n_links, _singles(setup), _drives(setup)
     match = re.fullmatch(r"([a-z_0-9]+)(?:\[(\d+|:)\])?", name)
     base, index = match.groups() if match else (name, None)
-    if base in DIFFERENTIABLE or base in STATE_NAMES:
-        if index is None and base in DIFFERENTIABLE:
-            return {name: {base: np.ones(n)}}
-        if index is None or index == ":":
-            return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
-        if int(index) < n:
-            return {name: {base: np.eye(n)[int(index)]}}
-    if name == "tip_mass":
-        return {name: {"tip_mass": np.ones(1)}}
+    prefix, _, parameter = name.partition(".")
+    if name in singles:
+        return {name: {singles[name]: np.ones(1)}}
     if base == "gravity" and index in ("0", "1"):
         return {name: _gravity(setup, np.eye(2)[int(index)])}
-    if name in ARM_NAMES and setup.torque_driven:
-        return {name: {name: np.ones(1)}}
-    if name == "arm.length" and setup.arm is not None:
-        return {name: {"arm_length": np.ones(1)}}
-    for prefix, source in (("motion.", setup.motion), ("torque.", setup.torque)):
-        if name.startswith(prefix) and source is not None:
-            breaks, coef = motion_derivatives(source, name.removeprefix(prefix))
-            return {name: {"breaks": breaks, "coef": coef}}
+    if prefix in drives and parameter:
+        breaks, coef = motion_derivatives(drives[prefix], parameter)
+        return {name: {"breaks": breaks, "coef": coef}}
+    if base in DIFFERENTIABLE and index is None:
+        return {name: {base: np.ones(n)}}
+    if base in (*STATE_NAMES, *DIFFERENTIABLE) and index in (None, ":"):
+        return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
+    if base in (*STATE_NAMES, *DIFFERENTIABLE) and int(index) < n:
+        return {name: {base: np.eye(n)[int(index)]}}
     raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
 
 
@@ -227,8 +218,7 @@ def _own(setup: Setup, name: str, given: Mapping[str, ArrayLike]) -> ParameterCh
     shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
     if setup.torque_driven:
         shapes |= dict.fromkeys(ARM_NAMES, (1,))
-    source = setup.motion or setup.torque
-    if source is not None:
+    for source in _drives(setup).values():
         shapes |= {"breaks": source.breaks.shape, "coef": source.coef.shape}
     if not isinstance(given, Mapping) or not given or set(given) - set(shapes):
         got = sorted(given) if isinstance(given, Mapping) else given
@@ -298,9 +288,7 @@ class Sensitivities:
     @property
     def dataset(self) -> "xr.Dataset":
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
-        extras.require(("xarray",), "xarray", "Datasets")
-        import xarray as xr
-
+        xr = extras.load("xarray", "xarray", "Datasets")
         shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
         variables: dict[str, Any] = {}
         for name, shape in shapes.items():
@@ -309,12 +297,9 @@ class Sensitivities:
                 about = {"long_name": f"derivative of {name}", "units": f"{unit} per unit"}
                 variables[name] = (("time", *shape), getattr(self, name), {"units": unit})
                 variables[f"d{name}"] = (("time", *shape, "parameter"), getattr(self, f"d{name}"), about)
-        coords = {
-            "time": ("time", self.t, {"units": "s"}),
-            "axis": ("axis", np.array(["x", "y"])),
-            "parameter": ("parameter", np.array(self.names)),
-        }
-        return xr.Dataset(variables, coords, attrs={"source": "simulated"})
+        variables |= {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
+        variables["parameter"] = ("parameter", np.array(self.names))
+        return xr.Dataset(variables, attrs={"source": "simulated"})
 
 
 @interruptible()
@@ -393,9 +378,10 @@ def sensitivities(
     )
     watch = Watch(time_budget, (0.0, full.duration))
     times = np.append([] if t[0] == 0.0 else 0.0, t)
-    bounds = rollout_limits(full, chain, full.duration)
-    run = record_steps(chain, drive, full.start(), bounds, times, watch=watch)
-    refuse_unbalanced(run, full)
+    parts: dict[str, Any] = {"chain": chain, "drive": drive, "limits": rollout_limits(full, chain, full.duration)}
+    run = record_steps(chain, lambda log: Rollout(full, times, log=log, **parts), watch)
+    if (unbalanced := observed(run)[2]) is not None:
+        raise unbalanced
     _, dy = forward_derivatives(run, directions, full.start(), times)
     return _labelled(full, chain, directions, t, run.y[-t.size :], dy[-t.size :])
 
@@ -469,46 +455,37 @@ class AngleJacobian:
             begin[:, first:used] = changes.T
             links, whole, parameters, driven, *rest = seeds
             seeds = Directions(links[:pairs], whole[: 2 * pairs], parameters[:pairs], driven[: 2 * pairs], *rest)
-        bounds = self._limits._replace(stop=float(t[-1]))
-        run = record_steps(self.chain, self.drive, (q0, qd0), bounds, t, first_step)
+        parts: dict[str, Any] = {"chain": self.chain, "drive": self.drive}
+        parts["limits"] = self._limits._replace(stop=float(t[-1]))
+
+        def begin_run(log: Array) -> Rollout:
+            run = Rollout(self.setup, t, (q0, qd0), log=log, **parts)
+            run.progress.clock[STEP] = first_step
+            return run
+
+        run = record_steps(self.chain, begin_run)
         _, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, seeds, begin)
         y = run.y
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :used], dy[:, n:, :used]
 
 
-def record_steps(
-    chain: Chain,
-    drive: Drive,
-    start: tuple[Array, Array],
-    bounds: Limits,
-    t: Array,
-    first_step: float = FIRST_STEP,
-    watch: Watch | None = None,
-) -> Rollout:
-    """Run from t[0] to the end and record every step; outputs are at t (T,), s.
+def record_steps(chain: Chain, begin: Callable[[Array], Rollout], watch: Watch | None = None) -> Rollout:
+    """Return a run that has come to its end, with a log of every step; `watch` may end it before.
 
-    `first_step`, s, is tried first; `watch` may end the run.
+    `begin` makes the run of the chain, with a log to fill; it is called again if that was too short.
     """
-    count, width = STEPS, log_width(chain)
+    count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
         memory.check(8.0 * count * width, f"a run of {count} steps", "Make it shorter, or loosen tol")
-        run = prepare_rollout(chain, drive, start, t, bounds, log=np.empty((count, width)))
-        run.progress.clock[STEP] = first_step
+        run = begin(np.empty((count, width)))
         try:
-            code = finish_rollout(run, watch or Watch(None, (float(t[0]), bounds.stop)))
+            run.complete(watch or Watch(None, (run.time, run.limits.stop)))
         except OutOfTime as cause:
             raise out_of_time(run.time, cause) from None
-        refuse_failure(code, run)
-        steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
-        if steps <= count:
-            run.progress = run.progress._replace(log=run.progress.log[:steps])
+        if run.steps <= count:
+            run.progress = run.progress._replace(log=run.progress.log[: run.steps])
             return run
-        count = steps
-
-
-def log_width(chain: Chain) -> int:
-    """Return the numbers that a run notes of each step."""
-    return MODES + chain.length.size if can_stick(chain) else JOINT
+        count = run.steps
 
 
 def forward_derivatives(
@@ -608,3 +585,161 @@ def stiction_projection(
     result = start.copy()
     result[n:] -= impulse @ np.linalg.solve(turn[stuck] @ impulse, slip)
     return result
+
+
+MOST_NUDGES = 1000
+FINE = 1e-9  # of the rope's length: the tolerance of the run
+LEAST = 1e-30  # factor by which a nudge shrinks at most between two times: of less nothing would be left
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Predictability:
+    """Growth of small errors along a run; made by :func:`predictability`.
+
+    The size of an error is the largest displacement of a joint or, if larger, the largest change of a joint's velocity
+    times the swing time sqrt(length / g), at most 1 s. An error that only oscillates therefore keeps its size.
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Times, s.
+    size : (m, T) float64
+        Size of each perturbation relative to its initial size; 1 at t[0].
+    displacement : (m, T) float64
+        Largest displacement of a joint, in the same unit: at most `size`.
+    tol : float
+        Tolerance of the set-up, m.
+    """
+
+    t: Array
+    size: Array
+    displacement: Array
+    tol: float
+
+    def __repr__(self) -> str:
+        worst = f"an error grows up to {float(self.growth.max()):.3g}-fold"
+        return f"<Predictability over {self.t[0]:g} to {self.t[-1]:g} s, {len(self.size)} nudges: {worst}>"
+
+    @property
+    def growth(self) -> Array:
+        """Displacement of the worst joint by the worst nudge, in units of the nudge at the start (T,)."""
+        return np.asarray(self.displacement.max(axis=0), dtype=np.float64)
+
+    @property
+    def amplification(self) -> Array:
+        """By how much the worst error made at any earlier time has grown, at least 1 (T,)."""
+        since = self.displacement / np.minimum.accumulate(self.size, axis=1)
+        return np.asarray(np.maximum(1.0, since.max(axis=0)), dtype=np.float64)
+
+    def exponent(self, begin: float | None = None, end: float | None = None) -> float:
+        """Return the largest finite-time Lyapunov exponent between two times, 1/s; by default of the whole run.
+
+        If it is positive, errors grow by e in each 1/exponent seconds. Over a short time it includes the transient in
+        which the perturbations turn into the direction of fastest growth: exclude the beginning if that matters.
+        `begin` and `end`, s, are rounded to the nearest of `t`; InvalidInput if there is no time between them.
+        """
+        first, last = (
+            int(np.argmin(np.abs(self.t - (default if at is None else checks.number(name, at, unit="s")))))
+            for name, at, default in (("begin", begin, self.t[0]), ("end", end, self.t[-1]))
+        )
+        if first >= last:
+            raise InvalidInput("no time lies between begin and end", got=[begin, end], allowed="begin < end, in s")
+        ratios = self.size[:, last] / self.size[:, first]
+        return float(np.log(ratios.max()) / (self.t[last] - self.t[first]))
+
+    def horizon(self, allowed: float) -> float:
+        """Return the time, s, up to which an error of `tol`, made anywhere on the way, stays below `allowed`, m.
+
+        `allowed` is the largest displacement of any joint that still means something. Infinite if the error stays below
+        it for the whole run; 0.0 if it is less than `tol`; InvalidInput if it is not a number > 0.
+        """
+        limit = checks.number("allowed", allowed, sign="positive", unit="m") / self.tol
+        if limit < 1.0:
+            return 0.0
+        grown = self.amplification
+        if not (grown > limit).any():
+            return math.inf
+        late = int(np.argmax(grown > limit))
+        before, after = np.log(grown[late - 1 : late + 1])  # between two times errors grow by powers
+        part = (math.log(limit) - before) / (after - before)
+        return float(self.t[late - 1] + part * (self.t[late] - self.t[late - 1]))
+
+
+@interruptible()
+def predictability(
+    rope: Rope | Setup,
+    motion: Motion | None = None,
+    *,
+    nudges: int = 3,
+    seed: int = 0,
+    sample_time: float = 0.05,
+    **setup: Unpack[SetupFields],
+) -> Predictability:
+    """Measure the growth of small errors along a run, and thereby the time for which it is predictable.
+
+    Parameters
+    ----------
+    rope, motion, **setup
+        As in :func:`hyperflex.simulate`. `tol` is the initial error, m, of :meth:`Predictability.horizon`.
+    nudges : int
+        Number of perturbations, random changes of all angles and rates.
+    seed : int
+        For the nudges.
+    sample_time : float
+        Time between two renormalisations, s, and between the times of the result.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+    SimulationError
+        If the run fails.
+
+    Notes
+    -----
+    The tolerance of the run is 1e-9 of the rope's length. The perturbations are infinitesimal: exact derivatives of the
+    computed run, as of :func:`hyperflex.sensitivities`. Every `sample_time` each is rescaled to its initial size in its
+    current direction (Benettin et al. 1980, doi:10.1007/BF02128236). This is an estimate: a few perturbations may miss
+    a short growth. The run is in free flight: obstacles are refused.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> rods = hf.Rope(length=[0.5, 0.5], mass=[0.1, 0.1])
+    >>> growth = hf.predictability(rods, duration=4.0, q0=[3.0, 2.5], tol=1e-6)
+    >>> bool(growth.exponent() > 1.0), bool(growth.horizon(1e-3) < 4.0)
+    (True, True)
+    """
+    full, _ = setup_of(rope, {**setup, "motion": motion})
+    count = checks.count("nudges", nudges, most=MOST_NUDGES)
+    rng = np.random.default_rng(checks.count("seed", seed, least=0))
+    spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
+    fine = replace(full, tol=FINE * full.rope.total_length, method="extrapolation", step=None)
+    run = AngleJacobian(fine, most=count)
+    t = np.linspace(0.0, full.duration, max(2, math.ceil(full.duration / spacing - 1e-9) + 1))
+    (q, qd), changes = full.start(), _first_nudges(full, count, rng)
+    size, displacement = np.ones((count, t.size)), np.ones((count, t.size))
+    for k in range(1, t.size):
+        (*_, q), (*_, qd), dq, dqd = run(t[k - 1 : k + 1], q, qd, changes=changes.reshape(count, 2 * q.size))
+        changes = np.stack([dq[-1].T, dqd[-1].T], axis=1)
+        moved, hastened = _displaced(full, q, changes).T
+        grown = np.maximum(np.maximum(moved, hastened), LEAST)
+        displacement[:, k], size[:, k] = size[:, k - 1] * moved, size[:, k - 1] * grown
+        changes /= grown[:, None, None]
+    return Predictability(t, size, displacement, full.tol)
+
+
+def _displaced(setup: Setup, q: Array, changes: Array) -> Array:
+    """Displacement of the worst joint (..., 2), m, by small changes (..., 2, n) of angles, and of rates in a swing."""
+    reach = setup.rope.total_length
+    swing_time = math.sqrt(reach / max(math.hypot(*setup.rope.gravity), reach))
+    across = setup.chain().length[:, None] * np.stack([np.cos(q), np.sin(q)], axis=1)
+    places = np.cumsum(changes[..., None] * across, axis=-2)
+    return np.asarray(np.linalg.norm(places, axis=-1).max(axis=-1) * [1.0, swing_time])
+
+
+def _first_nudges(setup: Setup, count: int, rng: np.random.Generator) -> Array:
+    """Random changes (count, 2, n) of all angles and rates, each of the size 1."""
+    q = setup.start()[0]
+    changes = rng.normal(0.0, 1.0, (count, 2, q.size))
+    return np.asarray(changes / _displaced(setup, q, changes)[..., None])

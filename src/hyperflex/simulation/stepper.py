@@ -9,22 +9,21 @@ from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import Chain, can_stick
-from hyperflex.core.chain.drive import ANGLE, TORQUE, Drive, base_state, segment
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import ANGLE, TORQUE, Drive, segment
 from hyperflex.core.chain.lanes import COLUMNS, set_slip
 from hyperflex.core.contact.run import clearance
-from hyperflex.core.integrate.rollout import MARK, REJECTED, TAKEN
-from hyperflex.core.stiction import find_modes, new_stiction_workspace
+from hyperflex.core.integrate.observation import senses
+from hyperflex.core.integrate.rollout import MARK
 from hyperflex.core.tangent.forward_sensitivity import Directions, acceleration_derivatives, new_tangent_workspace
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Rope, Setup, SetupFields
-from hyperflex.motion import hold_arm, torque_profile
-from hyperflex.simulation.contact import STEP as CONTACT_STEP
-from hyperflex.simulation.contact import ContactRun, check_start
-from hyperflex.simulation.rollouts import Interval, finish_rollout, link_accelerations, prepare_rollout, rollout_limits
-from hyperflex.simulation.runs import check_state, refuse_failure, resume, setup_of, state_of
-from hyperflex.simulation.sensitivity import ParameterDirections, check_smooth, forward_derivatives, log_width
+from hyperflex.motion import torque_profile
+from hyperflex.simulation.contact import ContactRollout
+from hyperflex.simulation.rollouts import Interval, Rollout, check_state, link_accelerations
+from hyperflex.simulation.runs import setup_of
+from hyperflex.simulation.sensitivity import ParameterDirections, check_smooth, forward_derivatives, record_steps
 from hyperflex.trajectory import State
 
 COMMANDS = {"acceleration": ANGLE, "angle": ANGLE, "torque": TORQUE}  # and the channel of the motion that each sets
@@ -110,24 +109,17 @@ def commanded_accelerations(command: str, setup: Setup, q: Array, qd: Array, u: 
     chain, interval, powers = setup.chain(), Interval(setup.drive()), arm_polynomials(command, 1.0)[0]
     interval.set(0.0, 1.0, COMMANDS[command], np.array([q[0], qd[0], u]) @ powers)
     drive, n, size = interval.drive, chain.length.size, 2 * q.size + 1
-    angles, rates = q[-n:].copy(), qd[-n:].copy()
+    y, part = np.concatenate([q[-n:], qd[-n:]]), segment(drive, 0.0)
     varied, seeds = command_directions(command, chain, drive)
     set_commands(command, seeds, powers)
-    base, slip, part = np.empty(9), np.ones(n), segment(drive, 0.0)
-    torque = base_state(drive, part, 0.0, base)
-    if can_stick(chain):
-        find_modes(chain, angles, rates, base, torque, 1.0, slip, new_stiction_workspace(n))
     workspace = new_tangent_workspace(chain, seeds.parameters.size)
-    set_slip(COLUMNS, workspace.lanes, slip)
-    workspace.ys[:, :n], workspace.ys[:, n : 2 * n], workspace.nodes[:] = angles, rates, varied.start(n)
+    set_slip(COLUMNS, workspace.lanes, senses(chain, drive, np.zeros(1), y[None])[0])
+    workspace.ys[:, : 2 * n], workspace.nodes[:] = y, varied.start(n)
     acceleration_derivatives(chain, drive, part, 0.0, 0.0, seeds, workspace)
     accelerations, slopes = np.full(q.size, u), np.eye(1, size, size - 1).repeat(q.size, axis=0)  # those of the arm
-    accelerations[-n:] = link_accelerations(chain, drive, 0.0, angles, rates)
+    accelerations[-n:] = link_accelerations(chain, drive, 0.0, y[:n], y[n:])
     slopes[-n:] = workspace.bends[0][:, :size]
     return accelerations, slopes
-
-
-STEPS = 64  # noted at first for a derivative; an interval with more of them is run again with room for all
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,12 +197,9 @@ class Stepper:
         self.command = checks.choice("command", command, tuple(COMMANDS))
         full, _ = setup_of(rope, {"duration": 1.0, **setup} if isinstance(rope, Rope) else setup, refine=refine)
         self.setup = setup_for(command, full)
-        chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
-        bounds = rollout_limits(self.setup, chain, 0.0)
-        run = prepare_rollout(chain, self._interval.drive, self.setup.start(), np.zeros(1), bounds)
+        self._interval, kind = Interval(self.setup.drive()), ContactRollout if self.setup.touches else Rollout
+        self._run = run = kind(self.setup, np.zeros(1), drive=self._interval.drive)
         run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
-        self._run, self._log = run, np.empty((STEPS, log_width(chain)))
-        self._contact_run = ContactRun(run, self.setup, None) if self.setup.touches else None
         self._directions: tuple[ParameterDirections, Directions] | None = None
 
     def start(
@@ -257,8 +246,8 @@ class Stepper:
             If the interval cannot be simulated within `tol`.
         """
         arm = self._begin(state, command, dt)
-        self._finish()
-        return self._state(arm)
+        self._run.complete()
+        return self._run.state(arm=arm)
 
     @interruptible()
     def linearize(self, state: State, command: float, dt: float) -> Linearization:
@@ -282,20 +271,18 @@ class Stepper:
         varied, seeds = self._directions
         powers, ends = arm_polynomials(self.command, dt)
         set_commands(self.command, seeds, powers)
-        plain = run.progress
+        plain, start, arm = run.progress, np.empty(2 * n), [0.0, 0.0]
+
+        def begin(log: Array) -> Rollout:
+            run.progress = plain._replace(log=log)
+            arm[:] = self._begin(state, command, dt)
+            start[:] = plain.y[: 2 * n]
+            return run
+
         try:
-            while True:
-                run.progress = plain._replace(log=self._log)
-                arm = self._begin(state, command, dt)
-                start = plain.y[:n].copy(), plain.y[n : 2 * n].copy()
-                self._finish()
-                count = int(plain.clock[TAKEN] - plain.clock[REJECTED])
-                if count <= len(self._log):
-                    break
-                self._log = np.empty((2 * count, self._log.shape[1]))
-            run.progress = plain._replace(log=self._log[:count])
+            record_steps(run.chain, begin)
             times = np.array([run.drive.breaks[0], run.time])
-            moved = forward_derivatives(run, varied, start, times, seeds)[1][1]
+            moved = forward_derivatives(run, varied, (start[:n], start[n:]), times, seeds)[1][1]
         finally:
             run.progress = plain
         if self.command != "torque":  # the arm is no link of the chain: what it does follows from the command alone
@@ -303,7 +290,7 @@ class Stepper:
             rows[:, [0, n + 1, 2 * n + 2]] = ends.T
             moved = np.concatenate([rows[:1], moved[:n], rows[1:], moved[n:]])
         size = len(moved)
-        return Linearization(self._state(arm), moved[:, :size].copy(), moved[:, size : size + 1].copy())
+        return Linearization(run.state(arm=(arm[0], arm[1])), moved[:, :size].copy(), moved[:, size : size + 1].copy())
 
     def tip(self, state: State) -> tuple[Array, Array]:
         """Return place (2,), m, and velocity (2,), m/s, of the tip in a `state`."""
@@ -319,11 +306,11 @@ class Stepper:
         InvalidInput
             Of a stepper without obstacles.
         """
-        if self._contact_run is None or not self.setup.pegs:
+        run = self._run
+        if not isinstance(run, ContactRollout) or not self.setup.pegs:
             raise InvalidInput("there is nothing to touch", fix="Make the stepper with pegs=[...]")
         self._enter(state, 0.0, 1.0)
-        run = self._run
-        return float(clearance(run.chain, run.drive, self._contact_run.contacts, run.time, run.progress.y, np.inf)[0])
+        return float(clearance(run.chain, run.drive, run.contacts, run.time, run.progress.y, np.inf)[0])
 
     def _arm_of(self, state: State) -> tuple[float, float]:
         """Return angle and rate of the arm in a state."""
@@ -331,34 +318,23 @@ class Stepper:
         rate = self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
         return checks.number("state arm_angle", angle, unit="rad"), checks.number("state arm_rate", rate, unit="rad/s")
 
-    def _state(self, arm: tuple[float, float]) -> State:
-        run = self._run
-        return state_of(run, self.setup, run.progress.y, run.progress.clock[:MARK], run.spin, arm, **run.kept)
-
     def _begin(self, state: State, command: float, dt: float) -> tuple[float, float]:
         """Set the run to a state and a command; returns angle and rate of a prescribed arm at the end."""
         u, span = checks.number("command", command), checks.number("dt", dt, sign="positive", unit="s")
         as_saved, known = self._enter(state, u, span)
         run = self._run
         run.limits = run.limits._replace(stop=run.time + span)
-        if self._contact_run is not None:
-            if not as_saved or CONTACT_STEP not in state.checkpoint:
-                still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(known[0]))
-                check_start(still, run.time, run.progress.y[: run.chain.length.size])
-            self._contact_run.enter(state)
+        if isinstance(run, ContactRollout) and not as_saved:
+            run.check_start()
         angle, rate = (known @ arm_polynomials(self.command, span)[1]).tolist()
         return angle, rate
 
     def _enter(self, state: State, command: float, span: float) -> tuple[bool, Array]:
         """Set the run to a state and the arm's motion; returns whether it is as saved, and (angle, rate, command)."""
         run = self._run
-        as_saved = resume(run, state, self.setup)
+        as_saved = run.resume(state)
         run.progress.clock[MARK:] = 0.0
         known = np.array([*self._arm_of(state), command])
         powers, _ = arm_polynomials(self.command, span)
         self._interval.set(run.time, run.time + span, COMMANDS[self.command], known @ powers)
         return as_saved, known
-
-    def _finish(self) -> None:
-        code = finish_rollout(self._run) if self._contact_run is None else self._contact_run.finish()
-        refuse_failure(code, self._run)
