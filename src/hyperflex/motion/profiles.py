@@ -87,7 +87,7 @@ def move_arm(start: float, end: float, duration: float, profile: Profile = "bang
     checks.meant("arm angle", [start, end], "rad")
     checks.meant("duration", duration, "s")
     profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
-    given = {"start": start, "end": end, "duration": duration, "profile": profile, "ramp": _ramp(ramp)}
+    given: dict[str, Any] = {"start": start, "end": end, "duration": duration, "profile": profile, "ramp": _ramp(ramp)}
     return motion_of_pieces(*move_pieces(**given), {"kind": "move", **given})
 
 

@@ -195,10 +195,11 @@ def _by_name(setup: Setup, name: str) -> dict[str, ParameterChange]:
         return {name: {"breaks": breaks, "coef": coef}}
     if base in DIFFERENTIABLE and index is None:
         return {name: {base: np.ones(n)}}
-    if base in (*STATE_NAMES, *DIFFERENTIABLE) and index in (None, ":"):
-        return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
-    if base in (*STATE_NAMES, *DIFFERENTIABLE) and int(index) < n:
-        return {name: {base: np.eye(n)[int(index)]}}
+    if base in (*STATE_NAMES, *DIFFERENTIABLE):
+        if index is None or index == ":":
+            return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
+        if int(index) < n:
+            return {name: {base: np.eye(n)[int(index)]}}
     raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
 
 
