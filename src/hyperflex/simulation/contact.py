@@ -141,7 +141,7 @@ class ContactRollout(Rollout):
         memory, torque = new_contact_memory(n, m), np.zeros((len(WINDOWS), COLUMNS))
         self.contact = at.ContactState(self.progress.y, np.zeros(at.CLOCK), np.zeros((2, m)), memory, torque)
         self.turning, self.round = np.flatnonzero(np.isfinite(self.contacts.inertia)), round_places(setup.pegs)
-        self.flights, self.flown, self.clear = 0, 0.0, CLEAR
+        self.flights, self.flown, self.flying, self.clear = 0, 0.0, False, CLEAR
         self._begin(None)
 
     def check_start(self) -> None:
@@ -191,15 +191,13 @@ class ContactRollout(Rollout):
         if gap < self.clear or left <= SLACK:
             return status.LEFT
         self._lock()
-        arrays = y, clock, self.contact.spin, *self.contact.memory
-        before, begin, span = [each.copy() for each in arrays], self.time, gap / bound
-        for memory in self.contact.memory:
-            memory[:] = 0
+        before, begin, span = (y.copy(), clock.copy(), self.contact.spin.copy()), self.time, gap / bound
         self.limits = self.limits._replace(stop=min(begin + span, stop))
-        code = status.RUNNING
+        code, self.flying = status.RUNNING, True
         while code == status.RUNNING:
             code = self._coast()
             raise_if_cancelled()
+        self.flying = False
         self.limits = self.limits._replace(stop=stop)
         clock[MARK] = -np.inf  # the run continues from where it is
         if code not in (status.OK, status.LIMIT):
@@ -207,10 +205,11 @@ class ContactRollout(Rollout):
         gap, speed, _ = at.clearance(self.chain, self.drive, self.contacts, self.time, y, 0.0)
         if np.isfinite(span) and (speed > bound or gap <= 0.0):
             with deferred():
-                for array, value in zip(arrays, before, strict=True):
-                    array[:] = value
+                y[:], clock[:], self.contact.spin[:] = before
                 return self._touch(begin + span)
         self.flights, self.flown = self.flights + 1, self.flown + self.time - begin
+        for array in self.contact.memory:
+            array[:] = 0
         if code == status.LIMIT:
             self.contact.clock[at.IMPACT_DUE] = 1.0
             return status.LEFT
@@ -218,9 +217,9 @@ class ContactRollout(Rollout):
 
     def _lock(self) -> None:
         """Set the rates of stuck joints to rest, as free flight needs; the proximal method leaves small ones."""
-        base, rates = base_motion(self.drive, self.time), self.progress.y[self.chain.length.size : -2]
+        rates = self.progress.y[self.chain.length.size : -2]
         for i in np.flatnonzero(self.contact.memory.bent == STICK):
-            rates[i] = rates[i - 1] if i > 0 else base[3]
+            rates[i] = rates[i - 1] if i > 0 else base_motion(self.drive, self.time)[3]
 
     def _coast(self) -> int:
         """Fly on for one budget of steps; pegs that turn coast meanwhile, also where Ctrl-C ends the flight."""
@@ -275,7 +274,9 @@ class ContactRollout(Rollout):
         return facts
 
     def kept(self) -> dict[str, Any]:
-        """Return what the contacts of a run that continues need, by name."""
+        """Return what the contacts of a run that continues need, by name; nothing in the middle of a flight."""
+        if self.flying:
+            return {}
         names = zip(KEPT, self.contact.memory, strict=True)
         return {STEP: float(self.contact.clock[at.STEP]), **{name: array.copy() for name, array in names}}
 
