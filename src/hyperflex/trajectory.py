@@ -230,8 +230,10 @@ class Trajectory:
     @cached_property
     def dataset(self) -> "xr.Dataset":
         """The whole run as an ``xarray.Dataset`` with units, long names and the set-up in its attributes."""
-        xr, variables = extras.load("xarray", "xarray", "Datasets"), self.variables()
-        return xr.Dataset(variables, attrs=self.attributes())
+        made: xr.Dataset = extras.load("xarray", "xarray", "Datasets").Dataset(
+            self.variables(), attrs=self.attributes()
+        )
+        return made
 
     def variables(self) -> dict[str, Variable]:
         """Return the samples as variables of a dataset or a file, with the coordinates ``time`` and ``axis``."""
@@ -388,7 +390,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
 
 def _state(variables: Mapping[str, Variable]) -> State:
-    plain = {name: each.values for name, each in variables.items()}
+    plain: dict[str, Any] = {name: each.values for name, each in variables.items()}
     plain |= {name: variables[name].numbers(name) for name in STATE if name in variables}
     plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in plain.items()}
     kept = {name.removeprefix(CHECKPOINT): value for name, value in plain.items() if name.startswith(CHECKPOINT)}

@@ -211,7 +211,6 @@ class Batch:
     @property
     def dataset(self) -> "xr.Dataset":
         """The batch as an ``xarray.Dataset`` with the dimensions member, time, link and axis."""
-        xr = extras.load("xarray", "xarray", "Datasets")
         variables: dict[str, Any] = {
             name: (("member", "time", *KEPT[name][0]), value, {"units": KEPT[name][1], "long_name": KEPT[name][2]})
             for name, value in self.values.items()
@@ -219,7 +218,8 @@ class Batch:
         variables["status"] = ("member", np.array(self.status, dtype=str))
         variables["reached"] = ("member", self.reached, {"units": "s", "long_name": "time reached"})
         variables |= {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
-        return xr.Dataset(variables, attrs={"source": "simulated"})
+        made: xr.Dataset = extras.load("xarray", "xarray", "Datasets").Dataset(variables, attrs={"source": "simulated"})
+        return made
 
 
 @interruptible(Batch)

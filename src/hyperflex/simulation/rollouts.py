@@ -277,7 +277,7 @@ class Rollout:
             arm = [self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle]
             arm += [self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate]
         slip[:] = 1.0
-        as_saved = all(np.shape(saved.get(name)) == shape for name, shape in (("y", y.shape), ("clock", (MARK,))))
+        as_saved = all(np.shape(saved.get(name, ())) == shape for name, shape in (("y", y.shape), ("clock", (MARK,))))
         if as_saved:
             before, now = saved["y"], saved["clock"]
             numbers = now[T], now[STEP], *before[2 * n :], *before[[0, n]][: len(arm)]

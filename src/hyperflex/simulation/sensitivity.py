@@ -289,7 +289,6 @@ class Sensitivities:
     @property
     def dataset(self) -> "xr.Dataset":
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
-        xr = extras.load("xarray", "xarray", "Datasets")
         shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
         variables: dict[str, Any] = {}
         for name, shape in shapes.items():
@@ -300,7 +299,8 @@ class Sensitivities:
                 variables[f"d{name}"] = (("time", *shape, "parameter"), getattr(self, f"d{name}"), about)
         variables |= {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
         variables["parameter"] = ("parameter", np.array(self.names))
-        return xr.Dataset(variables, attrs={"source": "simulated"})
+        made: xr.Dataset = extras.load("xarray", "xarray", "Datasets").Dataset(variables, attrs={"source": "simulated"})
+        return made
 
 
 @interruptible()
