@@ -277,13 +277,13 @@ class Rollout:
             arm = [self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle]
             arm += [self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate]
         slip[:] = 1.0
-        as_saved = all(np.shape(saved.get(name, ())) == shape for name, shape in (("y", y.shape), ("clock", (MARK,))))
+        before, now = saved.get("y", y[:0]), saved.get("clock", y[:0])
+        as_saved = np.shape(before) == y.shape and np.shape(now) == (MARK,)
         if as_saved:
-            before, now = saved["y"], saved["clock"]
-            numbers = now[T], now[STEP], *before[2 * n :], *before[[0, n]][: len(arm)]
+            numbers = now[T], now[STEP], before[-2], before[-1], *([before[0], before[n]] if arm else [])
             as_saved = numbers == (state.t, state.step, state.work, state.dissipated, *arm)
-            parts = zip(self.links, (state.q, state.qd), strict=True)
-            as_saved = as_saved and all(np.array_equal(before[part], value) for part, value in parts)
+            q, qd = before[self.links[0]], before[self.links[1]]
+            as_saved = as_saved and np.array_equal(q, state.q) and np.array_equal(qd, state.qd)
         if as_saved and "end" in saved and saved["end"][0] == self.fingerprint():
             y[:], slip[:], clock[:MARK] = np.split(saved["end"][1:], [y.size, y.size + n])
         elif as_saved:

@@ -470,12 +470,17 @@ class AngleJacobian:
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :used], dy[:, n:, :used]
 
 
-def record_steps(chain: Chain, begin: Callable[[Array], Rollout], watch: Watch | None = None) -> Rollout:
+def record_steps(
+    chain: Chain,
+    begin: Callable[[Array], Rollout],
+    watch: Callable[[float], None] | None = None,
+    count: int = STEPS,
+) -> Rollout:
     """Return a run that has come to its end, with a log of every step; `watch` may end it before.
 
-    `begin` makes the run of the chain, with a log to fill; it is called again if that was too short.
+    `begin` makes the run of the chain, with a log for `count` steps; it is called again if that was too short.
     """
-    count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
+    width = MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
         memory.check(8.0 * count * width, f"a run of {count} steps", "Make it shorter, or loosen tol")
         run = begin(np.empty((count, width)))

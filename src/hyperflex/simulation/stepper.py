@@ -122,6 +122,9 @@ def commanded_accelerations(command: str, setup: Setup, q: Array, qd: Array, u: 
     return accelerations, slopes
 
 
+FEW_STEPS = 64  # noted at first for a derivative; an interval with more of them is run again with room for all
+
+
 @dataclass(frozen=True, eq=False)
 class Linearization:
     """A step and its derivatives; the state is x = (arm angle, q, arm rate, qd), in rad and rad/s.
@@ -280,7 +283,7 @@ class Stepper:
             return run
 
         try:
-            record_steps(run.chain, begin)
+            record_steps(run.chain, begin, lambda t: None, FEW_STEPS)
             times = np.array([run.drive.breaks[0], run.time])
             moved = forward_derivatives(run, varied, (start[:n], start[n:]), times, seeds)[1][1]
         finally:
