@@ -22,7 +22,7 @@ from hyperflex.model.rope import TOTALS
 from hyperflex.model.setup import PLANNING
 from hyperflex.motion.profiles import MOTIONS
 from hyperflex.planning import MotorLimits, TipTarget
-from hyperflex.simulation.runs import status_of
+from hyperflex.simulation.rollouts import status_of
 from hyperflex.status import Status
 from tests.names import code_names
 
