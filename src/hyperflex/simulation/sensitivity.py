@@ -57,10 +57,12 @@ class ParameterDirections:
 
     def start(self, n: int) -> Array:
         """Derivatives of the start, angles above rates: (2 n, p), p even."""
-        result = np.zeros((self.width, 2, n))
+        result = np.zeros((2 * n, self.width))
         for p, part in enumerate(self.parts):
-            result[p] = [part.get(name, np.zeros(n)) for name in STATE_NAMES]
-        return result.reshape(-1, 2 * n).T.copy()
+            for row, name in enumerate(STATE_NAMES):
+                if name in part:
+                    result[row * n : (row + 1) * n, p] = part[name]
+        return result
 
     @property
     def width(self) -> int:
