@@ -295,7 +295,7 @@ class Rollout:
             y[[0, n][: len(arm)]] = arm
             clock[:MARK] = starting_clock(state.t)
             clock[STEP] = state.step or FIRST_STEP
-        return as_saved
+        return bool(as_saved)
 
     def state(self, row: int | None = None, *, arm: tuple[float, float] | None = None, end: bool = False) -> State:
         """Return the state that the run has reached, or that of an output `row`, where a run begins anew.
