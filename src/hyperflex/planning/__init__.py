@@ -32,7 +32,8 @@ if TYPE_CHECKING:
         measure_holding_force,
         verify_cast,
     )
-    from hyperflex.planning.plan import RATE, CastPlan, FallbackTarget, read_limits, read_plan
+    from hyperflex.planning.plan import RATE, CastPlan, FallbackTarget
+    from hyperflex.planning.plan_files import read_limits, read_plan
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
     from hyperflex.planning.tasks.insert import (

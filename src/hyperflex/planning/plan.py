@@ -1,4 +1,4 @@
-"""Plans, casts among them: their fields, success, the motor's file, and TOML files, which read back equal."""
+"""Plans, casts among them: their fields, success, the motor's file, and their TOML files."""
 
 import json
 import math
@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -18,16 +18,11 @@ from hyperflex.motion import MOVES, Motion
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.feasibility import Feasibility
 from hyperflex.planning.moves import Moves
-from hyperflex.planning.options import MotorLimits
 from hyperflex.planning.outcome import CastOutcome, HoldingForce, measure_holding_force
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import verified_setup
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from hyperflex.planning.tasks.insert import InsertPlan
-    from hyperflex.planning.tasks.whip import WhipPlan
 
 T = TypeVar("T")
 
@@ -41,7 +36,6 @@ HEAD = """# A planned {kind}. SI units: m, kg, s, N, N m, J; angles in rad: an a
 # them in simulation (plan.outcome; with shorter links, plan.finer_outcome). A plan that succeeds has no message.
 
 """
-AGAIN = "Write it again with to_toml, or plan again"
 OF_OBSTACLES = {"obstacles", "behind"}  # fields that hold obstacles, in a file by their kind
 
 
@@ -339,53 +333,3 @@ def _from_value(hint: Any, value: Any) -> Any:
     if isinstance(value, list):
         return np.array(value, dtype=np.float64) if get_origin(hint) is np.ndarray else tuple(value)
     return value
-
-
-def read_plan(path: files.PathLike) -> "CastPlan | WhipPlan | InsertPlan":
-    """Read a plan from a file of its method ``to_toml``.
-
-    Parameters
-    ----------
-    path : path-like
-        TOML file.
-
-    Returns
-    -------
-    CastPlan, WhipPlan or InsertPlan
-        Equal to the plan that was written, but without its runs.
-
-    Raises
-    ------
-    FileProblem, InvalidInput
-        If the file cannot be read or has no plan.
-    """
-    from hyperflex.planning.tasks.insert import InsertPlan
-    from hyperflex.planning.tasks.whip import WhipPlan
-
-    kinds: dict[str, type[CastPlan | WhipPlan | InsertPlan]]
-    content, kinds = files.read_toml(path), {kind.kind: kind for kind in (CastPlan, WhipPlan, InsertPlan)}
-    table = dict(content.get(PLAN) or {})
-    if table.pop("source", None) != "simulated" or (kind := kinds.get(table.pop("kind", ""))) is None:
-        raise InvalidInput(f"{path} has no plan", got=sorted(content), allowed="a file that a plan's to_toml wrote")
-    try:
-        return from_table(kind, table)
-    except InvalidInput as error:
-        raise InvalidInput(f"the plan in {path} is not complete: {error.what}", got=error.got, fix=AGAIN) from None
-    except (AttributeError, KeyError, IndexError, OverflowError, RecursionError, TypeError, ValueError) as error:
-        missing = f"the key {error}" if isinstance(error, KeyError) else "a value of the right kind"
-        raise InvalidInput(f"the plan in {path} is not complete: it lacks {missing}", fix=AGAIN) from None
-
-
-def read_limits(path: files.PathLike) -> MotorLimits | None:
-    """Read the motor's limits from the table [limits] of a set-up's TOML file, or from a plan's; None without them.
-
-    Raises FileProblem or InvalidInput if the file cannot be read, or has limits that are out of range.
-    """
-    content: Mapping[str, Any] = files.read_toml(path)
-    for name in (PLAN, "problem") if PLAN in content else ():
-        content = checks.mapping(f"{name} of {path}", content.get(name, {}))
-    if "limits" not in content:
-        return None
-    table = checks.mapping(f"limits of {path}", content["limits"])
-    checks.keys(f"the table [limits] of {path}", table, [each.name for each in fields(MotorLimits)])
-    return MotorLimits(**table)
