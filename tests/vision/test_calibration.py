@@ -124,7 +124,7 @@ def test_command_on_a_video(hyperflex, hyperflex_json, pictures, tmp_path):  # n
     (tmp_path / "points.csv").write_text("x,y,u,v\n0,0,100,400\n0.3,0,500,400\n0.3,0.2,500,133\n0,0.2,100,133\n")
     code, out, _ = hyperflex(*arguments, "--points", tmp_path / "points.csv")
     assert code == 0
-    assert "px/m at its origin" in out
+    assert "pixels per metre" in out
     assert "x points right, y up" in out
     assert "note" not in out
     (tmp_path / "down.csv").write_text("x,y,u,v\n0,0,100,400\n0.3,0,500,400\n0.3,-0.2,500,133\n0,-0.2,100,133\n")

@@ -97,8 +97,14 @@ def calibrate(
         "plane": None if view is None else view._asdict(),
         "notes": notes,
     }
-    lacking = [("swing plane", "not known yet: give --plane or --points")] if view is None else []
-    output.show(result, output.rows("Calibrated", result, *lacking))
+    if view is None:
+        more = [("swing plane", "not known yet: give --plane or --points")]
+    else:
+        more = [
+            ("axes in the picture", f"x points {view.x_words}, y {view.y_words}"),
+            ("tilt and roll of the plane", f"{view.tilt:.1f} and {view.roll:.1f} degrees"),
+        ]
+    output.show(result, output.rows("Calibrated", {**result, "plane": {}}, *more))
 
 
 def _short(option: str, value: float) -> float:

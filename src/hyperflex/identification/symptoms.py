@@ -89,10 +89,12 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"how": fit.status or "not converged"})
     rms, spread, noise = _sizes(basis)
     allowed = excused = np.maximum(WHITE_POOR * spread, NOISY * noise)
-    if basis.information.whiteness < CHANCE:
+    white = basis.information.whiteness >= CHANCE
+    if not white:
         allowed = np.clip(NOISY * noise, POOR * spread, WHITE_POOR * spread)
     seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
-    worst = int(np.argmax((rms / np.maximum(allowed, 1e-300))[:seen]))
+    left = np.where(white & (rms <= excused), 0.0, rms / np.maximum(spread, 1e-12))
+    worst = int(np.argmax(left[:seen]))
     if rms[worst] > allowed[worst]:
         what, unit = (f"Link {worst}", "rad") if isinstance(sensor, Angles) else (f"Marker {worst // 2}", "m")
         values = {"what": what, "rms": float(rms[worst]), "motion": float(spread[worst]), "unit": unit}

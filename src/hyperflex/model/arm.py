@@ -114,7 +114,11 @@ class Arm:
     def rope_torque(self, angle: ArrayLike, loads: Array) -> Array:
         """Return the torque (T,), N m, that turns the rope.
 
-        `loads` (T, 3) are force x and y on the rope, N, and torque through its first joint, N m.
+        Parameters
+        ----------
+        angle : (T,) array, rad
+        loads : (T, 3) array
+            Force x and y on the rope, N, and torque through its first joint, N m.
         """
         fx, fy, moment = loads.T
         return np.asarray(moment + self.length * (np.cos(angle) * fx + np.sin(angle) * fy))

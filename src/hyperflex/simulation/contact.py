@@ -136,7 +136,7 @@ class ContactRollout(Rollout):
         m = self.contacts.x.size
         if setup.pegs:
             self.limits = self.limits._replace(tol=FLIGHT_TOL * setup.tol)
-        # what ``contact_run.run`` sees at each output; NaN in free flight, but for the spin of pegs that turn
+        # what the contact steps see at each output; NaN in free flight, but for the spin of pegs that turn
         self.seen = np.full((t.size, 3 * n + 4 + 2 * m), np.nan)
         memory, torque = new_contact_memory(n, m), np.zeros((len(WINDOWS), COLUMNS))
         self.contact = at.ContactState(self.progress.y, np.zeros(at.CLOCK), np.zeros((2, m)), memory, torque)

@@ -1,6 +1,6 @@
 """Quantities that a fit does not free, or that were declared: one object for each that the data may contradict.
 
-To add a quantity, write its object and list it in HELD. Its kind of finding goes to findings.py, its text to texts.py.
+To add a quantity, write its object and list it in HELD. Its kind of finding, with the text, goes to findings.py.
 """
 
 from collections.abc import Callable, Sequence
