@@ -1,10 +1,7 @@
 """Observations of markers, and the model that predicts them from a rope's state."""
 
-from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,13 +9,11 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate.parameters import PICTURE_KINDS, PLANE_KINDS, ROPE_KINDS, ParameterStates
+from hyperflex.estimate.parameters import PLANE_KINDS, ParameterStates
 from hyperflex.model import Rope
 from hyperflex.sensors import lever_arms
 from hyperflex.vision import Camera, check_increasing
 
-UNSEEN = ROPE_KINDS.keys() - {"length"}  # parameters that have no effect on a picture, only on the motion
-STEP = 1e-20  # of a complex step: its square vanishes
 FAR = 10.0  # lengths of the rope from its first joint: a marker seen farther away is rejected
 
 
@@ -143,9 +138,8 @@ class MarkerModel:
     Notes
     -----
     A marker that is read tau before or after the state's time is seen at ``r + tau v + tau^2 a / 2``. The derivatives
-    by the state omit those of the last term; those by parameters are complex steps (Squire and Trapp 1998, SIAM Review
-    40(1), 110), exact to rounding. The state is that when the picture was taken, so that a delay of the pictures
-    matters for the first joint alone: its place at that time follows from the known motion.
+    omit those of the last term. The state is that when the picture was taken, so that a delay of the pictures matters
+    for the first joint alone: its place at that time follows from the known motion.
     """
 
     def __init__(
@@ -163,11 +157,9 @@ class MarkerModel:
         check_increasing(arcs)
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
         self.link, self.arms = lever_arms(rope, arcs)
-        self._ends = np.eye(self.arms.shape[1])[self.link]  # (K, n), the link of each marker
-        self._arc_names = [f"arc[{k}]" for k in range(arcs.size)]
-        self._adjusted = not PLANE_KINDS.keys().isdisjoint(parameters.names)
-        known = {*ROPE_KINDS, *PICTURE_KINDS, *self._arc_names}
-        if not known.issuperset(parameters.names):
+        arc_names = {f"arc[{marker}]": marker for marker in range(arcs.size)}
+        self._arc_states = {k: arc_names.get(name) for k, name in enumerate(parameters.names) if name[:4] == "arc["}
+        if None in self._arc_states.values():
             allowed = f"arc[0..{arcs.size - 1}]"
             raise InvalidInput("an arc length is of no marker", got=parameters.names, allowed=allowed)
 
@@ -196,47 +188,75 @@ class MarkerModel:
         qdd : (n,) float64, optional
             Angular accelerations, rad/s^2; without them, markers move uniformly within a readout.
         """
-        n, names = self.arms.shape[1], self.parameters.names
-        q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
-        along, across = np.stack([np.sin(q), -np.cos(q)]), np.stack([np.cos(q), np.sin(q)])
-
-        def seen(given: Mapping[str, Any], base: npt.NDArray[Any]) -> tuple[Array, Array, Array, Array]:
-            """Return places (K, 2) by parameters, also complex ones; levers, delays tau, and scale and rotation."""
-            at = defaultdict(float, given)
-            arms, tau = self.arms * (1.0 + at["length"]), rows * (self.readout + at["readout"])
-            if any(arcs := [at[name] for name in self._arc_names]):
-                arms = arms + self._ends * np.array(arcs)[:, None]
-            places = base[0] + arms @ along.T
-            if self.reads_rows and rows.any():
-                places = places + tau[:, None] * (base[1] + arms @ (across * qd).T)
-                if qdd is not None:
-                    bend = base[2] + arms @ (across * qdd - along * qd * qd).T
-                    places = places + 0.5 * tau[:, None] ** 2 * bend
-            if not self._adjusted:
-                return places, arms, tau, np.eye(2)
-            c, s = np.cos(at["roll"]), np.sin(at["roll"])
-            turn = (1.0 + at["scale"]) * np.array([[c, -s], [s, c]])
-            return places @ turn.T + [at["offset_x"], at["offset_y"]], arms, tau, turn
-
-        estimates = dict(zip(names, values.tolist(), strict=True))
-        places, arms, tau, turn = seen(estimates, base)
+        n = self.arms.shape[1]
+        q, values = x[:n], x[2 * n :]
+        at = self.parameters.value
+        arms = self.arms * (1.0 + at("length", values)) if len(self.parameters) else self.arms
+        for k, marker in self._arc_states.items():
+            arms[marker, self.link[marker]] += values[k]
+        tau = rows * (self.readout + at("readout", values))  # (K,)
         jacobian = np.zeros((len(arms), 2, x.size))
-        np.multiply(arms[:, None], across, out=jacobian[:, :, :n])
-        if tau.any():
-            jacobian[:, :, n : 2 * n] = tau[:, None, None] * jacobian[:, :, :n]
-            jacobian[:, :, :n] -= (tau[:, None] * arms)[:, None] * (along * qd)
-        if self._adjusted:
-            jacobian = turn @ jacobian
-        for k, name in enumerate(names):
-            if name in UNSEEN:
-                continue
-            moved = estimates | {name: estimates[name] + 1j * STEP}
-            earlier = 1j * STEP * np.array([base[1], base[2], [0.0, 0.0]]) if name == "delay" else 0.0
-            jacobian[:, :, 2 * n + k] = seen(moved, base - earlier)[0].imag / STEP
+        slope = jacobian[:, :, :n]  # of the places by the angles
+        np.multiply(arms, np.cos(q), out=slope[:, 0])
+        np.multiply(arms, np.sin(q), out=slope[:, 1])
+        places = np.stack([base[0, 0] + slope[:, 1].sum(axis=1), base[0, 1] - slope[:, 0].sum(axis=1)], axis=1)
+        if len(self.parameters) or tau.any():
+            places = places + self._moved(x, base, (rows, tau), arms, jacobian, qdd)
+            places, jacobian = self._in_plane(places, jacobian, values)
         if self.camera is None:
             return places, jacobian
         pixels, by_place = self.camera.linearize(places)
         return pixels, by_place @ jacobian
+
+    def _moved(
+        self, x: Array, base: Array, timing: tuple[Array, Array], arms: Array, jacobian: Array, qdd: Array | None
+    ) -> Array:
+        """Return how far markers move (K, 2) until they are read, and complete the derivatives.
+
+        `timing` are rows and delays tau (K,), s.
+        """
+        n, (rows, tau) = self.arms.shape[1], timing
+        q, qd = x[:n], x[n : 2 * n]
+        along, across = np.stack([np.sin(q), -np.cos(q)]), np.stack([np.cos(q), np.sin(q)])
+        slope = jacobian[:, :, :n].copy()
+        velocity, bend = np.zeros((2, *slope.shape[:2]))
+        if rows.any():
+            velocity = base[1] + slope @ qd
+            if qdd is not None:
+                bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
+            jacobian[:, :, :n] -= (tau[:, None, None] * arms[:, None, :]) * along * qd
+            jacobian[:, :, n : 2 * n] = tau[:, None, None] * slope
+        for k, name in enumerate(self.parameters.names):
+            column, marker = jacobian[:, :, 2 * n + k], self._arc_states.get(k)
+            if name == "length":
+                column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
+            elif name == "delay":
+                column[:] = -(base[1] + tau[:, None] * base[2])
+            elif name == "readout":
+                column[:] = rows[:, None] * (velocity + tau[:, None] * bend)
+            elif marker is not None:
+                i = self.link[marker]
+                column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
+        return np.asarray(tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend)
+
+    def _in_plane(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
+        """Return places in the calibrated plane, by what is estimated of it, and their derivatives."""
+        at, names = self.parameters.value, self.parameters.names
+        if PLANE_KINDS.keys().isdisjoint(names):
+            return places, jacobian
+        scale, roll = 1.0 + at("scale", values), at("roll", values)
+        rotation = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
+        rotated = places @ rotation.T
+        derivatives = {
+            "scale": rotated,
+            "roll": scale * np.stack([-rotated[:, 1], rotated[:, 0]], axis=1),
+            "offset_x": np.array([1.0, 0.0]),
+            "offset_y": np.array([0.0, 1.0]),
+        }
+        result, first = scale * (rotation @ jacobian), jacobian.shape[2] - len(names)
+        for name in PLANE_KINDS.keys() & set(names):
+            result[:, :, first + names.index(name)] = derivatives[name]
+        return scale * rotated + [at("offset_x", values), at("offset_y", values)], result
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:
