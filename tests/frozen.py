@@ -1,4 +1,4 @@
-"""Runs with dry friction along the frozen steps of another, and the differences that they give."""
+"""Runs along the frozen steps of another, also with dry friction, and the differences that they give."""
 
 import copy
 from collections.abc import Callable
@@ -94,11 +94,16 @@ class Frozen:
         for row in steps:
             length, end, order, grip = row[0], row[1], int(row[2]), row[MODES:]
             part, before = segment(self.drive, self.t), segment(self.run.drive, old)
+            cut = end >= before.end or end >= self.stop
+            if cut:
+                length = (part.end if end >= before.end else self.stop) - self.t
+            if not grip.size:  # no joint sticks, so that only switches cut steps
+                row[LENGTH], row[1] = length, self.t + length
+                self.t, old = row[1], end
+                continue
             set_slip(COLUMNS, self.lanes, grip)
             joint = int(row[JOINT])
-            if end >= before.end or end >= self.stop:
-                length = (part.end if end >= before.end else self.stop) - self.t
-            elif joint >= 0 and length >= STICTION.quick:  # else rounding makes a joint at its limit stick and slip
+            if not cut and joint >= 0 and length >= STICTION.quick:  # else it sticks and slips by rounding
                 length = self.until(part, order, length, grip, joint)
             self.y = self.step(part, order, length, grip)
             self.t, old = self.t + length, end

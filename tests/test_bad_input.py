@@ -38,51 +38,35 @@ ROPES = [
     case("NaN-length", lambda: rope(length=[0.1, NAN, 0.3]), "rope length[1]", "nan"),
     case("negative-mass", lambda: rope(mass=[0.01, -0.02, 0.03]), "rope mass[1]", "-0.02", ">= 0"),
     case("zero-length", lambda: rope(length=[0.1, 0.0, 0.3]), "rope length[1]", "0.0", "> 0"),
-    case("lengths-and-masses-differ", lambda: rope(mass=[0.1, 0.2]), "links", "'length': 3", "'mass': 2"),
     case("no-links", lambda: hf.Rope(length=[], mass=[]), "links", "'length': 0"),
-    case("only-scalars", lambda: hf.Rope(length=0.1, mass=0.1), "links", "got {}"),
-    case("matrix-of-lengths", lambda: rope(length=[[0.1, 0.2, 0.3]]), "rope length", "(1, 3)"),
     case("ragged-lengths", lambda: rope(length=[[0.1], [0.2, 0.3]]), "length"),
     case("none-for-mass", lambda: rope(mass=None), "rope mass"),
-    case("negative-tip-mass", lambda: rope(tip_mass=-0.5), "tip_mass", "-0.5"),
     case("boolean-tip-mass", lambda: rope(tip_mass=True), "tip_mass", "True"),
-    case("scalar-gravity", lambda: rope(gravity=-9.81), "gravity", "()"),
     case("three-gravity", lambda: rope(gravity=(0.0, 0.0, -9.81)), "gravity", "(3,)"),
     case(
         "unknown-friction-model", lambda: rope(friction_model="absolute"), "friction_model", "'absolute'", "'printed'"
     ),
-    case("negative-radius", lambda: rope(radius=-1e-3), "radius", "-0.001"),
     case("link-without-inertia", lambda: rope(mass=[0.1, 0.0, 0.1]), "link 1", "inertia"),
     case("uniform-zero-links", lambda: cable(n_links=0), "n_links", "0", "from 1 to 100000"),
-    case("uniform-text-mass", lambda: cable(mass="0.125 kg"), "mass", "'0.125 kg'"),
     case("uniform-unknown-name", lambda: cable(damping=1e-3), "damping", "friction"),
     case("replace-unknown-name", lambda: cable().replace(eta=1.0), "eta", "friction"),
-    case("replace-other-size", lambda: cable().replace(mass=[0.1, 0.1]), "links", "'mass': 2", "'length': 5"),
 ]
 
 ARMS = [
     case("negative-length", lambda: hf.Arm(length=-0.1), "arm length", "-0.1"),
-    case("text-com", lambda: hf.Arm(length=0.1, com="middle"), "arm com", "'middle'"),
-    case("zero-torque-limit", lambda: hf.Arm(length=0.1, torque_limit=0.0), "arm torque_limit", "0.0"),
     case("three-pivot", lambda: hf.Arm(length=0.1, pivot=(0.0, 0.0, 0.0)), "arm pivot", "(3,)"),
 ]
 
 MOTIONS = [
-    case("hold-NaN", lambda: hf.hold_arm(NAN), "angle", "nan"),
-    case("move-no-time", lambda: hf.move_arm(0.0, 1.0, 0.0), "duration", "0.0"),
     case("move-to-infinity", lambda: hf.move_arm(0.0, INF, 1.0), "end", "inf"),
     case("move-unknown-profile", lambda: hf.move_arm(0.0, 1.0, 1.0, "sine"), "profile", "'sine'", "'bang-bang'"),
     case("move-long-ramp", lambda: hf.move_arm(0.0, 1.0, 1.0, "ramp", ramp=0.7), "ramp", "0.7"),
-    case("swings-no-move", lambda: hf.arm_swings(t_move=0.0), "t_move", "0.0"),
     case("swings-unknown-path", lambda: hf.arm_swings(path="through"), "path", "'through'", "'over'"),
     case("sampled-unsorted", lambda: hf.sampled_motion([0.0, 2.0, 1.0], [0.0, 1.0, 2.0]), "t goes back", "[2.0, 1.0]"),
     case("sampled-repeated", lambda: hf.sampled_motion([0.0, 1.0, 1.0], [0.0, 1.0, 2.0]), "t repeats", "[1.0, 1.0]"),
-    case("sampled-NaN-angle", lambda: hf.sampled_motion([0.0, 1.0], [0.0, NAN]), "angle[1]", "nan"),
     case("sampled-other-size", lambda: hf.sampled_motion([0.0, 1.0, 2.0], [0.0, 1.0]), "angle", "(2,)", "shape 3"),
     case("sampled-one-sample", lambda: hf.sampled_motion([0.0], [0.0]), "t has too few samples", "1", "at least 2"),
-    case("sampled-matrix", lambda: hf.sampled_motion([[0.0, 1.0]], [[0.0, 1.0]]), "t has the wrong shape", "(1, 2)"),
     case("point-other-size", lambda: hf.moving_pivot([0.0, 1.0], [0.0, 1.0], [0.0]), "y", "(1,)"),
-    case("torque-NaN", lambda: hf.torque_profile([0.0, 1.0], [NAN, 0.0]), "torque[0]", "nan"),
     case("shift-NaN", lambda: hf.arm_swings().shifted(NAN), "delay", "nan"),
     case(
         "then-jumps", lambda: hf.hold_arm(0.0).then(hf.hold_arm(1.0), at=0.5), "arm angle jumps", "0.5 s", "[0.0, 1.0]"
@@ -94,21 +78,16 @@ SETUPS = [
     case("unknown-method", lambda: hf.Setup(rope=cable(), method="euler"), "method", "'euler'", "'rk4'"),
     case("rk4-without-step", lambda: hf.Setup(rope=cable(), method="rk4"), "step", "rk4"),
     case("arm-motion-without-arm", lambda: hf.Setup(rope=cable(), motion=hf.arm_swings()), "motion", "arm"),
-    case("not-a-rope", lambda: hf.Setup(rope=2.0), "rope", "2.0"),
     case("not-a-motion", lambda: hf.Setup(rope=cable(), motion=[0.0, 1.0]), "motion", "[0.0, 1.0]"),
-    case("not-an-arm", lambda: hf.Setup(rope=cable(), arm=0.105), "arm", "0.105"),
     case("motion-and-torque", lambda: hf.Setup(rope=cable(), arm=hf.Arm(), motion=hf.hold_arm(), torque=PUSH), "both"),
     case("torque-without-arm", lambda: hf.Setup(rope=cable(), torque=PUSH), "torque", "arm"),
 ]
 
 RUNS = [
-    case("infinite-duration", lambda: run(duration=INF), "duration", "inf"),
     case("text-duration", lambda: run(duration="10 s"), "duration", "'10 s'"),
     case("endless-outputs", lambda: run(duration=1e6), "1e+08", "t_eval"),
     case("times-after-the-end", lambda: run(t_eval=[0.0, 0.2]), "t_eval", "0.2"),
     case("unsorted-times", lambda: run(t_eval=[0.0, 0.05, 0.02]), "t_eval goes back", "[0.05, 0.02]"),
-    case("no-times", lambda: run(t_eval=[]), "t_eval", "0"),
-    case("NaN-tol", lambda: run(tol=NAN), "tol", "nan"),
     case("negative-step", lambda: run(method="rk4", step=-1e-4), "step", "-0.0001"),
     case("not-a-state", lambda: run(state=0.0), "state", "0.0"),
 ]

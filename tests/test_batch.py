@@ -208,15 +208,6 @@ def test_ctrl_c_ends_a_block_at_work():
         batch.why(99)
 
 
-def test_dataset_is_labelled():
-    ropes, motions = family(2)
-    data = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.2, keep=("tip", "q")).dataset
-    assert data.tip.dims == ("member", "time", "axis")
-    assert data.q.dims == ("member", "time", "link")
-    assert data.tip.attrs["units"] == "m"
-    assert list(data.status.values) == ["success", "success"]
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -240,13 +231,6 @@ def test_bad_input(change, words):
     arguments: dict[str, object] = {"ropes": ropes, "motions": motions, "arm": ARM, "duration": 0.3} | change
     with pytest.raises(InvalidInput, match=words):
         hf.simulate_batch(**arguments)
-
-
-def test_what_was_not_kept_is_named():
-    ropes, motions = family(1)
-    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.1)
-    with pytest.raises(AttributeError, match="kept: tip"):
-        _ = batch.q
 
 
 def test_a_batch_can_be_copied_and_sent():

@@ -95,11 +95,6 @@ def test_every_argument_of_a_public_callable_is_documented():
     assert {name: names for name, names in missing.items() if names} == {}
 
 
-def test_unknown_names_are_refused():
-    with pytest.raises(AttributeError, match="no_such_name"):
-        _ = hyperflex.no_such_name
-
-
 def test_building_a_rope_and_a_motion_loads_nothing_heavy():
     code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.arm_swings(); hf.simulate"
     assert loaded_by(code) == set()

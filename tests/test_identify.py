@@ -1,8 +1,6 @@
 """identification: twins whose truth is known, what cannot be known, bad input, interruption, files."""
 
 import json
-import subprocess
-import sys
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
@@ -14,14 +12,13 @@ from hyperflex import files, progress
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, identify, lumped, ratios
-from hyperflex.identification.declarations.evidence import other_lengths
-from hyperflex.identification.fit import Fit, Linear, Window, fit, fit_state
+from hyperflex.identification.fit import Fit, Window, fit
 from hyperflex.identification.measurements import measure, usual_length
-from hyperflex.identification.model import Parameters, Plant, in_common_factor, parse, scaling
+from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, predict
-from hyperflex.identification.symptoms import _identifiable, _of_prediction
-from hyperflex.identification.uncertainty.covariance import Basis, Information, estimate_covariance
+from hyperflex.identification.symptoms import _of_prediction
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
 from hyperflex.identification.uncertainty.ratios import ratio_spread
 from hyperflex.model import Arm, Rope
@@ -143,34 +140,6 @@ def test_what_cannot_be_known_is_named_for_what_it_is(single_swing, free, unknow
         each.kind: each.values["names"] for each in result.findings if each.kind in (Kind.NO_EFFECT, Kind.COMBINATION)
     }
     assert found == unknown
-
-
-def test_a_mass_that_alone_sets_the_common_factor_is_not_called_idle():
-    parameters = freed(SINGLE.replace(inertia=0.0, friction=0.0), ["mass", "com"])
-    known, unknown = np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]])
-    x, widths, covariance = parameters.start, parameters.widths, np.diag([0.0, 1e-6])
-    grows = in_common_factor(parameters, x, unknown)
-    information = Information(x, widths, np.array([1.0, 0.0]), known, unknown, covariance, 1.0, growing=grows)
-    fit = SimpleNamespace(x=x)
-    basis = SimpleNamespace(plant=SimpleNamespace(parameters=parameters), information=information, fit=fit)
-    found = list(_identifiable(basis))
-    assert (found[0].kind, found[0].values["names"]) == (Kind.COMBINATION, ["mass"])
-
-
-def test_scaling_multiplies_all_moments_and_torques_by_one_factor():
-    rope = DOUBLE.replace(tip_mass=0.01, dry_friction=[2e-3, 5e-4], stiffness=0.01)
-    free = ["inertia", "com", "tip_mass", "friction", "dry_friction", "stiffness", "length", "gravity_angle"]
-    parameters = freed(rope, free)
-    direction = scaling(parameters, parameters.start)
-    assert direction is not None
-    step = 1e-5
-    moved = parameters.rope(parameters.start + step * direction * parameters.widths)
-    before, after = (np.concatenate([*lumped(r), r.friction, r.dry_friction, r.stiffness]) for r in (rope, moved))
-    growth = (after / before - 1.0) / step
-    np.testing.assert_allclose(growth, growth[0], rtol=1e-3)  # the curvature over the step is of its size, 1e-5
-    assert abs(growth[0]) > 0.1  # of the size of the direction
-    assert moved.length[0] == pytest.approx(rope.length[0], rel=1e-9)  # it acts by itself, and stays
-    assert scaling(freed(rope, ["friction", "inertia"]), parameters.start[[4, 5, 0, 1]]) is None  # p is held
 
 
 def test_a_value_at_its_bound_does_not_hide_what_is_known():
@@ -362,19 +331,6 @@ def test_only_the_ratios_move_the_chain():
     np.testing.assert_allclose(ours, theirs, atol=1e-8)  # both within the tolerance, grown over 2 s
 
 
-def test_a_window_fit_finds_its_state():
-    recording = swing(DOUBLE, duration=2.0, noise=0.0)
-    windows, dropped = measure(recording, DOUBLE, None).windows(1.0)
-    assert (len(windows), dropped) == (2, 1)  # the last sample alone makes no window
-    plant = plain(DOUBLE)
-    found = fit_state(plant, plant.parameters.start, windows[1], windows[1].guess)
-    assert found is not None
-    run = simulate(DOUBLE, duration=1.0, t_eval=[0.0, 1.0], tol=1e-10, **START)
-    np.testing.assert_allclose(
-        found[0], np.append(run.q[1], run.qd[1]), atol=1e-5
-    )  # noise-free, rollouts at 5e-8 m a step
-
-
 def test_windows_keep_to_their_span_and_thinning_to_its_limit():
     recording = swing(DOUBLE, duration=4.0, rate=1000.0, noise=0.0)
     windows, _ = measure(recording, DOUBLE, None).windows(0.5)
@@ -390,20 +346,6 @@ def test_windows_keep_to_their_span_and_thinning_to_its_limit():
     period = 2.0 * np.pi * np.sqrt(0.4 / 9.81)
     assert usual_length(Recording(t, 0.1 * np.cos(5.0 * t)[:, None]), rod) == pytest.approx(1.2 * period)
     assert usual_length(Recording(t, 40.0 * t[:, None]), rod) == pytest.approx(8.0 / 40.0)  # no more than 8 rad
-
-
-def test_states_are_eliminated_exactly():
-    random = np.random.default_rng(0)
-    slope, shared, residual = (random.standard_normal(s) for s in ((30, 4), (30, 3), (30,)))
-    linear = Linear(slope, shared, residual)
-    left, rest = linear.reduced()
-    whole = np.linalg.lstsq(np.hstack([slope, shared]), residual, rcond=None)[0]
-    np.testing.assert_allclose(np.linalg.lstsq(left, rest, rcond=None)[0], whole[4:], rtol=1e-10)  # same least squares
-    few = linear.compact()
-    assert few.residual.size == 8  # unknowns, and one for what no unknown can reach
-    assert few.residual @ few.residual == pytest.approx(residual @ residual)
-    left, rest = few.reduced()
-    np.testing.assert_allclose(np.linalg.lstsq(left, rest, rcond=None)[0], whole[4:], rtol=1e-10)
 
 
 HEAVY = DOUBLE.replace(inertia=[1.2e-3, 3.5e-4])
@@ -469,27 +411,6 @@ def test_autocorrelation_of_known_processes():
     # 1 + 2 * 0.8 / 0.2 = 9, less the tail below 0.05 (0.8^14 on: 2 * 0.044 / 0.2 = 0.44), and sampling
     assert time(coloured, whole) == pytest.approx(8.6, rel=0.15)
     assert time(coloured, gaps) == pytest.approx(time(coloured, whole), rel=0.1)  # gaps are no whiter
-
-
-def test_every_parameter_goes_into_the_rope_and_comes_back():
-    names = ["inertia", "com", "mass", "length", "friction", "dry_friction", "stiffness", "tip_mass", "gravity_angle"]
-    parameters = freed(DOUBLE, names)
-    x = parameters.start
-    for name in names[:-2]:
-        back = getattr(parameters.rope(parameters.rounded(x)), name)
-        np.testing.assert_allclose(back, getattr(DOUBLE, name), rtol=1e-14)  # exp(log)
-    for k, label in enumerate(parameters.labels):
-        moved = x.copy()
-        moved[k] += 0.1
-        rope, step = parameters.rope(moved), parameters.values(moved)[k] - parameters.values(x)[k]
-        name, _, link = label.partition("[")
-        if name == "gravity_angle":
-            assert rope.hanging_angle == pytest.approx(step)
-        else:
-            changed = np.atleast_1d(getattr(rope, name)) - np.atleast_1d(getattr(parameters.rope(x), name))
-            at = int(link[:-1]) if link else 0
-            assert changed[at] == pytest.approx(step)
-            assert np.count_nonzero(changed) == 1
 
 
 # ---- held-out prediction
@@ -690,24 +611,3 @@ def test_windows_drop_links_that_cannot_be_seen():
     assert dropped == 2  # the second of four, and the last sample alone
     assert all(isinstance(w, Window) for w in windows)
     assert len(windows) == 3
-
-
-def test_importing_the_package_leaves_scipy_alone():
-    script = "import sys, hyperflex.recording, hyperflex.files; print('scipy' in sys.modules, 'h5py' in sys.modules)"
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert run.stdout.split() == ["False", "False"]
-
-
-def test_the_window_does_not_depend_on_the_guess():
-    t = np.linspace(0.0, 10.0, 501)
-    recording = Recording(t, 0.1 * np.cos(5.0 * t)[:, None])
-    guess = Rope(length=[0.3], mass=[0.1])
-    other = guess.replace(inertia=[1.0], com=[0.01], friction=1.0)
-    assert usual_length(recording, guess) == usual_length(recording, other)
-
-
-def test_a_wrong_scale_of_the_markers_is_noticed():
-    places = np.array([[0.0, 0.0, 0.0, -0.3], [0.0, 0.0, 0.1, -0.28]])
-    markers = Recording([0.0, 0.1], places, kind="markers")
-    assert other_lengths(markers, Rope(length=[0.3], mass=[0.1])) == []
-    assert [each.kind for each in other_lengths(markers, Rope(length=[0.2], mass=[0.1]))] == [Kind.MARKER_DISTANCES]

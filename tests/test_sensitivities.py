@@ -1,6 +1,5 @@
 """Derivatives of whole rollouts: against differences along a frozen step sequence, closed forms, and refusals."""
 
-import copy
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,17 +9,12 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.checks import Array
-from hyperflex.core.chain.drive import segment
 from hyperflex.simulation import AngleJacobian
-from hyperflex.simulation.rollouts import Rollout, rollout_limits
-from hyperflex.simulation.sensitivity import forward_derivatives, parameter_directions, record_steps
+from tests.frozen import check
 
 N, DURATION = 6, 1.6
 # none at a switch, where the derivative is one-sided; some within the step behind one, which is sampled in its own way
 TIMES = np.array([0.0, 0.05, 0.31, 0.366, 0.368, 0.5, 0.74, 0.9, 1.0, 1.2605, 1.3, 1.5, 1.6])
-# an eighth-order difference: its truncation is far below the rounding, which is some 1e-15 over the spacing
-STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 
 
 def rope(**changes: Any) -> hf.Rope:
@@ -44,45 +38,6 @@ def setup(**changes: Any) -> hf.Setup:
     start = {"q0": rng.normal(0.0, 0.3, N), "qd0": rng.normal(0.0, 1.0, N)}
     swings = hf.arm_swings(profile="ramp", ramp=0.2)
     return replace(hf.Setup(rope(), swings, hf.Arm(), duration=DURATION, tol=1e-4, **start), **changes)
-
-
-def run_of(it: hf.Setup) -> Rollout:
-    limits = rollout_limits(it, it.chain(), it.duration)
-    return record_steps(it.chain(), lambda log: Rollout(it, np.zeros(1), limits=limits, log=log))
-
-
-def retimed(run: Rollout, it: hf.Setup) -> Array:
-    """Steps as long as those of `run`, but for those that end at a switch or at the end."""
-    drive, steps = it.drive(), []
-    old = new = 0.0
-    for length, end, order in run.progress.log:
-        before, after = segment(run.drive, old), segment(drive, new)
-        if end >= before.end or end >= DURATION:
-            target = after.end if end >= before.end else DURATION
-            steps.append((target - new, target, order))
-        else:
-            steps.append((length, new + length, order))
-        old, new = end, steps[-1][1]
-    return np.array(steps)
-
-
-def followed(run: Rollout, it: hf.Setup) -> Array:
-    """Angles and rates (T, 2 n) of another set-up along the frozen steps of a run."""
-    other = copy.copy(run)
-    other.chain, other.drive = it.chain(), it.drive()
-    other.progress = run.progress._replace(log=retimed(run, it))
-    return forward_derivatives(other, parameter_directions(it, "q0[0]"), it.start(), TIMES)[0][:, : 2 * N]
-
-
-def check(make: Callable[[float], hf.Setup], wrt: Any, size: float) -> None:
-    """Compare with differences of a spacing of `size`; 1e-7 of the greatest, which is the rounding of differences."""
-    it = make(0.0)
-    run = run_of(it)
-    _, dy = forward_derivatives(run, parameter_directions(it, wrt), it.start(), TIMES)
-    want = np.zeros((TIMES.size, 2 * N))
-    for k, weight in STENCIL.items():
-        want += weight * (followed(run, make(k * size)) - followed(run, make(-k * size))) / size
-    np.testing.assert_allclose(dy[:, :, 0], want, rtol=0.0, atol=1e-7 * np.abs(want).max())
 
 
 @pytest.mark.parametrize("name", ["q0", "qd0"])
@@ -118,8 +73,17 @@ def test_rope_parameter_of_all_links_is_the_sum_over_links():
             np.testing.assert_allclose(values[:, :, shared], total, rtol=1e-9, atol=1e-9 * np.abs(total).max())
 
 
-def test_tip_mass():
-    check(lambda x: setup(rope=rope(tip_mass=0.01 + x)), "tip_mass", 2e-4)
+WHOLE: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
+    "tip_mass": (lambda x: setup(rope=rope(tip_mass=0.01 + x)), 2e-4),
+    "arm.length": (lambda x: setup(arm=hf.Arm(length=0.105 + x)), 1e-3),
+    "motion.delay": (lambda x: setup(motion=hf.arm_swings().shifted(0.1 + x)), 2e-5),
+}
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_what_belongs_to_no_link(name):
+    make, size = WHOLE[name]
+    check(make, name, size)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -127,10 +91,6 @@ def test_gravity_turns_the_start_where_that_is_the_rope_at_rest(axis):
     unit = np.eye(2)[axis]
     check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit)), f"gravity[{axis}]", 0.02)
     check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit), q0=None), f"gravity[{axis}]", 0.02)
-
-
-def test_arm_length():
-    check(lambda x: setup(arm=hf.Arm(length=0.105 + x)), "arm.length", 1e-3)
 
 
 MOTIONS: dict[str, tuple[Callable[..., hf.Motion], dict[str, Any], tuple[str, ...]]] = {
@@ -154,11 +114,6 @@ def test_motion_parameter_through_its_switches(kind, name):
     # A switch, which moves by some tens of spacings, must stay far from outputs and neighbours.
     size = 1e-3 if name in ("start", "end") else 2e-5
     check(lambda x: setup(motion=maker(**{**values, name: values[name] + x})), f"motion.{name}", size)
-
-
-def test_delay():
-    swings = hf.arm_swings()
-    check(lambda x: setup(motion=swings.shifted(0.1 + x)), "motion.delay", 2e-5)
 
 
 def test_sample_of_a_moving_point():
@@ -226,12 +181,6 @@ def test_prepared_slopes_equal_the_whole_and_take_another_rope():
         whole = hf.sensitivities(replace(it, rope=given or it.rope), t_eval=TIMES, wrt=names)
         for one, two in ((q, whole.q), (qd, whole.qd), (dq, whole.dq), (dqd, whole.dqd)):
             np.testing.assert_array_equal(one, two)
-
-
-def test_dataset_is_labelled():
-    data = hf.sensitivities(setup(), t_eval=[1.0], wrt=["friction", "q0"]).dataset
-    assert dict(data.sizes) == {"time": 1, "link": N, "axis": 2, "parameter": N + 1}
-    assert data.dq.sel(parameter="q0[3]").dims == ("time", "link")
 
 
 BAD: dict[str, tuple[Any, str]] = {

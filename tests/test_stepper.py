@@ -315,16 +315,6 @@ def test_a_step_that_fails_says_so_and_leaves_nothing_behind():
     np.testing.assert_array_equal(vector(stepper.step(state, 5.0, DT)), vector(want))
 
 
-def test_gap_to_a_peg():
-    rope = hf.Rope.uniform(1.0, 0.06, 8, radius=0.003, friction=3e-4)
-    peg = hf.Peg(0.1, -0.9, 0.05)
-    stepper = hf.Stepper(rope, arm=hf.Arm(length=0.1), pegs=[peg], refine=False)
-    assert stepper.gap(stepper.start(arm_angle=0.0)) == pytest.approx(0.1 - 0.05 - 0.003)  # the rope hangs at x = 0
-    assert stepper.step(stepper.start(), np.array([0.1]), 0.01).t == pytest.approx(0.01)
-    with pytest.raises(InvalidInput, match="nothing to touch"):
-        hf.Stepper(rope, arm=hf.Arm(length=0.1)).gap(stepper.start())
-
-
 def test_a_state_changed_by_hand_is_checked_like_a_start():
     """Inside a peg or past a limit: refused, though the state comes from a step; its gap is told all the same."""
     cable = rope()

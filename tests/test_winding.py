@@ -95,11 +95,6 @@ def test_a_fine_rope_is_left_alone_and_an_uneven_link_is_not_cut():
         hf.refine_rope(uneven, [PEG])
 
 
-def test_a_coarse_rope_is_refined_by_itself():
-    run = hf.simulate(cable(), duration=0.05, q0=np.full(50, 0.3), pegs=[PEG])
-    assert run.setup.rope == hf.refine_rope(cable(), [PEG])
-
-
 def wound_up(mu: float = 0.3) -> hf.Trajectory:
     """A turn and a half round a peg, at rest under 1 N at the tip and 2 N at the other end."""
     peg, swept = hf.Peg(0.0, 0.0, 0.02, mu), 3.0 * math.pi

@@ -5,13 +5,11 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex import cli
 from hyperflex.cli import output
 from hyperflex.cli.app import COMMANDS
 
@@ -59,43 +57,6 @@ def test_the_installed_program_keeps_standard_output_clean(tmp_path):
     arguments = ["simulate", "swing.toml", "-o", "swing.nc", "--json"]
     done = subprocess.run([*program, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["samples"] == 11
-
-
-def test_ctrl_c_while_the_program_is_loaded_says_so(monkeypatch, capsys):
-    def stop_there(name, *_):
-        if name == "hyperflex.cli.app":
-            raise KeyboardInterrupt
-
-    finder = SimpleNamespace(find_spec=stop_there)
-    monkeypatch.delitem(sys.modules, "hyperflex.cli.app")
-    monkeypatch.setattr(sys, "meta_path", [finder, *sys.meta_path])
-    monkeypatch.setattr(sys, "argv", ["hyperflex", "demo", "--json"])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    captured = capsys.readouterr()
-    assert stop.value.code == 130
-    assert json.loads(captured.out)["error"] == "interrupted"
-    assert captured.err.startswith("hyperflex: Interrupted")
-
-
-PLAIN = "    os.kill(os.getpid(), signal.SIGINT)\n"
-SWALLOWED = (
-    f"    try:\n    {PLAIN}    except KeyboardInterrupt:\n        raise ValueError('cannot convert') from None\n"
-)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C cannot be sent to one process")
-@pytest.mark.parametrize("met", [PLAIN, SWALLOWED], ids=["plain", "made another error by a library"])
-def test_a_real_ctrl_c_says_so(tmp_path, met):
-    code = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
-    code += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # whatever the tests' own parent has set
-    code += f"def work(*_):\n{met}demo.write_demo = work\nmain()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "demo"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr.startswith("hyperflex: Interrupted")
-    assert done.stderr.count("\n") == 1
 
 
 def test_help_loads_nothing_heavy():

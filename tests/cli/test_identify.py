@@ -1,19 +1,16 @@
 """``hyperflex identify``: a recording and a guess in, a rope out; what is not declared is refused."""
 
 import dataclasses
-import io
 import json
 import re
 import signal
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 import hyperflex as hf
-from hyperflex import files, identification, progress, report
+from hyperflex import files, identification, report
 from hyperflex.errors import Interrupted
-from hyperflex.identification import pipeline
 from hyperflex.status import Status
 
 DECLARED = ("--time-unit", "ms", "--unit", "deg")
@@ -245,31 +242,3 @@ def test_bad_options_are_refused_by_name(hyperflex, led, options, message):
 
 
 # ---- the bar
-
-
-def test_the_bar_moves_forward_and_tells_stage_and_round(monkeypatch, capsys):
-    entries = [
-        {"stage": stage, "stages": 2, "round": k, "window": 0.25, "gain": 0.5} for stage in range(2) for k in range(9)
-    ]
-    parts = [pipeline.part_done(entry) for entry in entries]
-    assert parts == sorted(parts)
-    assert 0.0 < parts[0] < 0.5 < parts[9] < parts[-1] < 1.0
-    assert pipeline.message(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
-    monkeypatch.setattr(progress, "terminal", lambda: Console(file=io.StringIO(), force_terminal=True))
-    with pipeline.rounds_shown(True) as hear:
-        for entry in entries:
-            hear(entry)
-    assert capsys.readouterr().out == ""
-
-
-def test_a_fit_tells_its_stages(swing):
-    recording, guess, heard = (
-        hf.read_recording("swing.csv", time_unit="ms", unit="deg"),
-        hf.Rope.from_toml("guess.toml"),
-        [],
-    )
-    hf.identify(recording, guess, ["friction"], options=hf.FitOptions(window=3.0), progress=heard.append)
-    stages = [entry["stage"] for entry in heard]
-    assert set(stages) == {0, 1, 2}  # 0.75, 1.5 and 3 s: the usual length is 1.1 s
-    assert stages == sorted(stages)
-    assert stages[-1] == heard[-1]["stages"] - 1

@@ -254,8 +254,9 @@ def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, given, ready, tmp_pa
     ("place", "words"), [((2.5, 0), "out of reach"), ((0, 1), "rule of thumb"), ((0.05, 0), "arm"), ((0, 0), "arm")]
 )
 def test_a_target_that_cannot_be_wound_is_reported_at_once(hyperflex, given, tmp_path, place, words):
-    code, out, _ = hyperflex(*given("cast", place=place))
+    code, out, err = hyperflex(*given("cast", place=place))
     assert (code, words in out) == (4, True)
+    assert "no arm is given, so the paper's is used, 0.105 m long" in plain(err)
     assert ("--skip-feasibility" in out) == (words == "rule of thumb")  # for the others no search helps
     assert written(tmp_path / "out") == {"report.html"}
 

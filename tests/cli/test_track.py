@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -19,35 +18,22 @@ import pytest
 import hyperflex as hf
 from hyperflex.cli import output
 from hyperflex.files.netcdf import read_netcdf
-from hyperflex.vision import Camera, Renderer, RopeMotion, Scene, VideoReader, VideoWriter
+from hyperflex.vision import VideoReader, VideoWriter
+from tests.estimate.filmed import ARCS, COUNT, facing, film_swing
 from tests.estimate.runs import free_swing, rope
 from tests.estimate.test_bars import CAMERA, filmed
 
-ARCS = np.linspace(0.25, 2.0, 8)
-COUNT = 30
 Run = Callable[..., tuple[int, str, str]]
-
-
-def facing(size: tuple[int, int] = (640, 480), scale: float = 200.0, v: float = 20.0) -> Camera:
-    return Camera.facing(size, pixels_per_metre=scale, origin=(0.5 * size[0], v), exposure=0.004)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A free swing of a finer rope, the rope, and the camera."""
     path = tmp_path_factory.mktemp("watch")
-    render(path / "swing.mp4")
+    film_swing(path / "swing.mp4")
     rope(20).to_toml(path / "rope.toml")
     facing().write(path / "camera.toml")
     return path
-
-
-def render(path: Path, camera: Camera | None = None, seed: int = 0, count: int = COUNT) -> np.ndarray:
-    """Write the video of a swing; return where the markers are seen (T, K, 2), px."""
-    swing = free_swing(seed, 4.0)
-    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
-    renderer = Renderer(camera or facing(), motion, Scene(ARCS, marker_diameter=0.035))
-    return renderer.write(path, 0.05 + np.arange(count) / 30.0).pixels
 
 
 def words(command: str, video: Path, folder: Path, out: Path, *more: object, camera: str = "camera.toml") -> list[str]:
@@ -121,16 +107,6 @@ def test_an_interrupted_run_is_kept(folder, tmp_path, number):
 
 
 BOTH = pytest.mark.parametrize("command", ["track", "watch"])
-
-
-@BOTH
-@pytest.mark.parametrize("kind", ["cut off", "noise", "words"])
-def test_what_is_no_video_is_refused(refused, folder, tmp_path, command, kind):
-    whole = (folder / "swing.mp4").read_bytes()  # cut off within what says where the pictures are
-    content = {"cut off": whole[: whole.find(b"mdat") // 2], "noise": np.random.default_rng(0).bytes(50_000)}
-    (tmp_path / "bad.mp4").write_bytes(content.get(kind, b"t, x, y\n0, 0, 0\n"))
-    assert "bad.mp4" in refused(*words(command, tmp_path / "bad.mp4", folder, tmp_path / "out.nc"))
-    assert [each.name for each in tmp_path.iterdir()] == ["bad.mp4"]
 
 
 @BOTH
@@ -251,7 +227,7 @@ def test_markers_out_of_view(hyperflex, folder, tmp_path):
     """The picture ends above the lower half of the rope: what is below is known less well, and that is said."""
     cut = facing((640, 240))
     cut.write(folder / "cut.toml")
-    render(tmp_path / "cut.mp4", cut, count=3 * COUNT)
+    film_swing(tmp_path / "cut.mp4", cut, count=3 * COUNT)
     code, out, _ = hyperflex(
         *words("watch", tmp_path / "cut.mp4", folder, tmp_path / "out.nc", "--json", camera="cut.toml")
     )
@@ -268,7 +244,7 @@ def test_markers_out_of_view(hyperflex, folder, tmp_path):
 @BOTH
 def test_two_ropes(hyperflex, folder, tmp_path, command):
     """Another rope with the same markers hangs half a metre beside: ours, which hangs from the origin, is followed."""
-    other = render(tmp_path / "other.mp4", seed=3)
+    other = film_swing(tmp_path / "other.mp4", seed=3)
     with VideoReader(folder / "swing.mp4") as ours, VideoWriter(tmp_path / "two.mp4", (640, 480)) as both:
         for frame, places in zip(ours, other, strict=True):
             image = frame.image.copy()
@@ -302,24 +278,6 @@ def test_no_markers(refused, folder, tmp_path, command):
     assert not (tmp_path / "out.nc").exists()
 
 
-def test_markers_that_are_no_ropes(hyperflex, folder, tmp_path):
-    """Things of the markers' colour lie about at random: nothing is found, or what is stated is unsure."""
-    rng = np.random.default_rng(2)
-    with VideoWriter(tmp_path / "litter.mp4", (640, 480)) as video:
-        for k in range(12):
-            image = np.full((480, 640, 3), 170, np.uint8)
-            for u, v in rng.uniform(20.0, 460.0, (8, 2)):
-                cv2.circle(image, (round(u) + 80, round(v)), 4, (40, 30, 210), -1, cv2.LINE_AA)
-            video.write(image, k / 30.0)
-    code, out, _ = hyperflex(*words("watch", tmp_path / "litter.mp4", folder, tmp_path / "out.nc", "--json"))
-    assert code == 0
-    *estimates, summary = lines(out)
-    assert len(estimates) == summary["frames"] == 12
-    for each in estimates:
-        assert not each["found"] or each["tip_std"] > 0.0
-        assert np.isfinite(each["tip"]).all()
-
-
 # ---- bars
 
 
@@ -340,23 +298,6 @@ def test_a_video_of_bars_becomes_angles(hyperflex, pendulum):
     assert (recording.kind, said["frames"], min(said["seen"]) > 0.9) == ("angles", len(recording.t), True)
     with VideoReader("seen.mp4") as video:
         assert len(list(video)) == said["frames"]
-
-
-def test_the_preview_is_what_to_look_at(hyperflex, tmp_path, monkeypatch):
-    found = SimpleNamespace(
-        recording=hf.Recording([0.0, 0.1], [[0.1, 0.2], [0.1, 0.2]]),
-        frames=2,
-        seen=np.ones(2),
-        notes=(),
-        to_netcdf=lambda path: path.write_bytes(b"angles"),
-    )
-    monkeypatch.setattr("hyperflex.vision.track_bars", lambda *_, **__: found)
-    monkeypatch.setattr("hyperflex.cli.track._bar_detector", lambda *_: None)
-    monkeypatch.chdir(tmp_path)
-    given = ("track", "pendulum.mp4", "--bar", "213,140", "--bar", "252,180", "--pivot", "158", "150", "-o", "a.nc")
-    code, out, err = hyperflex(*given)
-    assert (code, err, "preview" in out) == (0, "", False)
-    assert re.search(r"output +a\.nc\n +preview +seen\.mp4\n", hyperflex(*given, "--preview", "seen.mp4")[1])
 
 
 def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, pendulum, tmp_path, monkeypatch):

@@ -168,19 +168,6 @@ def test_motion_out_of_the_plane_is_told(view, moved):
     assert any(each.name == "misfit" and each.size > 1.25 for each in found.changes)
 
 
-def test_only_touches():
-    """No parameter is tested; frames without a marker, or at the same time, or after half a second, are no matter."""
-    quick = RopeFilter(rope(5), [1.0, 2.0], tests=ChangeTests(("touch",)))
-    run = hf.simulate(rope(5), duration=3.0, q0=np.full(5, 0.3), t_eval=np.arange(0.0, 3.0, 0.05))
-    for k, (t, joints) in enumerate(zip(run.t, np.asarray(run.joints), strict=True)):
-        if 30 <= k < 40:
-            continue
-        places = joints[[2, 5]] if k % 7 else np.full((2, 2), np.nan)
-        quick.update(Observations(float(t), places if k else joints[[2, 5]], 1e-3))
-        quick.update(Observations(float(t), places, 1e-3))
-    assert quick.values == {}
-
-
 def test_what_is_estimated_is_tested_too():
     tests = ChangeTests(("scale", "touch"))
     tracker = RopeFilter(rope(5), [1.0, 2.0], parameters=[EstimatedParameter("scale", 0.01)], tests=tests)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from benchmarks import tracking
 from scipy import stats
 
 from hyperflex.estimate import EstimatedParameter
@@ -90,12 +89,3 @@ def test_joint_friction_beside_its_bound(moved):
     assert bound < 0.05
     assert std > 0.95 * bound
     assert abs(error) < 3.0 * min(std, 1.5 * bound)
-
-
-def test_the_bound_that_the_benchmark_states():
-    """Places are known better than they are seen, by up to the frames since the start, and velocities better later."""
-    truth = disturbed(n=20, noise=tracking.DENSITY, duration=2.0)
-    bound = tracking.bounds(truth, False, tracking.DENSITY)
-    assert tracking.NOISE / 8.0 < bound["places"] < tracking.NOISE
-    assert bound["places"] < bound["tip"] < 2.0 * tracking.NOISE
-    assert 0.0 < bound["velocities"] < bound["tip velocity"] < 2.0 * tracking.NOISE * tracking.FRAMES

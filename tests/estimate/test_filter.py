@@ -6,7 +6,6 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter
-from hyperflex.estimate.filter import ValidationGate
 from hyperflex.estimate.noise import NoiseLevel
 from tests.estimate.runs import LENGTH, free_swing, pumped, rope, track
 
@@ -36,10 +35,6 @@ def test_pumped_with_occlusion_and_a_blackout():
     assert found.nees[last] < 4.6 / 2.0  # within 90 % of chi square with 2 degrees of freedom
 
 
-def test_half_occluded_without_a_marker_on_the_tip():
-    assert track(pumped(), frames=30.0, occluded=0.5, on_tip=False, moved=True).rms("tip") < 0.040
-
-
 @pytest.mark.parametrize(
     ("wrong", "name", "std", "truth", "allowed"),
     [
@@ -56,12 +51,6 @@ def test_what_is_wrong_by_a_little_is_found(wrong, name, std, truth, allowed):
     assert value == pytest.approx(truth, abs=allowed)
     assert spread < std / 5.0
     assert found.rms("tip", 4.0) < 5e-3
-
-
-def test_a_known_readout_costs_little():
-    at_once = track(pumped(6.0), frames=30.0, moved=True).rms("tip")
-    by_rows = track(pumped(6.0), frames=30.0, moved=True, readout=0.03, known_readout=0.03).rms("tip")
-    assert by_rows < 1.2 * at_once
 
 
 def test_noise_is_found():
@@ -130,21 +119,6 @@ def test_what_half_of_a_frame_says_is_not_believed_at_once(seen, false):
     np.testing.assert_array_equal(np.flatnonzero(tracker.used), [k for k in seen if k not in false])
 
 
-def test_a_wrong_state_is_told_from_wrong_places():
-    """Where most of three places and more are off, it is the state; one or two are believed when they stay."""
-    wide, near, far = np.tile(np.eye(2), (4, 1, 1)), [0.5, 0.5], [30.0, 0.0]
-    hidden = [np.nan, np.nan]
-    gate = ValidationGate(4)
-    assert gate.accepted(np.array([far, far, far, near]), wide).all()
-    gate = ValidationGate(4)
-    for expected in ([True, True, False, False], [True] * 4):
-        assert gate.accepted(np.array([near, near, far, far]), wide).tolist() == expected
-    gate = ValidationGate(4)
-    lone = np.array([hidden, hidden, hidden, far])
-    assert not gate.accepted(lone, wide)[3]
-    assert gate.accepted(lone, wide)[3]
-
-
 def test_bad_input():
     tracker = RopeFilter(rope(5), [1.0, 2.0])
     with pytest.raises(InvalidInput, match="nothing has been seen"):
@@ -193,12 +167,6 @@ def test_nonsense_is_survived():
         tracker.update(Observations(float(run.t[i]), places if i > 800 else 2.0 * rng.normal(size=(4, 2)), 1e-3))
         assert tracker.t is None or np.isfinite(tracker.state.q).all()
     np.testing.assert_allclose(tracker.markers()[0][-1], run.joints[i, 100], atol=0.02)
-
-
-def test_nothing_seen_yet():
-    tracker = RopeFilter(rope(5), [1.0])
-    tracker.update(Observations(0.0, [[np.nan, np.nan]], 1e-3))
-    assert tracker.t is None
 
 
 def swinging(seconds: float, **options: object) -> RopeFilter:

@@ -38,32 +38,22 @@ from hyperflex.vision import (
     Frame,
     MarkerColour,
     MarkerDetector,
-    Renderer,
-    RopeMotion,
-    Scene,
     VideoReader,
     VideoWriter,
 )
+from tests.estimate.filmed import ARCS, facing, film_swing
 from tests.estimate.runs import ARM, SWINGS, free_swing, rope
 
-ARCS = np.linspace(0.25, 2.0, 8)
 FRAMES = 40
-
-
-def camera() -> Camera:
-    return Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.004)
 
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MarkerColour]:
     """A free swing at 30 frames/s."""
     path = tmp_path_factory.mktemp("live") / "swing.mp4"
-    swing = free_swing(0, 4.0)
-    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
-    renderer = Renderer(camera(), motion, Scene(ARCS, marker_diameter=0.035))
-    truth = renderer.write(path, 0.05 + np.arange(3 * FRAMES) / 30.0)
+    pixels = film_swing(path, count=3 * FRAMES)
     with VideoReader(path) as reader:
-        return path, MarkerColour.from_click(next(iter(reader)).image, truth.pixels[0, 3])
+        return path, MarkerColour.from_click(next(iter(reader)).image, pixels[0, 3])
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +63,7 @@ def pictures(video: tuple[Path, MarkerColour]) -> list[Frame]:
 
 
 def tracker(video: tuple[Path, MarkerColour]) -> RopeTracker:
-    return RopeTracker(RopeFilter(rope(20), ARCS, camera=camera()), MarkerMeasurement(MarkerDetector(video[1])))
+    return RopeTracker(RopeFilter(rope(20), ARCS, camera=facing()), MarkerMeasurement(MarkerDetector(video[1])))
 
 
 class Scripted:
@@ -228,11 +218,6 @@ def test_a_driver_that_fails_is_told(pictures):
         assert frames.ended == "the source failed: RuntimeError: cable"
 
 
-def test_a_source_that_is_not_there(tmp_path):
-    with pytest.raises(FileProblem, match="There is no video"):
-        open_frames(str(tmp_path / "none.mp4"))
-
-
 def test_the_log_of_an_interrupted_run_is_kept(video, pictures, tmp_path):
     path = tmp_path / "watch.nc"
     with FrameThread(lambda: Scripted(*pictures[:6]), live=False) as frames:
@@ -265,17 +250,9 @@ def test_the_page_is_for_this_machine_alone(pictures):
         assert page.address.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(page.address, timeout=5.0) as answer:
             assert b"stream" in answer.read()
-        for path, headers, code in (
-            ("/", {"Host": "evil.example"}, 403),
-            ("/", {"Origin": "http://evil.example"}, 403),
-            ("/etc/passwd", {}, 404),
-        ):
-            with pytest.raises(urllib.error.HTTPError) as refused:
-                urllib.request.urlopen(
-                    urllib.request.Request(page.address.rstrip("/") + path, headers=headers), timeout=5.0
-                )
-            assert refused.value.code == code
-            refused.value.close()
+        foreign = urllib.request.Request(page.address, headers={"Host": "evil.example"})  # others: tests/play
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(foreign, timeout=5.0)
         assert not page.watched
         with urllib.request.urlopen(page.address + "stream", timeout=5.0) as stream:
             until = time.monotonic() + 5.0
@@ -299,7 +276,7 @@ def test_stamps_are_put_on_the_clock_of_the_quickest_frame():
 
 
 def task(video: tuple[Path, MarkerColour], **more: object) -> TrackingTask:
-    return TrackingTask(rope(20), ARCS, camera(), video[1], **more)
+    return TrackingTask(rope(20), ARCS, facing(), video[1], **more)
 
 
 @pytest.fixture
@@ -425,7 +402,7 @@ def test_nothing_is_left_of_a_killed_parent(video, tmp_path):
     """The estimator ends by itself."""
     folder = video[0].parent
     rope(20).to_toml(folder / "rope.toml")
-    camera().write(folder / "camera.toml")
+    facing().write(folder / "camera.toml")
     program = tmp_path / "parent.py"
     program.write_text(PARENT)
     colour = ",".join(map(str, video[1].bgr))

@@ -181,24 +181,6 @@ def test_a_long_horizon_is_the_smoother():
     assert (np.abs(gap) < 0.5 * std).all()  # noise levels were learnt meanwhile, so not the same quite
 
 
-def test_a_horizon_tells_what_a_filter_does_where_motion_is_nearly_linear(monkeypatch):
-    """Small swings, seen often, levels of noise known: both are the Kalman filter but for the first frames, when rates
-    are not known at all, and derivatives are taken at other places."""
-    monkeypatch.setattr(RopeFilter, "_learn", lambda *_: None)
-    run = hf.simulate(PENDULUM, duration=1.0, q0=[0.02, 0.02], t_eval=np.arange(0.0, 1.0, 0.02))
-    both = RopeFilter(PENDULUM, ARCS), MovingHorizon(PENDULUM, ARCS, frames=5, starts=1)
-    rng = np.random.default_rng(4)
-    for t, joints in zip(run.t, np.asarray(run.joints), strict=True):
-        places = joints[1:] + 5e-4 * rng.normal(size=(2, 2))
-        for each in both:
-            each.update(Observations(float(t), places, 5e-4))
-    one, other = (each.state for each in both)
-    std = np.sqrt(np.diag(other.covariance))
-    assert (np.abs(np.concatenate([one.q - other.q, one.qd - other.qd])) < 0.03 * std).all()
-    np.testing.assert_allclose(np.sqrt(np.diag(one.covariance)), std, rtol=0.02)
-    assert both[0].log_likelihood == pytest.approx(both[1].log_likelihood, abs=1.0)
-
-
 def test_smoothed_states_are_nearer_than_filtered():
     """Through a gap of 0.4 s, too; 90 % regions hold."""
     gap = 0.05

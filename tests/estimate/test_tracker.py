@@ -8,7 +8,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli.app import run
-from hyperflex.errors import FileProblem, Interrupted, InvalidInput
+from hyperflex.errors import Interrupted
 from hyperflex.estimate import MarkerMeasurement, MovingHorizon, Observations, RopeFilter, RopeTracker, track_video
 from hyperflex.files import read_netcdf
 from hyperflex.vision import (
@@ -20,7 +20,6 @@ from hyperflex.vision import (
     Scene,
     Truth,
     VideoReader,
-    VideoWriter,
 )
 from tests.estimate.runs import free_swing, rope
 
@@ -130,32 +129,6 @@ def test_a_video_becomes_a_rope(video, tmp_path, capsys):
     result = hf.identify(recording, guess, ["friction:factor"], setup=setup)
     assert result.success
     assert result.rope.friction[3] == pytest.approx(rope(12).friction[3], rel=0.2)
-
-
-def test_no_rope_in_the_video(tmp_path, video):
-    path, truth = video
-    with VideoWriter(tmp_path / "dark.mp4", (640, 480)) as writer:
-        for time in (0.0, 0.1, 0.2):
-            writer.write(np.zeros((480, 640, 3), np.uint8), time)
-    with pytest.raises(InvalidInput, match="not found in the video"):
-        track_video(tmp_path / "dark.mp4", tracker(path, truth))
-    (tmp_path / "empty.mp4").touch()
-    with pytest.raises(FileProblem):
-        track_video(tmp_path / "empty.mp4", tracker(path, truth))
-    with VideoWriter(tmp_path / "small.mp4", (320, 240)) as writer:
-        writer.write(np.zeros((240, 320, 3), np.uint8), 0.0)
-    with pytest.raises(InvalidInput, match="another size"):
-        track_video(tmp_path / "small.mp4", tracker(path, truth), preview=tmp_path / "seen.mp4")
-    assert not (tmp_path / "seen.mp4").exists()
-
-
-def test_a_camera_without_a_plane():
-    lens = Camera.pinhole((640, 480))
-    with pytest.raises(InvalidInput, match="knows the swing plane"):
-        RopeTracker(
-            RopeFilter(rope(5), [1.0], camera=lens),
-            MarkerMeasurement(MarkerDetector(MarkerColour((200.0, 30.0, 30.0)))),
-        )
 
 
 @pytest.mark.parametrize(("slower", "said"), [(1.0, None), (4.0, "time stamps")])

@@ -17,37 +17,26 @@ from hyperflex.estimate import (
     RopeFilter,
     RopeTracker,
     VideoTrack,
-    measurements,
     track_video,
 )
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
     Camera,
-    Frame,
     MarkerColour,
     MarkerDetector,
-    Renderer,
-    RopeMotion,
-    Scene,
     VideoReader,
     VideoWriter,
 )
+from tests.estimate.filmed import ARCS, facing, film_swing
 from tests.estimate.runs import free_swing, rope
 from tests.vision.test_video import UPRIGHT
-
-ARCS = np.linspace(0.25, 2.0, 8)
-
-
-def facing(scale: float = 200.0, **other: object) -> Camera:
-    return Camera.facing((640, 480), pixels_per_metre=scale, origin=(320.0, 20.0), exposure=0.004, **other)
 
 
 @pytest.fixture(scope="module")
 def swing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A second of a free swing."""
-    path, run = tmp_path_factory.mktemp("video") / "swing.mp4", free_swing(0, 4.0)
-    motion = RopeMotion(run.t, run.q, run.qd, rope(100).length)
-    Renderer(facing(), motion, Scene(ARCS, marker_diameter=0.035)).write(path, 0.05 + np.arange(30) / 30.0)
+    path = tmp_path_factory.mktemp("video") / "swing.mp4"
+    film_swing(path)
     return path
 
 
@@ -77,9 +66,9 @@ def errors(found: VideoTrack, arcs: np.ndarray = ARCS) -> np.ndarray:
 @pytest.mark.parametrize(
     ("camera", "name", "prior", "truth", "bound"),
     [
-        (facing(202.0), "scale", 0.02, -0.0099, 4e-3),
-        (facing(212.0), "scale", 0.1, -0.0566, 4e-3),
-        (facing(188.0), "scale", 0.1, 0.0638, 4e-3),
+        (facing(scale=202.0), "scale", 0.02, -0.0099, 4e-3),
+        (facing(scale=212.0), "scale", 0.1, -0.0566, 4e-3),
+        (facing(scale=188.0), "scale", 0.1, 0.0638, 4e-3),
         (facing(roll=0.03), "roll", 0.05, -0.03, 1e-2),
         (facing().with_origin([316.0, 20.0]), "offset_x", 0.05, 0.02, 4e-3),
     ],
@@ -142,23 +131,6 @@ def test_lengths_are_said_for_the_rope_and_leave_places_alone(swing):
     assert f"arc_lengths {found.arc_lengths[0]:.5g},{found.arc_lengths[1]:.5g}" in said
 
 
-def test_a_marker_that_is_never_seen_is_left_out_and_named(swing):
-    found = tracked(swing, facing(), arcs=np.insert(ARCS, 0, 0.1))
-    assert "the marker at 0.1 m was never seen: check its arc length, or omit it from arc_lengths" in found.notes[0]
-    np.testing.assert_array_equal(found.arc_lengths, ARCS)
-    assert found.recording.data.shape == (30, 16)
-    assert np.nanmax(errors(found)) < 4e-3
-
-
-@pytest.mark.parametrize("arcs", [[0.2, 0.2, 0.4], [1.0, 0.8, 0.6]])
-def test_arc_lengths_that_do_not_increase_are_refused(arcs):
-    with pytest.raises(InvalidInput, match=f"do not increase: {arcs[1]:g} m comes after {arcs[0]:g} m"):
-        RopeTracker(
-            RopeFilter(rope(5), arcs, camera=facing()),
-            MarkerMeasurement(MarkerDetector(MarkerColour((40.0, 30.0, 210.0)))),
-        )
-
-
 @pytest.mark.parametrize("timing", [{"exposure": 30.0}, {"readout": 0.04}])
 def test_times_longer_than_the_frame_interval_are_refused(swing, timing):
     name = next(iter(timing))
@@ -182,39 +154,14 @@ def test_rows_that_contradict_a_turned_file_are_noted(swing, tmp_path):
     assert "follow each other up; the camera's readout_direction says down" in notes[0]
 
 
-@pytest.mark.parametrize(
-    ("camera", "wanted", "arcs"),
-    [(facing(188.0), ("scale", 0.1), ARCS), (facing(), ("length", 0.1), ARCS / 1.05)],
-    ids=["scale", "length"],
-)
-def test_the_rope_is_drawn_as_it_is_estimated(swing, camera, wanted, arcs):
-    """Its joints end at the tip's marker, by what was found of scale and lengths; 20 px off without that."""
-    if wanted[0] == "length":
-        short = rope(20).replace(length=rope(20).length / 1.05, com=rope(20).com / 1.05)
-        tracker = RopeTracker(
-            RopeFilter(short, arcs, camera=camera, parameters=[EstimatedParameter(*wanted)]),
-            follower(swing, camera).measurement,
-        )
-    else:
-        tracker = follower(swing, camera, [EstimatedParameter(*wanted)], arcs)
+def test_the_rope_is_drawn_as_it_is_estimated(swing):
+    """Its joints end at the tip's marker, by what was found of the scale; 20 px off without that."""
+    tracker = follower(swing, facing(scale=188.0), [EstimatedParameter("scale", 0.1)])
     with VideoReader(swing) as reader:
         for frame in reader:
             result = tracker.look(frame)
     assert result.state is not None
     assert np.linalg.norm(tracker.shape(result.state)[0][-1] - result.pixels[-1]) < 1.0
-
-
-def test_an_order_that_is_not_certain_is_waited_for_again(swing, monkeypatch):
-    """After 30 frames the best one is taken; once the rope is lost, another 30 have to pass."""
-    sure = measurements.order_markers
-    monkeypatch.setattr(measurements, "order_markers", lambda *a, **b: sure(*a, **b)._replace(certain=False))
-    tracker = follower(swing, facing())
-    with VideoReader(swing) as reader:
-        image = next(iter(reader)).image
-    found = [tracker.look(Frame(k / 30.0, image, k)).state is not None for k in range(30)]
-    assert found == [False] * 29 + [True]
-    tracker.estimator.restart()
-    assert tracker.look(Frame(1.0, image, 30)).state is None
 
 
 def test_frames_are_let_go(swing, monkeypatch):

@@ -1,7 +1,8 @@
 """Calls and commands that a signal ends at a chosen time, each in a forked process, and what came of each.
 
 ``python -m tests.faults.interrupting --seeds 3 --calls simulate --commands cast`` prints a name and a JSON
-object a trial, with what is wrong in ``faults``; without ``--calls`` and ``--commands`` it tries all of them.
+object a trial, with what is wrong in ``faults``; without ``--calls`` and ``--commands`` it tries all of them. The exit
+code says whether anything was wrong.
 """
 
 import argparse
@@ -380,8 +381,8 @@ def interrupt_commands(names: list[str], seeds: int, folder: Path) -> None:
             _tell(f"hyperflex {name}", told | {"code": left.code, "files": sorted(left.files), "faults": wrong})
 
 
-def main() -> None:
-    """Interrupt what is named at random times, and print what came of it."""
+def main() -> int:
+    """Interrupt what is named at random times, and print what came of it; return 1 where anything was wrong."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--calls", nargs="*")
@@ -393,9 +394,14 @@ def main() -> None:
     if chosen.commands is not None or neither:
         with tempfile.TemporaryDirectory() as made:
             interrupt_commands(chosen.commands or [], chosen.seeds, Path(made))
+    return int(bool(_wrong))
+
+
+_wrong: list[str] = []
 
 
 def _tell(name: str, told: dict[str, Any]) -> None:
+    _wrong.extend(told["faults"])
     sys.stdout.write(f"{name}\t{json.dumps(told)}\n")
     sys.stdout.flush()
 

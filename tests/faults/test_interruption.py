@@ -30,7 +30,6 @@ from hyperflex.interruption import deferred, handle_signals, interruptible, rais
 from hyperflex.paper import reproduce
 from hyperflex.simulation import contact
 from hyperflex.vision import calibrate_camera, track_bars
-from tests.faults.counting import count
 from tests.faults.interrupting import left_by
 
 ROOT = Path(__file__).parents[2]
@@ -341,24 +340,26 @@ def test_calls_and_commands_that_signals_end_at_random_times():
     calls, commands = ["simulate batch", "identify", "bootstrap"], ["simulate", "identify"]
     ask = ["--seeds", str(SEEDS), "--calls", *calls, "--commands", *commands]
     words = [sys.executable, "-m", "tests.faults.interrupting", *ask]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     told = [line.partition("\t") for line in done.stdout.splitlines()]
     assert Counter(name.removeprefix("hyperflex ") for name, *_ in told) == Counter(SEEDS * (calls + commands))
     for name, _, content in told:
-        count()
         assert json.loads(content)["faults"] == [], name
 
 
 @pytest.mark.parametrize(
-    "how", ["os.kill(os.getpid(), signal.SIGTERM)", "exec('os.kill(os.getpid(), signal.SIGTERM)')"]
+    ("how", "code"),
+    [("os.kill(os.getpid(), 15)", 143), ("exec('os.kill(os.getpid(), 15)')", 143), ("os.kill(os.getpid(), 2)", 130)],
 )
-def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path, how):
+def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path, how, code):
     """Also where Python keeps a mark of it, as for code in a string (as of namedtuple) below ``python -m``."""
-    code = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
-    (tmp_path / "stopped.py").write_text(f"{code}def work(*_): {how}\ndemo.write_demo = work\nmain()")
+    head = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
+    head += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # whatever the tests' own parent has set
+    (tmp_path / "stopped.py").write_text(f"{head}def work(*_): {how}\ndemo.write_demo = work\nmain()")
     words = [sys.executable, "-m", "stopped", "demo", "--json"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 143
+    assert done.returncode == code
+    assert (done.stderr.startswith("hyperflex: Interrupted"), done.stderr.count("\n")) == (True, 1)
     assert json.loads(done.stdout)["error"] == "interrupted"
     assert interruption.number() == signal.SIGINT
 

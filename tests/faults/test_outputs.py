@@ -19,7 +19,6 @@ from hyperflex.report import CastReport, animate, whole_folder
 from hyperflex.report.page import Section, write_page
 from hyperflex.report.style import save_png
 from hyperflex.vision import VideoWriter
-from tests.faults.counting import count
 from tests.faults.writing import CODES, Faults, injected
 
 # Kinds of fault that are tried at each call: 1 usually, 12 (all codes, once and from then on) by night
@@ -91,7 +90,6 @@ def fail_everywhere(write: Callable[[], object], folder: Path) -> int:
             if not said:
                 assert faults.calls < call, f"call {call} failed, and nobody was told"
                 return call - 1
-            count()
             assert str(folder) in said
             assert ".part" not in said
             assert content(folder) == before, f"after call {call} failed"
@@ -143,7 +141,6 @@ def test_earlier_files_that_cannot_be_put_back_are_kept_and_named(tmp_path):
         if not said:
             assert faults.calls < call
             return
-        count()
         left = content(folder)
         assert sorted(Path(name).name for name, each in left.items() if each == EARLIER) == [
             "a.txt",

@@ -14,7 +14,6 @@ from hyperflex.planning.uncertainty import RopePosterior
 from hyperflex.vision import Camera, read_camera
 from tests.exchange import bags
 from tests.faults.bounds import examples, refused_or_done
-from tests.faults.counting import count
 
 T = np.linspace(0.0, 0.5, 6)
 ROPE = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=1e-4, radius=0.002)
@@ -151,7 +150,6 @@ def test_damage_is_told_or_harmless(kind, sound):
     @examples(15 if kind.endswith((".mcap", ".db3", ".yaml", ".xml")) else 8)
     @given(st.lists(CHANGE, min_size=1, max_size=3))
     def damage(changes):
-        count()
         path.write_bytes(changed(content, changes))
         refused_or_done(lambda: read(path))
 

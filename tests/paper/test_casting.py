@@ -75,22 +75,6 @@ def test_figures_show_every_reading_with_solid_success_and_dashed_failure():
     }
 
 
-def test_phase_portraits_are_thick_in_motion_with_circles_and_crosses():
-    axis = drawn("fig12").axes[0]
-    resting, moving = axis.collections
-    assert moving.get_linewidths()[0] > 2.0 * resting.get_linewidths()[0]
-    starts, ends = (line for line in axis.get_lines() if line.get_marker() in ("o", "x"))
-    assert (starts.get_marker(), ends.get_marker()) == ("o", "x")
-    assert len(starts.get_xdata()) == 12  # motions that start within 14 s
-    assert len(ends.get_xdata()) == 11
-
-
-def test_arms_of_fig9_reach_half_a_turn():
-    for axis in drawn("fig9").axes:
-        for line in axis.get_lines():
-            assert np.ptp(line.get_ydata()) == pytest.approx(180.0, abs=1e-9)
-
-
 def test_figures_that_cut_spikes_off_say_where_and_how_high_they_are(every):
     greatest_r = max(each.spiral.r.max() for each in every)
     greatest_v = max(np.abs(each.spiral.scaled_velocity).max() for each in every)

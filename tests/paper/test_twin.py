@@ -42,13 +42,6 @@ def test_the_recording_says_that_it_is_simulated(tracked):
     assert "40 links" in recording.source
 
 
-def test_the_rope_that_made_it_is_finer_than_the_one_fitted(tracked):
-    assert twin.fine_rope().n_links == 4 * twin.coarse_rope().n_links == 4 * twin.recording(tracked).n_links
-    for rope in (twin.fine_rope(), twin.coarse_rope()):
-        assert rope.total_length == pytest.approx(2.0, rel=1e-14)
-        assert rope.total_mass == pytest.approx(0.125, rel=1e-14)
-
-
 @pytest.mark.nightly
 def test_the_mapped_truth_is_what_a_fit_without_noise_finds():
     found = twin.fit(twin.exact()).values

@@ -15,11 +15,7 @@ from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
 from hyperflex.report.identification.figures import (
     FittedChannels,
-    fit_figure,
-    history_figure,
-    multiples_figure,
     prediction_figure,
-    residual_figure,
 )
 from hyperflex.report.identification.page import identification_page, write_identification
 from hyperflex.report.identification.tables import (
@@ -33,7 +29,7 @@ from hyperflex.report.identification.tables import (
     rope_table,
     ties,
 )
-from hyperflex.report.units import readable_unit, rounded, short
+from hyperflex.report.units import readable_unit
 from hyperflex.status import Status
 
 NOISE = 2e-3
@@ -291,22 +287,6 @@ def test_units_suit_the_size(what, value, unit):
     assert readable_unit(what, value).name == unit
 
 
-@pytest.mark.parametrize(
-    ("value", "std", "text"),
-    [
-        (0.50317, 0.0213, "0.503"),
-        (45636.0, 3512.0, "45600"),
-        (0.153157, 2.9e-5, "0.153157"),
-        (12.34567, 0.0, "12.35"),
-        (12.34567, np.inf, "12.35"),
-        (np.nan, 1.0, "not known"),
-    ],
-)
-def test_values_have_the_digits_that_their_deviation_leaves(value, std, text):
-    assert rounded(value, std) == text
-    assert [short(std) for std in (35.1, 0.44, 2.9e-5, 1.23e-9)] == ["35", "0.44", "0.000029", "1.2e-09"]
-
-
 # ---- figures
 
 
@@ -342,16 +322,6 @@ def test_the_channels_chosen_of_many_hold_the_worst(markers):
     assert FittedChannels(angles, nine).chosen == (0, 2, 4, 8)
 
 
-def test_figures_show_each_chosen_channel_and_multiples_all(swing, markers):
-    view = FittedChannels(*swing)
-    titles = [axis.get_title("left") for axis in fit_figure(view).axes]
-    assert [title.split(":")[0] for title in titles] == ["link 0", "its worst window", "link 1", "its worst window"]
-    assert f"{1e3 * swing[1].residual_rms[1]:.3g} mrad" in titles[2]
-    assert len(residual_figure(view).axes) == 6
-    shown = [axis.get_title("left").split(":")[0] for axis in multiples_figure(FittedChannels(*markers)).axes]
-    assert shown[:6] == list(FittedChannels(*markers).names)
-
-
 def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
     recording, found = swing
     figure = prediction_figure(FittedChannels(recording, found), found.held_out)
@@ -362,22 +332,7 @@ def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
     assert height == pytest.approx(1.96e3 * found.held_out.std[first, 0].max())
 
 
-def test_the_history_names_its_stages(swing):
-    axis = history_figure(swing[1]).axes[0]
-    lengths = list(dict.fromkeys(entry["window"] for entry in swing[1].history))
-    assert [text.get_text() for text in axis.texts] == [f"windows of {length:.3g} s" for length in lengths]
-    assert len(axis.get_lines()) == 2 * len(lengths)
-
-
 # ---- autocorrelation
-
-
-def test_white_residuals_stay_within_their_band():
-    t = np.arange(4000) * 0.01
-    lag, correlation, band = correlogram(t, np.random.default_rng(3).normal(size=(4000, 5)), 40)
-    np.testing.assert_allclose(lag, 0.01 * np.arange(1, 41))
-    # 200 correlations, 5 % of which may lie outside: 10 expected, and more than 22 in one of 10,000 cases.
-    assert 1 <= (np.abs(correlation) > band).sum() <= 22
 
 
 def test_correlation_of_a_known_process_also_with_gaps():

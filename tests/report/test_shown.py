@@ -75,12 +75,6 @@ def test_a_notebook_plays_a_run_and_a_plan():
     assert "out of reach" in none
 
 
-def test_a_run_of_one_sample_is_named():
-    run = hf.simulate(ROPE, duration=0.1, t_eval=[0.0])
-    assert "1 samples" in run._repr_html_()
-    assert "<iframe" not in run._repr_html_()
-
-
 def test_a_figure_shows_itself_in_a_notebook_and_can_be_copied():
     figure = planned_whip().run.plot("course", start=0.5, end=1.0)
     assert figure._repr_png_().startswith(b"\x89PNG")
