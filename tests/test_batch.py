@@ -66,15 +66,6 @@ def test_members_equal_single_runs(others):
         np.testing.assert_allclose(batch.dissipated_energy[m], run.dissipated_energy, rtol=0, atol=1e-5)
 
 
-def test_results_do_not_depend_on_threads_or_neighbours():
-    ropes, motions = family(70)
-    one = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, threads=1)
-    three = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, threads=3)
-    np.testing.assert_array_equal(one.tip, three.tip)
-    alone = hf.simulate_batch(ropes[41], motions[41], arm=ARM, duration=0.5)
-    np.testing.assert_array_equal(one.tip[41], alone.tip[0])
-
-
 def test_a_dry_neighbour_changes_nothing():
     ropes, motions = family(60, n=3)
     ropes[-1] = ropes[-1].replace(dry_friction=1e-4)

@@ -52,14 +52,6 @@ def test_members_are_runs_of_their_own():
     assert set(batch.dataset.dims) >= {"member", "time", "peg"}
 
 
-def test_one_rope_and_pegs_for_all_members_from_many_starts():
-    ropes, motions = family()
-    q0 = np.linspace(1.0, 1.3, 3)[:, None] + np.zeros(10)
-    batch = hf.simulate_batch(ropes[0], motions, pegs=PEGS[0], q0=q0, **HOW)
-    alone = hf.simulate(ropes[0], motions[2], pegs=PEGS[0], q0=q0[2], t_eval=[DURATION], **HOW)
-    np.testing.assert_array_equal(batch.tip[2], alone.tip)
-
-
 @pytest.mark.parametrize(
     ("what", "words"),
     [
@@ -117,14 +109,6 @@ def test_a_budget_ends_all_members_those_that_have_not_begun_at_once(pegs):
     assert "out of time" in batch.message
     how = {"pegs": pegs, "time_budget": 1e3, **HOW}
     assert set(hf.simulate_batch(ropes, motions, **how).status) == {"success"}
-
-
-def test_no_block_of_a_batch_begins_when_the_time_is_over():
-    begun: list[int] = []
-    over = Budget()
-    over.cancel()
-    assert run_blocks(lambda low, high: begun.append(low), 1, 4, 1, over).status == "out of time"
-    assert begun == []
 
 
 def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch):

@@ -7,7 +7,6 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 
 ROPE = hf.Rope(length=[0.1, 0.2, 0.3], mass=[0.1 / 3, 0.02, 0.01], friction=1 / 7e4, tip_mass=0.1, name='a "rope"')
-AIRY = hf.Rope.uniform(1.0, 0.1, 3, drag=0.004, max_bend=[np.inf, 1.0, 0.7])
 PIECES = '[motion]\nkind = "pieces"\nbreaks = [0.0, 1.0]\ncoef = [1.0]\nswitch = [true, true]\nloop = -1\n'
 TABLE = "[rope]\nn_links = 10\ntotal_length = 1.0\ntotal_mass = 0.05\n"
 
@@ -32,12 +31,6 @@ def test_setup_round_trip(motion, tmp_path):
     assert again.arm == setup.arm
     np.testing.assert_array_equal(again.q0, setup.q0)
     assert again.dumps() == setup.dumps()
-
-
-@pytest.mark.parametrize("rope", [ROPE, AIRY])
-def test_rope_round_trip(rope, tmp_path):
-    rope.to_toml(tmp_path / "rope.toml")
-    assert hf.Rope.from_toml(tmp_path / "rope.toml") == rope
 
 
 def test_totals_are_shared_out(tmp_path):
@@ -76,20 +69,12 @@ def test_motion_file_is_found_beside_the_setup(tmp_path):
         ("[rope]\nlength = [0.1, 0.1]\nmass = [0.1]\n", "mass"),
         ("[rope]\nn_links = 3\nlength = [0.1, 0.1]\ntotal_mass = 0.1\n", "n_links"),
         ("[rope]\ntotal_length = 1.0\ntotal_mass = 0.1\n", "lacks n_links"),
-        (
-            TABLE + '[motion]\nkind = "pieces"\nbreaks = [0.0, 1.0]\ncoef = [1.0]\nswitch = [true, true]\nloop = -1\n',
-            "coef",
-        ),
+        (TABLE + PIECES, "coef"),
         ("[rope]\nn_links = 10\n", "length"),
         ("[rope]\nn_links = 0\nlink_length = 0.1\nlink_mass = 0.1\n", "n_links"),
         (TABLE + "link_length = 0.1\n", "length 2 times"),
-        (TABLE + "weight = 3.0\n", "weight"),
-        (TABLE.replace("0.05", "-0.05"), "-0.05"),
         ("rope = 3\n", "not a table"),
-        ("speed = 3\n" + TABLE, "speed"),
         (TABLE + '[motion]\nkind = "dance"\n', "dance"),
-        (TABLE + '[motion]\nkind = "swings"\nt_mov = 0.3\n', "t_mov"),
-        (TABLE + "[arm]\nlenght = 0.3\n", "lenght"),
     ],
 )
 def test_bad_tables(text, words):

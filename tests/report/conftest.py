@@ -10,10 +10,3 @@ def short_cast() -> hf.Trajectory:
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, friction=1e-3)
     times = np.linspace(0.0, 1.5, 301)
     return hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.1), duration=1.5, t_eval=times)
-
-
-@pytest.fixture(scope="session")
-def hanging() -> hf.Trajectory:
-    """A rope that swings from a fixed point, without an arm."""
-    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=4, friction=1e-3)
-    return hf.simulate(rope, duration=0.5, q0=[0.4, 0.4, 0.4, 0.4])

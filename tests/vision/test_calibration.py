@@ -1,5 +1,7 @@
 """Calibration on rendered boards: how exact it is, and what it refuses."""
 
+import functools
+
 import cv2
 import numpy as np
 import pytest
@@ -14,28 +16,24 @@ CHESSBOARD = Board((9, 7), 0.025)
 PLANE = np.array([0.1, -0.2, 0.05]), np.array([-0.12, -0.08, 0.55])
 
 
-@pytest.fixture(scope="module")
-def pictures():
-    return [render_board(CHARUCO, *pose, seed=k) for k, pose in enumerate(board_poses(CHARUCO, 10))]
+@functools.cache
+def pictures(board=CHARUCO, legacy=False):
+    return [render_board(board, *pose, legacy=legacy, seed=k) for k, pose in enumerate(board_poses(board, 10))]
 
 
-@pytest.fixture(scope="module")
-def legacy_pictures():
-    return [render_board(CHARUCO, *pose, legacy=True, seed=k) for k, pose in enumerate(board_poses(CHARUCO, 10))]
-
-
-@pytest.fixture(scope="module")
-def chessboard_pictures():
-    return [render_board(CHESSBOARD, *pose, seed=k) for k, pose in enumerate(board_poses(CHESSBOARD, 10))]
+def parallel(lean):
+    """Boards that all lean the same way tell no focal length, whether they face the camera or not."""
+    poses = enumerate(board_poses(CHARUCO, 6, tilt=0.0))
+    turn, aside = np.array([lean, 0.0, 0.0]), np.array([0.03, 0.02, 0.0])
+    return [render_board(CHARUCO, turn, place - aside, seed=k) for k, (_, place) in poses]
 
 
 @pytest.mark.parametrize(
-    ("name", "board", "legacy"),
-    [("pictures", CHARUCO, False), ("legacy_pictures", CHARUCO, True), ("chessboard_pictures", CHESSBOARD, False)],
+    ("board", "legacy"), [(CHARUCO, False), (CHARUCO, True), (CHESSBOARD, False)], ids=["new", "legacy", "chessboard"]
 )
-def test_camera_and_scale_are_found(request, name, board, legacy):
+def test_camera_and_scale_are_found(board, legacy):
     """Reprojection below 0.3 px and the scale in the plane within 0.1 %: the acceptance figures."""
-    found = calibrate_camera(request.getfixturevalue(name), board)
+    found = calibrate_camera(pictures(board, legacy), board)
     assert found.rms < 0.3
     assert found.legacy == legacy
     assert abs(found.camera.matrix[0, 0] - MATRIX[0, 0]) < 4.0 * found.focal_std
@@ -50,45 +48,27 @@ def test_camera_and_scale_are_found(request, name, board, legacy):
     assert np.abs(places - corners * [1.0, -1.0]).max() < 5e-4  # x right, y up from the top left corner
 
 
-def refused(images, board, message):
+SAME = ((8, 6), 0.03, 0.0225)
+REFUSED = {  # pictures, the board that is declared, and what is said
+    "mirrored": (lambda: [image[:, ::-1].copy() for image in pictures()], SAME, "mirrored"),
+    "turned": (pictures, ((6, 8), 0.03, 0.0225), "not the declared one"),
+    "narrower": (pictures, ((7, 6), 0.03, 0.0225), "not the declared one"),
+    "wider": (pictures, ((9, 6), 0.03, 0.0225), "not the declared one"),
+    "smaller markers": (pictures, ((8, 6), 0.03, 0.02), "another size in their squares.*0.7[2-5]"),
+    "another dictionary": (pictures, (*SAME, "DICT_5X5_100"), "another dictionary.*DICT_4X4"),
+    "three views": (lambda: pictures()[:3], SAME, "too few views.*3 in 3 pictures"),
+    "no board": (lambda: [np.zeros((480, 640, 3), np.uint8)], SAME, "too few views.*0 in 1"),
+    "nothing": (list, SAME, "no picture"),
+    "facing": (lambda: parallel(0.0), SAME, "degenerate.*parallel"),
+    "leaning": (lambda: parallel(0.5), SAME, "degenerate.*parallel"),
+    "sizes": (lambda: [pictures()[0], pictures()[1][:-2]], SAME, "differ in size"),
+}
+
+
+@pytest.mark.parametrize(("views", "board", "message"), REFUSED.values(), ids=REFUSED.keys())
+def test_views_that_do_not_fit_are_refused(views, board, message):
     with pytest.raises(InvalidInput, match=message):
-        calibrate_camera(images, board)
-
-
-def test_mirrored_pictures_are_refused(pictures):
-    refused([image[:, ::-1].copy() for image in pictures], CHARUCO, "mirrored")
-
-
-@pytest.mark.parametrize("squares", [(6, 8), (7, 6), (9, 6)])
-def test_other_numbers_of_squares_are_refused(pictures, squares):
-    refused(pictures, Board(squares, 0.03, 0.0225), "not the declared one")
-
-
-def test_markers_of_another_size_are_refused(pictures):
-    refused(pictures, Board((8, 6), 0.03, 0.02), "another size in their squares.*0.7[2-5]")
-
-
-def test_markers_of_another_dictionary_are_refused_with_the_right_one(pictures):
-    refused(pictures, Board((8, 6), 0.03, 0.0225, "DICT_5X5_100"), "another dictionary.*DICT_4X4")
-
-
-def test_too_few_views_are_refused(pictures):
-    refused(pictures[:3], CHARUCO, "too few views.*3 in 3 pictures")
-    refused([np.zeros((480, 640, 3), np.uint8)], CHARUCO, "too few views.*0 in 1")
-    refused([], CHARUCO, "no picture")
-
-
-@pytest.mark.parametrize("lean", [0.0, 0.5])
-def test_parallel_views_are_refused(lean):
-    """Boards that all lean the same way tell no focal length, whether they face the camera or not."""
-    views = []
-    for k, (_, place) in enumerate(board_poses(CHARUCO, 6, tilt=0.0)):
-        views.append(render_board(CHARUCO, np.array([lean, 0.0, 0.0]), place - [0.03, 0.02, 0.0], seed=k))
-    refused(views, CHARUCO, "degenerate.*parallel")
-
-
-def test_pictures_of_different_sizes_are_refused(pictures):
-    refused([pictures[0], pictures[1][:-2]], CHARUCO, "differ in size")
+        calibrate_camera(views(), Board(*board))
 
 
 @pytest.mark.parametrize(
@@ -107,9 +87,9 @@ def test_boards_that_cannot_be_are_refused(arguments, message):
         Board(*arguments)
 
 
-def test_command_on_a_video(hyperflex, hyperflex_json, pictures, tmp_path):  # noqa: F811
+def test_command_on_a_video(hyperflex, hyperflex_json, tmp_path):  # noqa: F811
     with VideoWriter(tmp_path / "board.mp4", SIZE) as video:
-        for k, picture in enumerate(pictures):
+        for k, picture in enumerate(pictures()):
             video.write(picture, 0.25 * k)
     cv2.imwrite(str(tmp_path / "plane.png"), render_board(CHARUCO, *PLANE, seed=99))
     arguments = ("calibrate", tmp_path / "board.mp4", "--squares", 8, 6, "--square", 0.03, "--marker", 0.0225)

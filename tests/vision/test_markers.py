@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hyperflex import InvalidInput
-from hyperflex.vision import Camera, Gate, MarkerColour, MarkerDetector, Renderer, Scene, read_image
+from hyperflex.vision import Camera, Gate, MarkerColour, MarkerDetector, Renderer, Scene
 from tests.vision.ropes import ARCS, camera, sliding, swinging
 
 GREEN, WHITE = (60.0, 190.0, 40.0), (252.0, 252.0, 252.0)
@@ -262,9 +262,3 @@ def test_frames_of_mujoco(tmp_path):
     seen = detector.find(image)
     assert len(seen.places) == len(points)
     assert max(np.linalg.norm(seen.places - p, axis=1).min() for p in want) < 0.25
-
-
-def test_a_png_is_read_as_it_was_written(tmp_path):
-    image = Renderer(camera(), swinging(), Scene(ARCS)).image(0.0)
-    cv2.imwrite(str(tmp_path / "frame.png"), image)
-    assert np.array_equal(read_image(tmp_path / "frame.png"), image)

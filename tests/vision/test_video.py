@@ -183,8 +183,3 @@ def test_live_source_that_is_not_there(source):
     *trace, last = ended.stderr.splitlines()
     assert "FileProblem: There is no camera or stream" in last
     assert not any("Connection" in line for line in trace)  # the message says it, not FFmpeg as well
-
-
-def test_live_source_must_be_one():
-    with pytest.raises(InvalidInput, match="no camera"):
-        LiveCamera(-1)
