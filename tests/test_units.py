@@ -35,11 +35,6 @@ def test_a_value_off_by_a_unit_is_named_with_it(call, words):
     assert told[0].filename == __file__
 
 
-def test_density_of_a_rope_in_grams_is_refused():
-    with pytest.raises(InvalidInput, match=r"3.18e.06 kg/m.*125 g are 0.125"):
-        hf.Rope.uniform(length=2.0, mass=125.0, n_links=10, radius=0.0025)
-
-
 def test_real_large_ropes_and_arms_pass():
     """Warnings are errors in these tests."""
     assert hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02).total_length == pytest.approx(30.0)
