@@ -3,7 +3,6 @@
 The guesses know the link lengths and nothing else: uniform rods of equal mass, some friction.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from hyperflex.simulation import simulate
 FREE = ["inertia", "com", "friction", "dry_friction"]
 TRIPLE = Rope(length=[0.1727, 0.2286, 0.2413], mass=0.1, friction=1e-4)
 J, P = np.array([0.1687, 0.1644, 0.0377]), np.array([1.0, 0.762, 0.197])
-Note = Callable[[str, object], None]
 
 
 @pytest.fixture(scope="module")

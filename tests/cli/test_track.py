@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,6 @@ from hyperflex.vision import VideoReader, VideoWriter
 from tests.estimate.filmed import ARCS, COUNT, facing, film_swing
 from tests.estimate.runs import free_swing, rope
 from tests.estimate.test_bars import CAMERA, filmed
-
-Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="module")

@@ -42,9 +42,3 @@ def test_overlap_and_times_before_zero_are_refused():
 def test_round_trip_through_a_table():
     motion = hf.arm_strokes([0.1, 1.2], 0.6, "ramp", "over", ramp=0.2, made=1)
     assert from_spec(to_spec(motion)) == motion
-
-
-@pytest.mark.parametrize("ramp", [0.0, 0.5])
-def test_a_ramp_outside_its_range_is_refused(ramp):
-    with pytest.raises(InvalidInput, match="ramp"):
-        hf.arm_strokes([0.0], profile="ramp", ramp=ramp)

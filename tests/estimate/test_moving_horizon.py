@@ -1,7 +1,5 @@
 """The moving horizon: several starts, blackouts, wrong explanations, and a real double pendulum's withheld markers."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from benchmarks import pendulum_tracking as pendulum
@@ -12,7 +10,6 @@ from hyperflex.errors import InvalidInput
 from hyperflex.estimate import MovingHorizon, Observations, RopeFilter, smooth
 
 GAP, NOISE = 0.08, 2.5e-4  # s between frames: links turn by more than half a turn from one to the next
-Note = Callable[[str, object], None]
 
 
 def spin(seed: int, frames: int = 20) -> hf.Trajectory:

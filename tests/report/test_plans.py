@@ -55,7 +55,7 @@ PAGES = {  # a report, its figures, and what the page says
         {"peak", "passing", "course"},
         (
             "within 17.2 degrees of the direction 179; 3 strokes; speed peaks at 1.29 m/s; 0.5 mm from the target; "
-            "5.7 degrees; standard deviation of 4 mm; After the peak the rope touches the wall at (0.3, -1.5) m at 1.95 s"
+            "standard deviation of 4 mm; After the peak the rope touches the wall at (0.3, -1.5) m at 1.95 s"
         ),
     ),
     "insertion": (
