@@ -20,6 +20,7 @@ PENDULUM = hf.Rope([0.3], [0.1], friction=2e-4)
 CABLE = hf.Rope.uniform(1.0, 0.1, 5, radius=0.002, friction=1e-4)
 ARM, PEG = hf.Arm(length=0.1), hf.Peg(0.3, -0.2, 0.03)
 T = np.linspace(0.0, 2.0, 61)
+HOLD = hf.hold_arm(0.1)
 SAMPLES = {"t": [0.0, 0.5, 1.0]}
 START: dict[str, Any] = {"duration": 0.05, "q0": [0.1, 0.2], "qd0": [0.0, 0.1], "tol": 1e-4}
 
