@@ -17,7 +17,7 @@ from hyperflex.interruption import _USUAL
 from hyperflex.planning import NOT_PLANNED, FallbackTarget, SuccessProbability, Uncertainty
 from hyperflex.planning.outcome import TOO_LONG
 from hyperflex.planning.tasks.whip import verify_whip
-from hyperflex.report import CastReport, WhipReport
+from hyperflex.report import CastReport, PlanReport, WhipReport
 from tests.planning import known_insert, known_whip
 from tests.planning.known import CABLE, PEG, late, planned, stopped
 
@@ -62,6 +62,13 @@ def ready(monkeypatch):
         return asked
 
     return plan
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages are not drawn and no rope is pulled: what takes long, and is seen in other tests."""
+    monkeypatch.setattr(PlanReport, "add_page", lambda _, folder, **__: {"page": folder / "report.html"})
+    monkeypatch.setattr(planning.CastPlan, "measure_holding_force", lambda _: None)
 
 
 def written(folder):
@@ -139,6 +146,7 @@ TABLES = {  # of a set-up file: the table, other values for it, and options that
 
 
 @EACH
+@pytest.mark.usefixtures("undrawn")
 def test_a_set_up_file_and_options_say_the_same(hyperflex, given, ready, tmp_path, command):
     name, target, other = TABLES[command]
     asked, path, out = ready(command), tmp_path / "setup.toml", tmp_path / "out"
@@ -164,6 +172,7 @@ def test_a_set_up_file_and_options_say_the_same(hyperflex, given, ready, tmp_pat
         assert hf.simulate(hf.Setup.loads(files.dumps_toml(setup)), duration=0.01).success
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_pegs_but_the_target_of_a_cast_are_obstacles(hyperflex, ready, tmp_path):
     floor, other = hf.Ground(0.0, -3.0), hf.Peg(1.5, 1.0, 0.1)
     hf.Setup(CABLE, arm=hf.Arm(length=0.105), pegs=(PEG, other, floor)).to_toml(tmp_path / "setup.toml")
@@ -179,6 +188,7 @@ def test_pegs_but_the_target_of_a_cast_are_obstacles(hyperflex, ready, tmp_path)
 
 
 @EACH
+@pytest.mark.usefixtures("undrawn")
 def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, given, ready, tmp_path, command):
     """It also holds the verified run, whose rope is cut for a peg; what is planned with is what was before."""
     plan, asked = MADE[command](), ready(command)
@@ -187,6 +197,7 @@ def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, given, ready, t
     assert (asked["target"], asked["rope"], asked["limits"]) == (plan.target, ROPES[command], plan.problem.limits)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("criteria", "clearance", "words"),
     [
@@ -208,6 +219,7 @@ def test_criteria_of_an_earlier_plan_hold_unless_others_are_given(
     assert (code, {name: asked[name] for name in usual}, "required again" in err) == (0, usual, False)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_plans_that_do_not_fit_their_files_are_refused(hyperflex, ready, tmp_path):
     """A start that swings makes another throw; and what is planned with stands further down than the obstacles."""
     ready("cast")

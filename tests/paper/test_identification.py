@@ -40,6 +40,7 @@ def test_fig5_shows_circles_where_it_was_measured_and_what_is_left():
     assert 1e3 * np.sqrt(np.mean(away**2)) == pytest.approx(revised_left, rel=1e-3)
 
 
+@pytest.mark.nightly
 def test_fig6_has_a_curve_for_each_swing_and_the_papers_two_values(few_counts):
     axis = identification.draw_fig6().axes[0]
     drawn = {line.get_label(): line for line in axis.get_lines()}

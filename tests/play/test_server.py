@@ -321,34 +321,26 @@ def test_the_planning_process_sends_each_plan_that_succeeds(monkeypatch):
     assert [(kind, plan and plan.seconds) for kind, plan in heard] == [(0, None), (1, 1.0), (2, 2.0)]
 
 
-def test_plans_know_the_obstacles_of_the_set_up_that_was_opened(server, page):
-    aside, floor = hf.Peg(1.2, 0.4, 0.1), hf.Ground(0.0, -3.0)
-    setup = hf.Setup(hf.Rope.uniform(length=1.0, mass=0.05, n_links=6), pegs=(hf.Peg(9.0, 9.0, 0.03), aside, floor))
-    with server.runner.news:
-        server.runner.session.play(setup, "file")
-    server.runner.plan = None
-    page.ask(button="plan")
-    assert page.until(lambda _: server.runner.plan is not None)
-    assert server.runner.plan.problem.obstacles == (aside, floor)
-
-
-def test_plans_keep_the_limits_of_the_motor_that_the_opened_file_says(server, page, folder):
-    session = server.runner.session
-    rope = (folder / "setup.toml").read_text()
-    (folder / "motor.toml").write_text(rope + "[limits]\nspeed = 4.0\ntorque = 0.3\nangles = [-1.0, 1.5]\n")
+def test_plans_keep_to_the_obstacles_and_the_motor_of_the_opened_file(server, page, folder):
+    session, aside, floor = server.runner.session, hf.Peg(1.2, 0.4, 0.1), hf.Ground(0.0, -3.0)
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6)
+    setup = hf.Setup(rope, arm=hf.Arm(length=0.1), pegs=(hf.Peg(9.0, 9.0, 0.03), aside, floor)).dumps()
+    (folder / "motor.toml").write_text(setup + "[limits]\nspeed = 4.0\ntorque = 0.3\nangles = [-1.0, 1.5]\n")
     page.ask(open="motor.toml")
     assert session.limits == hf.MotorLimits(speed=4.0, torque=0.3, angles=(-1.0, 1.5))
-    page.ask(set={"motor_speed": 6.0, "target_x": 5.0, "target_y": 5.0})
+    page.ask(set={"motor_speed": 6.0})
     server.runner.plan = None
     page.ask(button="plan")
     assert page.until(lambda _: server.runner.plan is not None)
-    assert server.runner.plan.problem.limits == hf.MotorLimits(speed=6.0, torque=0.3, angles=(-1.0, 1.5))
+    problem = server.runner.plan.problem
+    assert problem.limits == hf.MotorLimits(speed=6.0, torque=0.3, angles=(-1.0, 1.5))
+    assert problem.obstacles == (aside, floor)
     planned().to_toml(folder / "cast.toml")
     page.ask(open="cast.toml")
     assert session.limits == planned().problem.limits
     page.ask(open="setup.toml")
     assert session.limits.torque == np.inf
-    (folder / "wrong.toml").write_text(rope + "[limits]\npace = 4.0\n")
+    (folder / "wrong.toml").write_text(setup + "[limits]\npace = 4.0\n")
     assert "does not know this key" in page.ask(open="wrong.toml")["error"]
     page.ask(set={"motor_speed": Settings().motor_speed})
 

@@ -314,7 +314,9 @@ def compare_models(
             allowed="a recording of markers",
             fix="Leave links out: the angles of a recording belong to one number of links",
         )
-    setup, options = setup or RecordingSetup(), replace(options or FitOptions(), intervals=None)
+    setup = checks.instance("setup", RecordingSetup() if setup is None else setup, RecordingSetup)
+    options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
+    options = replace(options, intervals=None)
     if links and setup.arc_lengths is None:
         setup = replace(setup, arc_lengths=np.append(0.0, np.cumsum(rope_guess.length)))
     todo = candidates(rope_guess, free, models, links)
