@@ -13,7 +13,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, identify, lumped, ratios
 from hyperflex.identification.fit import Fit, Window, fit
-from hyperflex.identification.measurements import measure, usual_length
+from hyperflex.identification.measurements import measure
 from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, predict
@@ -331,23 +331,6 @@ def test_only_the_ratios_move_the_chain():
     np.testing.assert_allclose(ours, theirs, atol=1e-8)  # both within the tolerance, grown over 2 s
 
 
-def test_windows_keep_to_their_span_and_thinning_to_its_limit():
-    recording = swing(DOUBLE, duration=4.0, rate=1000.0, noise=0.0)
-    windows, _ = measure(recording, DOUBLE, None).windows(0.5)
-    assert len(windows) == 8
-    assert {w.t.size for w in windows} == {250}
-    assert {w.t.size for w in measure(recording, DOUBLE, None).windows(1.0)[0]} == {200}
-    assert all(w.t[-1] - w.t[0] < 0.5 for w in windows)
-    # a small swing's period: sqrt of inertia over p g, for a rod of length l it is 2 pi sqrt(2 l / 3 g), times 1.2
-    rod = Rope(length=[0.6], mass=[0.1])
-    slow = Recording([0.0, 1.0, 2.0], [[0.1], [0.0], [0.1]])
-    assert usual_length(slow, rod) == 32.0  # twenty samples at least, be they as far apart as here
-    t = np.linspace(0.0, 4.0, 4001)
-    period = 2.0 * np.pi * np.sqrt(0.4 / 9.81)
-    assert usual_length(Recording(t, 0.1 * np.cos(5.0 * t)[:, None]), rod) == pytest.approx(1.2 * period)
-    assert usual_length(Recording(t, 40.0 * t[:, None]), rod) == pytest.approx(8.0 / 40.0)  # no more than 8 rad
-
-
 HEAVY = DOUBLE.replace(inertia=[1.2e-3, 3.5e-4])
 
 
@@ -372,26 +355,6 @@ def test_a_fit_that_cannot_move_has_not_converged(free_swing, reach):
     found = fit(plant, windows, parameters.start, states)
     assert not found.converged
     assert fit(Plant(parameters), windows, parameters.start, states).converged
-
-
-class Stuck(Plant):
-    """Can simulate one set of parameters only."""
-
-    only = np.zeros(0)
-
-    def predict(self, x: Array, t: Array, state: Array) -> Array | None:
-        return super().predict(x, t, state) if np.array_equal(x, self.only) else None
-
-
-def test_a_fit_that_stalls_at_its_best_has_converged(free_swing):
-    parameters = freed(GUESS, ["inertia", "friction"])
-    windows, _ = measure(free_swing, DOUBLE, None).windows(1.0)
-    best = fit(Plant(parameters), windows, parameters.start, [window.guess for window in windows])
-    plant = Stuck(parameters)
-    plant.only = best.x
-    again = fit(plant, windows, best.x, best.states)
-    np.testing.assert_array_equal(again.x, best.x)  # every step was refused
-    assert again.converged  # derivatives are there, and promise no gain
 
 
 def test_autocorrelation_of_known_processes():
@@ -526,12 +489,6 @@ def test_markers_in_another_unit_are_noticed():
         identify(Recording(RECORDING.t, places, kind="markers"), PENDULUM, ["friction"])
 
 
-def test_angles_from_upright_are_called_a_poor_fit():
-    recording = swing(DOUBLE, duration=4.0)
-    result = identify(Recording(recording.t, recording.data + np.pi), DOUBLE, ["inertia", "friction"])
-    assert result.has(Kind.POOR_FIT)
-
-
 def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch):
     monkeypatch.setattr(Plant, "predict", lambda *_, **__: None)
     with pytest.raises(IdentificationError, match="Not one window"):
@@ -576,14 +533,6 @@ def test_ctrl_c_keeps_the_best_so_far(free_swing, after):
     assert (np.abs(result.ratios["J/p1"] / truth - 1.0) < np.abs(ratios(GUESS)["J/p1"] / truth - 1.0)).all()
 
 
-def test_ctrl_c_before_anything_is_fitted_goes_on(free_swing, monkeypatch):
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Plant, "predict", interrupted)
-    assert left_by(lambda: identify(free_swing, GUESS, ["friction"])) is None
-
-
 # ---- files
 
 
@@ -602,12 +551,3 @@ def test_results_are_written_and_read(fitted, tmp_path):
     text = str(fitted)
     assert "ratio J/p1" in text
     assert text.startswith("Usable for ratios.")
-
-
-def test_windows_drop_links_that_cannot_be_seen():
-    data = np.tile(RECORDING.data, (1, 2))
-    data[50:100, 1] = np.nan
-    windows, dropped = measure(Recording(RECORDING.t, data), DOUBLE, None).windows(1.0)
-    assert dropped == 2  # the second of four, and the last sample alone
-    assert all(isinstance(w, Window) for w in windows)
-    assert len(windows) == 3

@@ -24,7 +24,6 @@ from hyperflex.model.properties import (
 from hyperflex.model.refine import recut
 from hyperflex.report.identification.tables import numbers, parameters_table, rope_table
 from hyperflex.report.units import readable_unit
-from hyperflex.simulation.sensitivity import sensitivities
 
 VALUES = {
     "length": [0.2, 0.3, 0.25],
@@ -100,13 +99,6 @@ def test_what_cannot_be_free_is_refused():
             parse(ROPE, [name])
     for wrong in ("friction[1]:shared", "friction[-1]", "friction:all", "", "friction[1", 3):
         assert parse_label(wrong) is None
-
-
-@pytest.mark.parametrize("each", FREE_LINKS, ids=[each.name for each in FREE_LINKS])
-def test_a_run_has_derivatives_by_it(each):
-    rope = ROPE.replace(max_bend=np.inf)
-    found = sensitivities(rope, duration=0.1, q0=[0.5, 0.9, 0.2], qd0=[1.0, -2.0, 3.0], wrt=f"{each.name}[1]")
-    assert np.abs(found.dq[-1]).max() > 0.0
 
 
 @EACH

@@ -146,16 +146,6 @@ def test_a_printed_friction_is_revised_as_printed():
     assert found.rope.friction_model == "printed"
 
 
-def test_gaps_are_left_out():
-    recording = swing()
-    data = recording.data.copy()
-    data[::4, 1] = np.nan
-    data[0] = recording.data[0]
-    found = hf.iterative_revision(hf.Recording(T, data), GUESS)
-    assert found.samples == np.isfinite(data).sum()
-    assert found.best.friction == pytest.approx(2e-3, rel=1e-3)
-
-
 def test_what_would_become_negative_stops_at_zero_and_the_rest_adapts():
     # Links without inertia of their own, and noise that asks for less than none: one recording of two or so.
     none = ROPE.replace(inertia=np.zeros(3))

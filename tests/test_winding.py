@@ -9,7 +9,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.model import cuts
-from hyperflex.winding import _joint_forces, rope_slip, rope_tension, turns
+from hyperflex.winding import rope_slip, turns
 from tests.reference import dense
 from tests.reference.arm import links_of
 from tests.reference.wrapping import capstan, laid
@@ -119,18 +119,6 @@ def test_measures_of_a_wound_rope():
     np.testing.assert_allclose(total, [0.0, -3.0], rtol=0, atol=3e-3)
     with pytest.raises(InvalidInput, match="not one of the run's"):
         hf.measure_winding(run, hf.Peg(1.0, 0.0, 0.1))
-
-
-def test_forces_at_some_samples_are_those_of_all():
-    """Of a rope that falls on a peg, and is looked at where it may touch."""
-    run = hf.simulate(cable(n_links=20), duration=0.6, q0=np.full(20, 1.4), pegs=[PEG])
-    whole = _joint_forces(run, np.arange(run.t.size))
-    assert np.hypot(whole[..., 0], whole[..., 1]) == pytest.approx(rope_tension(run))
-    rows = np.arange(run.t.size)[::-7]
-    assert np.array_equal(_joint_forces(run, rows), whole[rows])
-    on = np.isfinite(hf.measure_winding(run, PEG).before)
-    assert 5 < on.sum() < run.t.size - 5
-    assert on[run.contact_force.any(axis=(1, 2))].all()  # where a peg pushes, it is measured
 
 
 def test_tension_of_a_hanging_rope_is_its_weight():

@@ -22,6 +22,7 @@ from hyperflex.estimate import (
     ChangeTests,
     EstimatedParameter,
     FrameThread,
+    LiveEstimate,
     MarkerMeasurement,
     RopeFilter,
     RopeTracker,
@@ -86,6 +87,12 @@ class Scripted:
         self.closed = True
 
 
+def watched(video: tuple[Path, MarkerColour], source: Scripted, interval: float = 30.0) -> list[LiveEstimate]:
+    """All that is told of a source that is watched until it ends."""
+    with FrameThread(lambda: source, live=False) as frames:
+        return list(Watch(frames, tracker(video), interval=interval))
+
+
 def test_every_frame_has_an_estimate(video, pictures):
     with open_frames(str(video[0])) as frames:
         found = list(itertools.islice(Watch(frames, tracker(video), interval=30.0), FRAMES))
@@ -101,8 +108,7 @@ def test_every_frame_has_an_estimate(video, pictures):
 def test_a_stall_is_said_and_bridged(video, pictures):
     """Half a second and more without a frame: estimates go on, older and less sure; then frames come again."""
     source = Scripted(*pictures[:10], 0.8, *[Frame(f.time + 0.8, f.image, f.index) for f in pictures[33:36]])
-    with FrameThread(lambda: source, live=False) as frames:
-        found = list(Watch(frames, tracker(video), interval=0.05))
+    found = watched(video, source, 0.05)
     blind = [each for each in found if each.frame is None]
     assert len(blind) > 5
     assert all(each.found and each.seen == 0 for each in blind)
@@ -118,8 +124,7 @@ def test_a_stall_is_said_and_bridged(video, pictures):
 def test_dropped_frames_and_another_size_are_said(video, pictures):
     small = [Frame(each.time, np.zeros((240, 320, 3), np.uint8), each.index) for each in pictures]
     source = Scripted(*pictures[:8], *pictures[11:14], *small[14:17], *pictures[17:20])
-    with FrameThread(lambda: source, live=False) as frames:
-        found = list(Watch(frames, tracker(video), interval=30.0))
+    found = watched(video, source)
     assert len(found) == 17
     assert found[8].messages == (f"3 frames missing before {pictures[11].time:.3f} s",)
     assert "frames of 320x240 px are skipped" in found[11].messages[0]
@@ -136,8 +141,7 @@ def test_a_long_gap_is_not_bridged(video, pictures):
     later = [Frame(each.time + 600.0, each.image if k else dark, each.index) for k, each in enumerate(pictures[:3])]
     source = Scripted(*pictures[:5], *later)
     begin = time.monotonic()
-    with FrameThread(lambda: source, live=False) as frames:
-        found = list(Watch(frames, tracker(video), interval=30.0))
+    found = watched(video, source)
     assert time.monotonic() - begin < 20.0  # ten minutes are not simulated
     assert "a gap of 599" in found[5].messages[0] or "a gap of 600" in found[5].messages[0]
     assert not found[5].found
@@ -220,8 +224,7 @@ def test_a_driver_that_fails_is_told(pictures):
 
 def test_the_log_of_an_interrupted_run_is_kept(video, pictures, tmp_path):
     path = tmp_path / "watch.nc"
-    with FrameThread(lambda: Scripted(*pictures[:6]), live=False) as frames:
-        estimates = list(Watch(frames, tracker(video), interval=30.0))
+    estimates = watched(video, Scripted(*pictures[:6]))
 
     def interrupted():
         with WatchLog(path, 20, 8, "a test") as log:

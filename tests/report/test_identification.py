@@ -29,7 +29,6 @@ from hyperflex.report.identification.tables import (
     rope_table,
     ties,
 )
-from hyperflex.report.units import readable_unit
 from hyperflex.status import Status
 
 NOISE = 2e-3
@@ -269,24 +268,6 @@ def test_the_set_up_is_told(swing, markers):
     assert table.header == ("link", "length, mm", "mass, g", "com*, mm", "inertia*, kg mm²", "friction*, mN m s/rad")
 
 
-@pytest.mark.parametrize(
-    ("what", "value", "unit"),
-    [
-        ("inertia", 4.7e-5, "kg mm²"),
-        ("friction", 1.2e-3, "mN m s/rad"),
-        ("friction", 3e-11, "nN m s/rad"),
-        ("friction", 0.0, "N m s/rad"),
-        ("length", [0.2, 1.5], "m"),
-        ("gravity_angle", 0.001, "degrees"),
-        ("p/p1", 0.1, ""),
-        ("rad", 2e-3, "mrad"),
-        ("m", [np.nan, np.inf, 2e-3], "mm"),
-    ],
-)
-def test_units_suit_the_size(what, value, unit):
-    assert readable_unit(what, value).name == unit
-
-
 # ---- figures
 
 
@@ -310,16 +291,6 @@ def test_the_worst_window_is_the_one_with_a_bump(swing):
     assert end >= 3.1
     assert end - start <= found.settings["window"]
     assert number == np.floor(start / found.settings["window"] + 1e-9)
-
-
-def test_the_channels_chosen_of_many_hold_the_worst(markers):
-    recording, found = markers
-    rms = np.array([2.0, 2.0, 9.0, 1.0, 1.0, 1.0])
-    assert FittedChannels(recording, changed(found, residual_rms=rms)).chosen == (2, 3, 4, 5)
-    t, still = np.arange(9.0), np.zeros((9, 9))
-    nine = changed(found, unit="rad", residual_rms=np.where(t == 2.0, 9.0, 1.0), residuals=still, residual_t=t)
-    angles = Recording(t, still)
-    assert FittedChannels(angles, nine).chosen == (0, 2, 4, 8)
 
 
 def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
@@ -347,14 +318,3 @@ def test_correlation_of_a_known_process_also_with_gaps():
     # AR(1): 0.8^k; std of an estimate about sqrt((1 + 0.64) / (1 - 0.64) / 12000) = 0.02.
     np.testing.assert_allclose(correlation[:, 0], 0.8 ** np.arange(1, 6), atol=0.06)
     np.testing.assert_allclose(lag, 0.5 * np.arange(1, 6))
-
-
-@pytest.mark.parametrize(
-    "t",
-    [np.cumsum(np.random.default_rng(5).lognormal(0.0, 3.0, 50)), np.append(np.arange(25.0), 1e12 + np.arange(25.0))],
-    ids=["very uneven", "a pause of years"],
-)
-def test_uneven_times_count_samples(t):
-    lag, correlation, _ = correlogram(t, np.tile([[1.0], [-1.0]], (25, 1)), 4)
-    assert lag.size == 4
-    np.testing.assert_allclose(correlation[:, 0], [-1.0, 1.0, -1.0, 1.0], atol=1e-12)
