@@ -3,8 +3,6 @@
 import _thread
 import copy
 import pickle
-import signal
-import threading
 import tracemalloc
 
 import numpy as np
@@ -172,31 +170,6 @@ def test_ctrl_c_keeps_finished_members(monkeypatch):
     assert batch.status[32:] == ("interrupted",) * 32
     np.testing.assert_array_equal(batch.tip[:32], whole.tip[:32])
     assert np.isnan(batch.tip[32:]).all()
-
-
-def test_ctrl_c_ends_a_block_at_work():
-    soft = hf.Rope.uniform(length=0.6, mass=0.3, n_links=20, friction=1e-3)
-    stiff = soft.replace(friction=0.0, stiffness=1e5)  # minutes of work
-    q0 = np.linspace(0.0, 0.3, 20)
-    main = threading.main_thread().ident
-    assert main is not None
-    hf.simulate_batch(soft, duration=0.01, q0=q0)  # compile first
-    clock = threading.Timer(2.0, lambda: signal.pthread_kill(main, signal.SIGINT))
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
-    try:
-        clock.start()
-        batch = left_by(lambda: hf.simulate_batch([soft] * 8 + [stiff] * 56, duration=10.0, q0=q0, threads=1))
-        clock.join()
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert batch.status[:8] == ("success",) * 8
-    assert batch.status[8:] == ("interrupted",) * 56
-    assert np.isfinite(batch.tip[:8]).all()
-    assert np.isnan(batch.tip[8:]).all()
-    assert 0.0 < batch.reached[8] < 10.0
-    assert "8 success, 56 interrupted" in repr(batch)
-    with pytest.raises(InvalidInput, match="no such member"):
-        batch.why(99)
 
 
 @pytest.mark.parametrize(

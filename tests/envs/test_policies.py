@@ -2,7 +2,6 @@
 
 import importlib.util
 import sys
-from abc import ABC, abstractmethod
 from dataclasses import replace
 from types import ModuleType
 from typing import Any
@@ -88,6 +87,23 @@ def test_scores_have_an_interval():
     assert "200 episodes" in str(scores)
 
 
+ASKED = ("reset", "step_async", "step_wait", "close", "get_attr", "set_attr", "env_method", "env_is_wrapped")
+
+
+class VecEnv:
+    """The part of stable_baselines3.common.vec_env.VecEnv that algorithms and the adapter touch."""
+
+    def __init__(self, num_envs: int, observation_space: Any, action_space: Any) -> None:
+        self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
+        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(num_envs)]
+        self._seeds: list[int | None] = [None] * num_envs
+        assert self.get_attr("render_mode") == [None] * num_envs
+        assert all(name in vars(type(self)) for name in ASKED)  # abstract methods of the package
+
+    def seed(self, seed: int) -> None:
+        self._seeds = [seed + m for m in range(self.num_envs)]
+
+
 def test_adapter_does_what_stable_baselines_asks(monkeypatch):
     """Against the package where it is there, else against the part of its VecEnv that it calls."""
     if importlib.util.find_spec("stable_baselines3") is None:
@@ -126,40 +142,3 @@ def test_without_stable_baselines_its_command_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(MissingPackage, match="pip install stable-baselines3"):
         stable_baselines_env(gymnasium.make_vec(SWING, num_envs=2, autoreset_mode="SameStep"))
-
-
-class VecEnv(ABC):
-    """The part of stable_baselines3.common.vec_env.VecEnv that algorithms and the adapter touch."""
-
-    def __init__(self, num_envs: int, observation_space: Any, action_space: Any) -> None:
-        self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
-        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(num_envs)]
-        self._seeds: list[int | None] = [None] * num_envs
-        assert self.get_attr("render_mode") == [None] * num_envs
-
-    def seed(self, seed: int) -> None:
-        self._seeds = [seed + m for m in range(self.num_envs)]
-
-    @abstractmethod
-    def reset(self) -> Any: ...
-
-    @abstractmethod
-    def step_async(self, actions: Any) -> None: ...
-
-    @abstractmethod
-    def step_wait(self) -> Any: ...
-
-    @abstractmethod
-    def close(self) -> None: ...
-
-    @abstractmethod
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]: ...
-
-    @abstractmethod
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None: ...
-
-    @abstractmethod
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> Any: ...
-
-    @abstractmethod
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]: ...

@@ -88,43 +88,6 @@ def test_the_rate_of_false_alarms_is_what_was_asked_for():
     assert count >= 1
 
 
-def test_the_signature_of_a_mass_and_of_a_touch():
-    """What the tests expect in the next picture, against runs with and without the change (differences)."""
-    cable, dt, n = rope(10), 1 / 30, 10
-    rng = np.random.default_rng(1)
-    q, qd = 0.4 + 0.2 * rng.normal(size=n), rng.normal(size=n)
-    tracker = RopeFilter(cable, [1.0, 2.0], tests=ChangeTests(("length", "tip_mass", "touch")))
-    detector, process = tracker._detector, tracker.process
-    assert detector is not None
-    x = np.concatenate([q, qd, np.zeros(2)])
-    found = process.predict(x, 0.0, dt)
-    detector.begin(0.0)
-    detector.predict((x, found.x), 0.0, dt, found.transition)
-
-    def run(cable, pushes=0, arc=0.0):
-        """State after a frame; a force of 0.01 N along x in so many small kicks."""
-        state = hf.State(t=0.0, q=q, qd=qd)
-        for _ in range(max(pushes, 1)):
-            if pushes:
-                arms = np.clip(arc - (np.cumsum(cable.length) - cable.length), 0.0, cable.length)
-                kick = np.linalg.solve(hf.mass_matrix(cable, state.q), arms * np.cos(state.q)) * 0.01 * dt / pushes
-                state = hf.State(t=state.t, q=state.q, qd=state.qd + kick)
-            state = hf.simulate(cable, state=state, duration=dt / max(pushes, 1), tol=1e-9).state
-        return np.concatenate([state.q, state.qd])
-
-    base = run(cable)
-    mass = 0.04 * cable.total_mass
-    by_mass = (run(cable.replace(tip_mass=mass)) - base) / mass
-    k = detector.names.index("tip_mass")
-    np.testing.assert_allclose(detector.jumps.effects[: 2 * n, 0, k, 0], by_mass, atol=2e-3 * np.abs(by_mass).max())
-    by_force = (run(cable, 200, 1.0) - base) / 0.01
-    place = int(np.abs(detector.places - 1.0).argmin())
-    # the force of a frame is taken as two halves, at its beginning and its end: 6 % where two links bend fast
-    np.testing.assert_allclose(
-        detector.touches.effects[:n, 0, place, 0], by_force[:n], atol=0.07 * np.abs(by_force[:n]).max()
-    )
-
-
 def test_the_kick_of_an_impulse_is_that_of_mujoco():
     """M^-1 J' by MuJoCo's mass matrix and its Jacobian of a point on a link, in relative angles."""
     import mujoco

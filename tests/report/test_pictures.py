@@ -9,7 +9,7 @@ from PIL import Image
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.report.pictures import GROUND, OBSTACLE, PEG, animate, strobe_figure
+from hyperflex.report.pictures import animate, strobe_figure
 from hyperflex.report.scene import Overlay, shapes
 from hyperflex.report.style import png
 from hyperflex.vision import VideoReader
@@ -96,21 +96,6 @@ def test_walls_and_grounds_are_drawn(tmp_path):
     low = frame[-2]
     assert (np.ptp(low, axis=0) < 40).all()
     assert low.sum(axis=1).min() > frame[2].sum(axis=1).min()  # the ground is lighter than the night
-
-
-def test_what_the_rope_must_not_touch_has_a_colour_of_its_own():
-    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, radius=0.004, friction=1e-3)
-    target, wall = hf.Peg(0.8, -0.5, 0.1), hf.Wall(1.4, -0.9, 1.4, -0.5)
-    run = hf.simulate(hf.Setup(rope, duration=0.1, pegs=(target, wall, hf.Ground(0.0, -1.2)), q0=np.full(6, 1.5)))
-    alone, beside = (
-        strobe_figure(run, title="t", overlay=Overlay(obstacles=there)).axes[0]
-        for there in ((), (wall, *run.setup.pegs[2:]))
-    )
-    colours = [[mpl.colors.to_hex(patch.get_edgecolor()) for patch in axis.patches] for axis in (alone, beside)]
-    assert colours[0][1:] == [PEG, GROUND]
-    assert colours[1][1:] == [OBSTACLE, OBSTACLE]
-    assert {mpl.colors.to_hex(axis.patches[0].get_facecolor()) for axis in (alone, beside)} == {PEG}
-    assert [axis.texts[-1].get_text() for axis in (alone, beside)] == ["t", "t; violet: obstacles"]
 
 
 def test_pegs_and_targets_are_drawn_to_scale_and_in_view(tmp_path):
