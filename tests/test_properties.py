@@ -9,7 +9,6 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.errors import InvalidInput
 from hyperflex.identification import lumped, ratios
 from hyperflex.identification.model import Parameters, common_factor, in_common_factor, parse
 from hyperflex.model import divided
@@ -24,6 +23,7 @@ from hyperflex.model.properties import (
 from hyperflex.model.refine import recut
 from hyperflex.report.identification.tables import numbers, parameters_table, rope_table
 from hyperflex.report.units import readable_unit
+from tests.refusals import refuses
 
 VALUES = {
     "length": [0.2, 0.3, 0.25],
@@ -74,8 +74,7 @@ def test_it_goes_through_files(each, tmp_path):
 def test_its_bounds_are_kept(each):
     bad = {"any": [np.nan, np.inf], "nonnegative": [-1.0, np.nan], "positive": [0.0, -1.0]}[each.sign]
     for value in bad:
-        with pytest.raises(InvalidInput, match=each.name):
-            ROPE.replace(**{each.name: [value, *VALUES[each.name][1:]]})
+        refuses(each.name, ROPE.replace, **{each.name: [value, *VALUES[each.name][1:]]})
 
 
 @pytest.mark.parametrize("each", FREE_LINKS, ids=[each.name for each in FREE_LINKS])
@@ -95,8 +94,7 @@ def test_it_can_be_free(each):
 
 def test_what_cannot_be_free_is_refused():
     for name in PROPERTIES.keys() - FREE_PROPERTIES.keys():
-        with pytest.raises(InvalidInput, match="unknown name"):
-            parse(ROPE, [name])
+        refuses("unknown name", parse, ROPE, [name])
     for wrong in ("friction[1]:shared", "friction[-1]", "friction:all", "", "friction[1", 3):
         assert parse_label(wrong) is None
 
@@ -173,5 +171,4 @@ def test_drag_from_a_diameter_and_a_coefficient():
     np.testing.assert_allclose(rope.drag, 0.5 * 1.3 * 1.1 * 0.006, rtol=1e-14)
     assert not hf.Rope.uniform(1.0, 0.1, 4, radius=0.003).drag.any()
     for wrong in ({"drag_coefficient": 1.0}, {"drag_coefficient": 1.0, "radius": 0.003, "drag": 1e-3}):
-        with pytest.raises(InvalidInput, match="drag_coefficient"):
-            hf.Rope.uniform(1.0, 0.1, 4, **wrong)
+        refuses("drag_coefficient", hf.Rope.uniform, 1.0, 0.1, 4, **wrong)

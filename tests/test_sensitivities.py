@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.checks import Array
 from hyperflex.simulation import AngleJacobian
 from tests.frozen import check
+from tests.refusals import refuses
 
 N, DURATION = 6, 1.6
 # none at a switch, where the derivative is one-sided; some within the step behind one, which is sampled in its own way
@@ -40,22 +42,56 @@ def setup(**changes: Any) -> hf.Setup:
     return replace(hf.Setup(rope(), swings, hf.Arm(), duration=DURATION, tol=1e-4, **start), **changes)
 
 
-@pytest.mark.parametrize("name", ["q0", "qd0"])
-@pytest.mark.parametrize("link", [0, N - 1])
-def test_start(name, link):
-    it, unit = setup(), np.eye(N)[link]
-    check(lambda x: replace(it, **{name: getattr(it, name) + x * unit}), f"{name}[{link}]", 1e-3)
-
-
+UNITS, T, X = np.eye(N), np.linspace(0.0, 1.1, 6), np.array([0.0, 0.1, 0.3, 0.2, 0.0, 0.1])
 LINKS = ("length", "mass", "com", "inertia", "friction", "stiffness", "rest_angle")
+RAMP: dict[str, Any] = {"profile": "ramp", "t_move": 0.73, "t_rest": 0.53, "ramp": 0.2}
+BANG: dict[str, Any] = {"t_move": 0.33, "t_rest": 0.11}
+JERK: dict[str, Any] = {"start": -0.5, "end": 1.0, "duration": 0.8, "profile": "minimum-jerk"}
+Varied = Callable[[float], hf.Setup]
 
 
-@pytest.mark.parametrize("name", LINKS)
-def test_rope_parameter_of_one_link(name):
-    base, unit = rope(), np.eye(N)[2]
-    values = getattr(base, name)
-    size = 0.02 * (1.0 if name == "rest_angle" else abs(values[2]))
-    check(lambda x: setup(rope=base.replace(**{name: values + x * unit})), f"{name}[2]", size)
+def started(name: str, link: int) -> Varied:
+    return lambda x: setup(**{name: getattr(setup(), name) + x * UNITS[link]})
+
+
+def roped(name: str, unit: Array, **others: Any) -> Varied:
+    return lambda x: setup(rope=rope(**{name: getattr(rope(), name) + x * unit}), **others)
+
+
+def moved(maker: Callable[..., hf.Motion], values: dict[str, Any], name: str) -> Varied:
+    return lambda x: setup(motion=maker(**{**values, name: values[name] + x}))
+
+
+# What is varied, the set-ups that differ in it, and a spacing; a switch moves by some tens of spacings, and must stay
+# far from outputs and neighbours.
+WAYS: list[tuple[str, Varied, float]] = [
+    *((f"{name}[{link}]", started(name, link), 1e-3) for name in ("q0", "qd0") for link in (0, N - 1)),
+    *((f"{name}[2]", roped(name, UNITS[2]), 0.02 * abs(getattr(rope(), name)[2])) for name in LINKS[:-1]),
+    ("rest_angle[2]", roped("rest_angle", UNITS[2]), 0.02),
+    ("tip_mass", lambda x: setup(rope=rope(tip_mass=0.01 + x)), 2e-4),
+    *((f"gravity[{k}]", roped("gravity", np.eye(2)[k]), 0.02) for k in range(2)),
+    *((f"gravity[{k}]", roped("gravity", np.eye(2)[k], q0=None), 0.02) for k in range(2)),  # turns the rest
+    ("arm.length", lambda x: setup(arm=hf.Arm(length=0.105 + x)), 1e-3),
+    *((f"motion.{name}", moved(hf.arm_swings, RAMP, name), 2e-5) for name in ("t_move", "t_rest", "ramp")),
+    *((f"motion.{name}", moved(hf.arm_swings, BANG, name), 2e-5) for name in BANG),
+    *((f"motion.{name}", moved(hf.move_arm, JERK, name), 1e-3) for name in ("start", "end")),
+    ("motion.duration", moved(hf.move_arm, JERK, "duration"), 2e-5),
+    ("motion.delay", lambda x: setup(motion=hf.arm_swings().shifted(0.1 + x)), 2e-5),
+    ("motion.y[2]", lambda x: setup(motion=hf.moving_pivot(T, X, X + x * UNITS[2]), arm=None), 1e-3),
+]
+
+
+@pytest.mark.parametrize(("name", "make", "size"), WAYS, ids=[name for name, *_ in WAYS])
+def test_each_name(name, make, size):
+    check(make, name, size)
+
+
+def test_own_direction():
+    def cable(radius):
+        return rope(inertia=rope().mass * (3.0 * radius**2 + rope().length ** 2) / 12.0)
+
+    way = {"radius": {"inertia": 0.5 * rope().mass * 0.05}}
+    check(lambda x: setup(rope=cable(0.05 + x)), way, 1e-3)
 
 
 def test_rope_parameter_of_all_links_is_the_sum_over_links():
@@ -71,63 +107,6 @@ def test_rope_parameter_of_all_links_is_the_sum_over_links():
             total = values[:, :, first : first + N].sum(axis=2)
             # sums of N numbers, each to rounding over some hundred steps
             np.testing.assert_allclose(values[:, :, shared], total, rtol=1e-9, atol=1e-9 * np.abs(total).max())
-
-
-WHOLE: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
-    "tip_mass": (lambda x: setup(rope=rope(tip_mass=0.01 + x)), 2e-4),
-    "arm.length": (lambda x: setup(arm=hf.Arm(length=0.105 + x)), 1e-3),
-    "motion.delay": (lambda x: setup(motion=hf.arm_swings().shifted(0.1 + x)), 2e-5),
-}
-
-
-@pytest.mark.parametrize("name", WHOLE)
-def test_what_belongs_to_no_link(name):
-    make, size = WHOLE[name]
-    check(make, name, size)
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_gravity_turns_the_start_where_that_is_the_rope_at_rest(axis):
-    unit = np.eye(2)[axis]
-    check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit)), f"gravity[{axis}]", 0.02)
-    check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit), q0=None), f"gravity[{axis}]", 0.02)
-
-
-MOTIONS: dict[str, tuple[Callable[..., hf.Motion], dict[str, Any], tuple[str, ...]]] = {
-    "ramp": (
-        hf.arm_swings,
-        {"profile": "ramp", "t_move": 0.73, "t_rest": 0.53, "ramp": 0.2},
-        ("t_move", "t_rest", "ramp"),
-    ),
-    "bang-bang": (hf.arm_swings, {"t_move": 0.33, "t_rest": 0.11}, ("t_move", "t_rest")),
-    "jerk": (
-        hf.move_arm,
-        {"start": -0.5, "end": 1.0, "duration": 0.8, "profile": "minimum-jerk"},
-        ("start", "end", "duration"),
-    ),
-}
-
-
-@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, (_, _, names) in MOTIONS.items() for name in names])
-def test_motion_parameter_through_its_switches(kind, name):
-    maker, values, _ = MOTIONS[kind]
-    # A switch, which moves by some tens of spacings, must stay far from outputs and neighbours.
-    size = 1e-3 if name in ("start", "end") else 2e-5
-    check(lambda x: setup(motion=maker(**{**values, name: values[name] + x})), f"motion.{name}", size)
-
-
-def test_sample_of_a_moving_point():
-    t, x = np.linspace(0.0, 1.1, 6), np.array([0.0, 0.1, 0.3, 0.2, 0.0, 0.1])
-    unit = np.eye(6)[2]
-    check(lambda s: setup(motion=hf.moving_pivot(t, x, x + s * unit), arm=None), "motion.y[2]", 1e-3)
-
-
-def test_own_direction():
-    def cable(radius):
-        return rope(inertia=rope().mass * (3.0 * radius**2 + rope().length ** 2) / 12.0)
-
-    way = {"radius": {"inertia": 0.5 * rope().mass * 0.05}}
-    check(lambda x: setup(rope=cable(0.05 + x)), way, 1e-3)
 
 
 def test_tip_and_states_are_those_of_the_run():
@@ -197,17 +176,12 @@ BAD: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.parametrize(("wrt", "word"), BAD.values(), ids=BAD.keys())
 def test_what_cannot_be_used_is_refused_with_what_can(wrt, word):
-    with pytest.raises(hf.errors.InvalidInput, match=word):
-        hf.sensitivities(setup(), wrt=wrt)
+    refuses(word, hf.sensitivities, setup(), wrt=wrt)
 
 
 def test_what_has_no_derivative_is_refused():
-    with pytest.raises(hf.errors.InvalidInput, match=r"wrt is empty.*Say what.*wrt='friction'"):
-        hf.sensitivities(setup(), wrt=[])
-    with pytest.raises(hf.errors.InvalidInput, match="extrapolation"):
-        hf.sensitivities(setup(method="rk4", step=1e-5), wrt="q0")
+    refuses(r"wrt is empty.*Say what.*wrt='friction'", hf.sensitivities, setup(), wrt=[])
+    refuses("extrapolation", hf.sensitivities, setup(method="rk4", step=1e-5), wrt="q0")
     joined = hf.arm_swings().then(hf.arm_swings(), at=2.52)
-    with pytest.raises(hf.errors.InvalidInput, match="breaks and coef"):
-        hf.sensitivities(setup(motion=joined), wrt="motion.t_rest")
-    with pytest.raises(hf.errors.InvalidInput, match="without a rest"):
-        hf.sensitivities(setup(motion=hf.arm_swings(t_rest=0.0)), wrt="motion.t_rest")
+    refuses("breaks and coef", hf.sensitivities, setup(motion=joined), wrt="motion.t_rest")
+    refuses("without a rest", hf.sensitivities, setup(motion=hf.arm_swings(t_rest=0.0)), wrt="motion.t_rest")

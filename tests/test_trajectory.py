@@ -5,11 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import FileProblem
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import arm_swings
 from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory, read_trajectory
+from tests.refusals import refuses
 
 SAMPLES, LINKS = 7, 3
 LENGTH = np.array([0.3, 0.2, 0.5])
@@ -111,8 +112,7 @@ def test_arrays_are_read_only_and_fit():
         with pytest.raises(ValueError, match="read-only"):
             getattr(run, name)[0] = 0.0
     for name in ("q", "base", "arm_angle"):
-        with pytest.raises(InvalidInput, match="wrong shape"):
-            made_up(**{name: np.zeros((SAMPLES, LINKS + 1))})
+        refuses("wrong shape", made_up, **{name: np.zeros((SAMPLES, LINKS + 1))})
 
 
 def test_netcdf_keeps_every_bit(tmp_path):
@@ -147,8 +147,7 @@ def test_missing_empty_and_truncated_files_are_named(tmp_path):
         with pytest.raises(FileProblem, match=r"cut off|empty|no NetCDF-4"):
             read_trajectory(path)
     path.write_text("t,th1\n0,0\n")
-    with pytest.raises(InvalidInput, match="no NetCDF-4"):
-        read_trajectory(path)
+    refuses("no NetCDF-4", read_trajectory, path)
 
 
 def test_foreign_netcdf_is_refused(tmp_path):
@@ -156,8 +155,7 @@ def test_foreign_netcdf_is_refused(tmp_path):
 
     path = tmp_path / "other.nc"
     xr.Dataset({"q": ("time", [1.0])}).to_netcdf(path, engine="h5netcdf")
-    with pytest.raises(InvalidInput, match="not a hyperflex trajectory"):
-        read_trajectory(path)
+    refuses("not a hyperflex trajectory", read_trajectory, path)
 
 
 def test_the_file_opens_in_xarray_as_the_dataset_of_the_run(tmp_path):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
 from hyperflex.model import cuts
 from hyperflex.winding import rope_slip, turns
 from tests.reference import dense
 from tests.reference.arm import links_of
 from tests.reference.wrapping import capstan, laid
+from tests.refusals import refuses
 
 PEG = hf.Peg(0.6, -0.7, 0.03, 0.3)
 
@@ -36,8 +36,7 @@ def cable(**changes: object) -> hf.Rope:
 def test_what_contact_cannot_do_is_refused(what, words):
     how = dict(what)
     rope = cable(**how.pop("rope", {}))
-    with pytest.raises(InvalidInput, match=words):
-        hf.simulate(rope, **{"duration": 0.1, "pegs": [PEG], **how})
+    refuses(words, hf.simulate, rope, **{"duration": 0.1, "pegs": [PEG], **how})
 
 
 def test_a_set_up_with_pegs_survives_its_file(tmp_path):
@@ -45,8 +44,7 @@ def test_a_set_up_with_pegs_survives_its_file(tmp_path):
     again = hf.Setup.loads(setup.dumps())
     assert (again.pegs, again.contact_step, again.tip_force) == (setup.pegs, 1e-4, (0.1, -0.2))
     one = setup.dumps().replace("x = [0.6, -0.5]", "x = 0.6")
-    with pytest.raises(InvalidInput, match="one number of pegs"):
-        hf.Setup.loads(one)
+    refuses("one number of pegs", hf.Setup.loads, one)
 
 
 def test_a_run_survives_its_file_and_goes_on(tmp_path):
@@ -91,8 +89,7 @@ def test_a_fine_rope_is_left_alone_and_an_uneven_link_is_not_cut():
     rope = cable(n_links=300)
     assert hf.refine_rope(rope, [PEG]) is rope
     uneven = cable(n_links=10).replace(com=np.full(10, 0.05))
-    with pytest.raises(InvalidInput, match="not uniform"):
-        hf.refine_rope(uneven, [PEG])
+    refuses("not uniform", hf.refine_rope, uneven, [PEG])
 
 
 def wound_up(mu: float = 0.3) -> hf.Trajectory:
@@ -117,8 +114,7 @@ def test_measures_of_a_wound_rope():
     # The pegs bear what both ends pull, which here point the same way.
     total = run.contact_force[-1].sum(axis=0)
     np.testing.assert_allclose(total, [0.0, -3.0], rtol=0, atol=3e-3)
-    with pytest.raises(InvalidInput, match="not one of the run's"):
-        hf.measure_winding(run, hf.Peg(1.0, 0.0, 0.1))
+    refuses("not one of the run's", hf.measure_winding, run, hf.Peg(1.0, 0.0, 0.1))
 
 
 def test_tension_of_a_hanging_rope_is_its_weight():
@@ -146,8 +142,7 @@ def test_a_tug_tells_what_a_wound_rope_holds():
     assert not pull.holds(1.1 * limit)
     # Once all of the rope slides, it follows the end that is pulled; before, what lies on the peg does not move.
     assert -pull.slip[-1] == pytest.approx(0.03, abs=3e-3)
-    with pytest.raises(InvalidInput, match="force has the wrong sign"):
-        pull.holds(-1.0)
+    refuses("force has the wrong sign", pull.holds, -1.0)
 
 
 def test_a_tug_takes_up_the_slack_before_it_pulls():
@@ -209,8 +204,7 @@ def test_a_rope_is_held_as_long_as_one_of_its_links_is():
     away = placed(run, q[None], base[None] + 1.0)
     np.testing.assert_array_equal(rope_slip(away, peg)[:2], [0.0, np.inf])
     assert np.isnan(rope_slip(replace(away, base=away.base + 1.0), peg)).all()
-    with pytest.raises(InvalidInput, match="since is after the end"):
-        rope_slip(run, peg, since=99.0)
+    refuses("since is after the end", rope_slip, run, peg, since=99.0)
 
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])

@@ -14,8 +14,9 @@ import hyperflex as hf
 from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
 from hyperflex.envs.policies import members_of
 from hyperflex.envs.vector import default_rope
-from hyperflex.errors import InvalidInput, MissingPackage
+from hyperflex.errors import MissingPackage
 from hyperflex.planning import Moves, check_feasibility
+from tests.refusals import refuses
 
 SWING, CAST = "hyperflex/Swing-v0", "hyperflex/Cast-v0"
 
@@ -43,10 +44,8 @@ def test_a_plan_is_carried_out():
         seen, *_ = env.step(policy(seen))
         gaps.append(members_of(env).world.arm_angle[0] - float(policy._motion.angle(0.02 * (k + 1))))
     assert np.abs(gaps).max() < 5e-3
-    with pytest.raises(InvalidInput, match="needs accelerations"):
-        PlannedCast(gymnasium.make(CAST, action="timing"))
-    with pytest.raises(InvalidInput, match="no environment of hyperflex"):
-        PlannedCast(gymnasium.make("CartPole-v1"))
+    refuses("needs accelerations", PlannedCast, gymnasium.make(CAST, action="timing"))
+    refuses("no environment of hyperflex", PlannedCast, gymnasium.make("CartPole-v1"))
 
 
 def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_rehearsal_is_carried_out(monkeypatch):
@@ -132,8 +131,7 @@ def test_adapter_does_what_stable_baselines_asks(monkeypatch):
                 assert each["amplitude"] == info["final_info"]["amplitude"][m] == pytest.approx(want[m])
     assert envs.get_attr("render_mode") == [None, None]
     assert envs.env_is_wrapped(gymnasium.Wrapper, 0) == [False]
-    with pytest.raises(InvalidInput, match="begin anew"):
-        stable_baselines_env(gymnasium.make_vec(SWING, num_envs=2))
+    refuses("begin anew", stable_baselines_env, gymnasium.make_vec(SWING, num_envs=2))
 
 
 def test_without_stable_baselines_its_command_is_named(monkeypatch):

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import EstimatorLost, FileProblem, InvalidInput
+from hyperflex.errors import EstimatorLost, FileProblem
 from hyperflex.estimate import (
     CameraStateSource,
     ChangeTests,
@@ -44,6 +44,7 @@ from hyperflex.vision import (
 )
 from tests.estimate.filmed import ARCS, facing, film_swing
 from tests.estimate.runs import ARM, SWINGS, free_swing, rope
+from tests.refusals import refuses
 
 FRAMES = 40
 
@@ -265,8 +266,7 @@ def test_the_page_is_for_this_machine_alone(pictures):
             head = stream.read(200)
         assert b"Content-Type: image/jpeg" in head
         assert b"\xff\xd8\xff" in head  # a JPEG begins
-        with pytest.raises(InvalidInput, match="no page can be shown there: address already in use"):
-            PicturePage(page.port)
+        refuses("no page can be shown there: address already in use", PicturePage, page.port)
 
 
 def test_stamps_are_put_on_the_clock_of_the_quickest_frame():
@@ -375,10 +375,8 @@ def test_an_estimator_that_cannot_begin_says_why(video, tmp_path):
     source = CameraStateSource(str(tmp_path / "none.mp4"), task(video))
     with pytest.raises(EstimatorLost, match="did not start: There is no video"), source:
         pass
-    with pytest.raises(InvalidInput, match="knows the swing plane"):
-        CameraStateSource("0", replace(task(video), camera=Camera.pinhole((640, 480))))
-    with pytest.raises(InvalidInput, match="closed"):
-        source.wait_until_found(1.0)
+    refuses("knows the swing plane", CameraStateSource, "0", replace(task(video), camera=Camera.pinhole((640, 480))))
+    refuses("closed", source.wait_until_found, 1.0)
 
 
 PARENT = """

@@ -10,6 +10,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.hardware import SimulatedMotor
 from hyperflex.interfaces import Motor
 from hyperflex.motion import hold_arm, move_arm
+from tests.refusals import refuses
 
 FINE = 10**9  # steps of an encoder that hides nothing
 RAMP = move_arm(0.0, 4.0, duration=2.0, profile="ramp", ramp=0.1)  # 4 / 1.8 rad/s in between
@@ -79,12 +80,9 @@ def test_what_it_did_is_a_motion_and_a_change_comes_through_after_the_latency():
 def test_times_do_not_go_back_and_limits_are_checked():
     motor = SimulatedMotor()
     motor.angle(0.5)
-    with pytest.raises(InvalidInput, match="time goes back"):
-        motor.angle(0.4)
-    with pytest.raises(InvalidInput, match="time goes back"):
-        motor.set_motion(RAMP, 0.1)
-    with pytest.raises(InvalidInput, match="motion is not of its class"):
-        motor.set_motion("now", 1.0)
+    refuses("time goes back", motor.angle, 0.4)
+    refuses("time goes back", motor.set_motion, RAMP, 0.1)
+    refuses("motion is not of its class", motor.set_motion, "now", 1.0)
     for wrong in ({"lag": 0.0}, {"torque": -1.0}, {"counts": 0}, {"inertia": math.nan}, {"latency": -0.1}):
         with pytest.raises(InvalidInput):
             SimulatedMotor(**wrong)

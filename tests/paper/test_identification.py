@@ -16,17 +16,6 @@ def few_counts(monkeypatch):
     monkeypatch.setattr(identification, "CURVES", {SMALL: BLUE, WIDE: RED})
 
 
-def test_fig3_shows_both_starts_of_every_link():
-    figure, table = identification.draw_fig3(), identification.fig3()
-    for axis, swing in zip(figure.axes, SWINGS, strict=True):
-        drawn = {line.get_label(): line.get_ydata() for line in axis.get_lines()}
-        best = revised(swing).best
-        for name, error in (("measured", best.measured_start), ("optimised", best.error)):
-            away = 1e3 * (table.columns[f"{name}_{swing.key}"] - swing.angle)
-            np.testing.assert_allclose(drawn[name], away, rtol=1e-12)
-            assert f"{error:.4f} rad² {name}" in axis.get_title("left")
-
-
 def test_fig5_shows_circles_where_it_was_measured_and_what_is_left():
     top, below = identification.draw_fig5().axes
     circles = next(line for line in top.get_lines() if line.get_label() == "measured")

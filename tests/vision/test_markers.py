@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hyperflex import InvalidInput
 from hyperflex.vision import Camera, Gate, MarkerColour, MarkerDetector, Renderer, Scene
+from tests.refusals import refuses
 from tests.vision.ropes import ARCS, camera, sliding, swinging
 
 GREEN, WHITE = (60.0, 190.0, 40.0), (252.0, 252.0, 252.0)
@@ -199,19 +199,14 @@ def test_a_click_measures_the_whole_marker(diameter):
 
 def test_colours_that_cannot_be_are_refused():
     image = Renderer(camera(), swinging(), Scene(ARCS)).image(0.0)
-    with pytest.raises(InvalidInput, match="large surface"):
-        MarkerColour.from_click(image, (30.0, 600.0))
-    with pytest.raises(InvalidInput, match="not in the picture"):
-        MarkerColour.from_click(image, (3000.0, 600.0))
-    with pytest.raises(InvalidInput, match="too grey"):
-        MarkerColour([100.0, 110.0, 105.0])
-    with pytest.raises(InvalidInput, match=r"no colour of markers.*from_click"):
-        MarkerColour.from_frame(np.full((90, 160, 3), 127, np.uint8))
+    refuses("large surface", MarkerColour.from_click, image, (30.0, 600.0))
+    refuses("not in the picture", MarkerColour.from_click, image, (3000.0, 600.0))
+    refuses("too grey", MarkerColour, [100.0, 110.0, 105.0])
+    refuses(r"no colour of markers.*from_click", MarkerColour.from_frame, np.full((90, 160, 3), 127, np.uint8))
     faint = np.full((60, 80, 3), 180, np.uint8)
     faint[20:30, 30:40] = (160, 160, 160)
     cv2.rectangle(faint, (18, 28), (42, 32), (150, 150, 150), 1)
-    with pytest.raises(InvalidInput, match=r"does not stand out|large surface"):
-        MarkerColour.from_click(faint, (35.0, 25.0))
+    refuses(r"does not stand out|large surface", MarkerColour.from_click, faint, (35.0, 25.0))
 
 
 MUJOCO = """
