@@ -164,6 +164,13 @@ def test_a_number_cut_off_anywhere_is_refused(tmp_path, cells, last):
     assert files.read_table(table(tmp_path, text + last))[1][-1, 1] == float(last)
 
 
+def test_a_long_number_cut_off_in_a_column_of_shortest_forms_is_refused(tmp_path):
+    text, last = "t,th1\n" + "".join(f"{k},{math.sin(k)!r}\n" for k in range(200)), f"200,{math.sin(200)!r}"
+    with pytest.raises(InvalidInput, match=r"line 202.*add a line feed if it is whole"):
+        files.read_table(table(tmp_path, text + last[:12]))
+    assert files.read_table(table(tmp_path, text + last))[1][-1, 1] == math.sin(200)
+
+
 @given(st.lists(st.lists(st.floats(-1e100, 1e100) | st.just(math.nan), min_size=2, max_size=2), min_size=1, max_size=5))
 def test_tables_come_back_bit_for_bit(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("t") / "table.csv"

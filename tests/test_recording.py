@@ -179,6 +179,8 @@ def test_csv_notes_declare_wrapping_and_noise(tmp_path):
     angle = 8.0 * t
     table = np.column_stack([t, (angle + math.pi) % (2 * math.pi) - math.pi])
     notes = "# time_unit: s\n# unit: rad\n# wrapped: True\n# noise: 0.01\n"
+    undeclared = csv(tmp_path, "t,th1", table)
+    refuses("wrapped=True", read_recording, undeclared, time_unit="s", unit="rad")
     path = csv(tmp_path, "t,th1", table, notes)
     found = read_recording(path)
     np.testing.assert_allclose(found.data[:, 0], angle, atol=1e-12)  # rounding
@@ -461,6 +463,14 @@ BAD_MATS: dict[str, tuple[dict[str, Any], str]] = {
         "back in time at sample 300",
     ),
 }
+
+
+def test_mat_pieces_may_lie_apart(tmp_path):
+    content = mat_content(2)
+    for piece in content["Time_vad"].ravel():
+        piece += 2.0
+    recording = read_recording(mat(tmp_path, content))
+    np.testing.assert_allclose(np.diff(recording.t).max(), 2.005, rtol=1e-12)  # one step of 5 ms more; rounding
 
 
 def test_mat_files_of_a_later_version_are_refused(tmp_path):

@@ -6,6 +6,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.paper import (
+    cylinder_inertia,
     natural_frequency_inertia,
     natural_period,
     revision,
@@ -226,6 +227,18 @@ def test_inertia_by_natural_frequency_inverts_the_period_of_a_rod():
     rope = hf.Rope.uniform(length, mass, 2)
     assert natural_frequency_inertia(rope, period) == pytest.approx(inertia / 2.0, rel=1e-12)
     refuses("too short", natural_frequency_inertia, rope, 0.5 * period)
+
+
+def test_inertia_of_the_papers_rope_by_natural_frequency_is_near_its_figure():
+    # Printed: 102e-6. L = 1.0 m and 1.53e-3 kg a link are inferred from rounded figures; 2 % in T is 12 % in J.
+    rope = hf.Rope.uniform(1.0, 5 * 1.53e-3, 5)
+    assert natural_frequency_inertia(rope, 1.61) == pytest.approx(102e-6, rel=0.12)
+
+
+def test_cylinder_inertia_is_the_ropes_default():
+    rope = hf.Rope.uniform(2.0, 0.125, 50, radius=0.0025)
+    np.testing.assert_array_equal(cylinder_inertia(rope), rope.inertia)
+    assert cylinder_inertia(hf.Rope.uniform(1.0, 5 * 1.53e-3, 5))[0] == pytest.approx(5.09e-6, rel=5e-3)
 
 
 @pytest.mark.parametrize(("step", "noise"), [(0.1, 0.02), (0.01, 0.03)], ids=["few samples", "noise about zero"])
