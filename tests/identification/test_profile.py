@@ -217,18 +217,6 @@ def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatc
     assert remarks[0].kind is Kind.PROFILE_GIVEN_UP
 
 
-def test_progress_hears_of_profiles():
-    basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
-    heard: list[dict[str, object]] = []
-    all_intervals(basis, "profile", report=heard.append)
-    assert {entry["phase"] for entry in heard} == {"profile"}
-    assert [*dict.fromkeys((e["parameter"], e["stage"], e["stages"]) for e in heard)] == [
-        ("inertia[0]", 0, 2),
-        ("friction[0]", 1, 2),
-    ]
-    assert all({"window", "round", "cost", "gain", "damping"} <= entry.keys() for entry in heard)
-
-
 def test_robust_losses_profile_what_their_covariance_says():
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
@@ -341,19 +329,6 @@ def test_fits_that_do_not_converge_are_no_points_of_a_profile(found, monkeypatch
     monkeypatch.setattr(_profile, "fit", unfinished)
     for name in ("c/p1[4]", "friction:shared"):
         assert profile(found, name).kind == "covariance"
-
-
-@pytest.mark.parametrize("name", ["J/p1", "c/p1"])
-def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(recording, name, monkeypatch):
-    found = swung(recording, PAPER, ["mass:factor", *FREE], intervals=None)
-    ends = []
-    for weight in (1000.0, 30.0):
-        monkeypatch.setattr(_profile, "WEIGHT", weight)
-        one = profile(found, f"{name}[2]")
-        assert one.ends[1] == "crossed"
-        ends.append(one.high)
-    std = Coordinate(found.basis, f"{name}[2]").std
-    assert ends[1] == pytest.approx(ends[0], abs=0.02 * std)  # CLOSE, twice
 
 
 def test_a_ratio_whose_parameter_is_at_its_bound_ends_there(found):

@@ -8,7 +8,6 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
 from hyperflex.identification import Kind, Severity, pipeline, text
 from hyperflex.identification.declarations.evidence import swapped
 from hyperflex.identification.declarations.score_findings import score_findings
@@ -38,22 +37,6 @@ def test_what_all_links_share_is_printed_once():
     assert max(len(line) for line in said.splitlines() if line.startswith("  value")) < 300
     assert "and 4 more" in next(line for line in said.splitlines() if "fit error" in line)
     assert "± 0 " not in said + " "
-
-
-def test_what_was_held_is_left_out():
-    found = fitted(PAIR, ["friction[1]"], intervals=None)
-    line = next(line for line in str(found).splitlines() if "value friction" in line)
-    assert "[1]" in line
-    assert line.count("±") == 1
-
-
-def test_long_arrays_stay_out_of_short_names():
-    found = fitted(PAIR, ["friction"], intervals=None)
-    drawn = hf.bootstrap(found, 2)
-    assert repr(drawn) == "<Bootstrap of 2 fits, 0 more failed>"
-    grown = hf.predictability(hf.Setup(PAIR, duration=1.0, q0=[0.8, 0.8]))
-    assert len(repr(grown)) < 120
-    assert "fold" in repr(grown)
 
 
 def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back():
@@ -159,11 +142,6 @@ def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used():
     for link, inertia in ((0, [0.0225, rope.inertia[1]]), (1, [rope.inertia[0], 0.05])):
         (far,) = _far(rope.replace(inertia=inertia))
         assert (far.kind, far.severity, far.values["link"]) == (Kind.MASS_FAR, Severity.WRONG, link)
-
-
-def test_questions_end_with_their_own_mark():
-    assert str(InvalidInput("nothing moves", fix="Is it on?")) == "nothing moves. Is it on?"
-    assert str(InvalidInput("nothing moves", got=0.0, fix="Shake it")) == "nothing moves: got 0.0. Shake it."
 
 
 def test_markers_swapped_in_two_intervals_are_told_with_both():

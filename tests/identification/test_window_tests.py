@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from benchmarks.windows import summary, text, too_many_refused
 from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
 
 import hyperflex as hf
@@ -103,32 +102,3 @@ def test_what_was_held_says_so():
     assert found.has(Kind.HELD_VALUES)
     assert found.summary()["held"] == list(found.held)
     assert identified(t, q, DOUBLE, FREE).held == ()
-
-
-@pytest.mark.parametrize(("words", "holds"), [("up to 50 %", None), ("", False)])
-def test_the_benchmark_of_parts_counts_scatter_and_overlap_of_those_that_may_be_used(words, holds):
-    """Scatter without the errors that all parts have in common, which would hide it."""
-    rows = [
-        {"recording": "one", "begin": float(k), "seconds": 1.0, "grade": grade, "reason": "", "friction": friction}
-        | {"ratios": {"J/p1[0]": [value, 5.0, 0.5, 0.3], "c/p1[0]": [10.0 * value, 0.5, 0.5, 0.3]}}
-        for k, (value, grade, friction) in enumerate(
-            [
-                (0.0, "usable", "up to 50 %"),
-                (1.5, "usable", "up to 50 %"),
-                (3.0, "usable for ratios", "up to 50 %"),
-                (99.0, "do not use", words),
-            ]
-        )
-    ]
-    ratio, friction = summary(rows)
-    # about the mean 3/2: (9 + 0 + 9) / 4 / 0.25 over two degrees of freedom
-    assert ratio["chi_squared"] == pytest.approx(4.5 / 0.25 / 2.0)
-    # differences of 1.5 are beyond 1.96 sqrt(0.5), though intervals of 0.98 to either side overlap; of 3 they do not
-    assert (ratio["parts"], ratio["agree"], ratio["overlap"]) == (3, 0.0, pytest.approx(2.0 / 3.0))
-    assert ratio["holds"] is False
-    assert ratio["stated"] == pytest.approx(4.5 / 25.0 / 2.0)
-    assert (friction["holds"], friction["model_error"]) == (holds, "up to 50 %")
-    assert "**no**" in text(rows)
-    assert "not to be used: 1 of 4" in text(rows)
-    assert too_many_refused(rows) == []
-    assert too_many_refused(rows[2:]) == ["one"]
