@@ -60,9 +60,14 @@ class Moves:
         ways = np.diff(self.angles(limits))
         return np.maximum(self.rests, MIN_REST), *limits.fastest_moves(ways, self.speeds)
 
-    def motion(self, limits: MotorLimits) -> Motion:
-        """Return the motion of the arm; it stays where the last move ends."""
-        return arm_moves(self.angles(limits), *self.timing(limits))
+    def motion(self, limits: MotorLimits, since: float = 0.0) -> Motion:
+        """Return the motion of the arm from a time on, s, at which its own time begins; it stays where it ends."""
+        rests, durations, ramps = self.timing(limits)
+        stops: Array = np.append(0.0, np.cumsum(rests + durations))
+        made = min(int((stops <= since).sum()), rests.size) - 1  # moves that have ended; one is left
+        angles = self.angles(limits)[made:]
+        whole = arm_moves(angles, rests[made:], durations[made:], ramps[made:])
+        return whole.shifted(float(stops[made]) - since) if since else whole
 
     def starts(self, limits: MotorLimits) -> Array:
         """Return the start of each move (k,), s."""

@@ -251,13 +251,15 @@ class SearchOptions:
         Pieces of each link in the checks with shorter links; thirds found more errors than halves.
     coarse : float
         Longest link in contact, in radii of the target and the rope: longer ones are cut.
-    deviation : float
-        Of the rope with shorter links after a stroke, root mean square in rope lengths, up to which a swing counts as
-        predictable.
+    deviations : (usual, most)
+        Of the rope with shorter links after a stroke, root mean square in rope lengths. Swings count as predictable up
+        to the usual one, or up to twice that of the most predictable swing where that is not more than the most.
     batch : int
         Swings that are tried in contact at once.
     finishes : int
-        Last moves that are tried with each swing.
+        Last moves that are tried at once with a swing that winds the rope, but not for good, with the first.
+    nearly : float
+        Turns that a rope makes, over those required, for moves to be varied before others are tried.
     members, parents : int
         Varied moves of a generation, and the candidates that they are made from; without members there are none.
     spread : float
@@ -276,7 +278,7 @@ class SearchOptions:
     chunk_size: int | None = None
     improve: float = 0.25
     speeds: tuple[float, ...] = (1.0, 0.7, 0.5)
-    width: int = 8
+    width: int = 12
     siblings: int = 2
     rests: int = 5
     longest_rest: float = 0.6
@@ -285,9 +287,10 @@ class SearchOptions:
     back: int = 3
     pieces: int = 3
     coarse: float = 2.0
-    deviation: float = 0.02
+    deviations: tuple[float, float] = (0.005, 0.02)
     batch: int = 8
     finishes: int = 3
+    nearly: float = 0.8
     members: int = 16
     parents: int = 4
     spread: float = 0.15

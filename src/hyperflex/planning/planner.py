@@ -6,7 +6,7 @@ them with a dear one, and **verifies** those whose rollout meets the criterion.
 A promising candidate unlike those that have failed is verified at once: nothing else may end the search sooner.
 Otherwise each level gets an equal share of the time: the next step is made at the level that has worked least so far
 among those with work to do, the dearest first. So many candidates are sampled, fewer rolled out, and few verified,
-whatever each costs for a given rope.
+whatever each costs for a given rope. A candidate like k that have failed is verified for a share of 1 / (1 + k).
 """
 
 import math
@@ -137,7 +137,7 @@ class Planner:
         self._tried: list[Candidate] = []
         self._spent = [0.0, 0.0, 0.0]
         self._exhausted = self._ended = False
-        self._until = float("inf")
+        self._until, self._needed = math.inf, 0.0
 
     @property
     def succeeds(self) -> bool:
@@ -148,8 +148,10 @@ class Planner:
         """Search until moves succeed with a margin, no time is left, or there is nothing more to try."""
         while not self._done() and (levels := self._with_work()):
             promising = self._promising()
-            new = promising is not None and not self._failed_alike(promising)
-            level = VERIFY if new else min(levels, key=lambda one: (self._spent[one], -one))
+            failed = 0 if promising is None else self._failed_alike(promising)
+            shares = [1.0, 1.0, 1.0 / (1.0 + failed)]
+            new = promising is not None and not failed
+            level = VERIFY if new else min(levels, key=lambda one: (self._spent[one] / shares[one], -one))
             before = self.budget.elapsed
             try:
                 (self._sample, self._rollout, self._verify)[level]()
@@ -160,7 +162,8 @@ class Planner:
 
     def _done(self) -> bool:
         enough = self.succeeds and self.best is not None and self.best.margin >= self.task.enough
-        return enough or self._ended or self.budget.expired or self.budget.elapsed > self._until
+        late = self.budget.elapsed + self._needed > self._until
+        return enough or self._ended or self.budget.expired or late
 
     def _with_work(self) -> list[int]:
         """Return the levels that have something to do."""
@@ -196,7 +199,10 @@ class Planner:
         if one is None:
             return
         self._tried.append(one)
+        before = self.budget.elapsed
         found = self.task.verify(one, self.budget)
+        if not found.message:
+            self._needed = self.budget.elapsed - before  # another verification takes as long
         if self.best is None or (not found.message, found.margin) > (not self.best.message, self.best.margin):
             self.best = found
             if self.succeeds:

@@ -211,6 +211,10 @@ class Strikes:
         """Return the strikes of several batches as those of one."""
         return cls(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(cls)))
 
+    def select(self, rows: npt.NDArray[np.int64]) -> "Strikes":
+        """Return the strikes of some swings, in that order."""
+        return Strikes(*(getattr(self, one.name)[rows] for one in fields(self)))
+
 
 def find_strikes(problem: Problem, peg: Peg, batch: RolloutBatch, t: Array, q: Array, qd: Array) -> Strikes:
     """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free flights.
@@ -319,12 +323,14 @@ def tail_energy(
 class WindingScores:
     """Scores (M,) of runs in contact, greater is better, and turns (M,) that stay, 0 if a run failed.
 
-    And the greatest slip (M,), m, after the rope has settled; infinite if too few turns stay.
+    And the greatest slip (M,), m, after the rope has settled, infinite if too few turns stay, and the most turns (M,)
+    at any time.
     """
 
     score: Array
     turns: Array
     slip: Array
+    most: Array
 
 
 def simulate_contact(
@@ -337,12 +343,13 @@ def simulate_contact(
     `sweeping` runs end early that make few turns.
     """
 
-    def one(k: int) -> tuple[float, float, float]:
-        return _Contact(problem, batch.select([k]), float(begin[k]), sweeping, budget).score()
+    def one(k: int) -> tuple[float, float, float, float]:
+        run = _Contact(problem, batch.select([k]), float(begin[k]), sweeping, budget)
+        return *run.score(), run.most
 
     with ThreadPoolExecutor(budget.threads) as pool:
         found = list(pool.map(one, range(len(batch))))
-    return WindingScores(*np.array(found).reshape(-1, 3).T)
+    return WindingScores(*np.array(found).reshape(-1, 4).T)
 
 
 class _Contact:
@@ -351,7 +358,7 @@ class _Contact:
     def __init__(self, problem: Problem, batch: RolloutBatch, begin: float, sweeping: bool, budget: Budget) -> None:
         self.problem, self.batch, self.begin, self.sweeping, self.budget = problem, batch, begin, sweeping, budget
         self.rope, self.motion, self.peg = batch.ropes[0], batch.motions[0], batch.pegs[0]
-        self.pegs = (self.peg, *problem.criteria.behind)
+        self.pegs, self.most = (self.peg, *problem.criteria.behind), 0.0
 
     def score(self) -> tuple[float, float, float]:
         """Score, turns and slip of the run, in up to three parts: it ends after one that leaves no hope."""
@@ -369,12 +376,13 @@ class _Contact:
                 continue
             setup = Setup(rope, now.motions[0], self.problem.arm, pegs=self.pegs)
             if not starts_outside(setup, 0.0, now.q[0]):  # too deep in the peg
-                return min(self._turns(t, turns, since)[0], hope), 0.0, math.inf
+                return self._turns(t, turns, since)[0], 0.0, math.inf
             now, *more = self._run(now, since, until)
             t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), more, strict=True))
+            self.most = max(self.most, float(np.nan_to_num(np.abs(turns)).max()))
             seen = turns if until < check - 1e-9 else turns[-1:]
             if not float(np.abs(seen).max()) >= least:
-                return min(self._turns(t, turns, float(t[-1]))[0], hope), 0.0, math.inf
+                return self._turns(t, turns, float(t[-1]))[0], 0.0, math.inf
         score, stay = self._turns(t, turns, end)
         settled, way = t >= check, math.inf
         if stay >= criteria.turns:
@@ -445,15 +453,17 @@ def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget) -> Win
     """
     stop = max(float(motion.breaks[-1]) for motion in batch.motions)
     found = fly_to_strikes(problem, batch.pegs[0], batch, budget, max(problem.time, batch.since + stop + 0.5))
-    score, turns, slip = found.score.copy(), np.zeros(len(batch)), np.full(len(batch), math.inf)
+    nothing = np.zeros(len(batch))
+    whole = WindingScores(found.score.copy(), nothing, np.full(len(batch), math.inf), nothing.copy())
     hit = np.flatnonzero(np.isfinite(found.t))
     if hit.size:
         some = batch.select(hit.tolist())
         motions = [motion.shifted(-t) for motion, t in zip(some.motions, found.t[hit], strict=True)]
         struck = replace(some, motions=motions, q=found.q[hit], qd=found.qd[hit])
         wound = simulate_contact(problem, struck, found.t[hit] + batch.since, budget)
-        score[hit], turns[hit], slip[hit] = wound.score, wound.turns, wound.slip
-    return WindingScores(score, turns, slip)
+        for one in fields(WindingScores):
+            getattr(whole, one.name)[hit] = getattr(wound, one.name)
+    return whole
 
 
 def robust_values(found: WindingScores, problem: Problem) -> Array:

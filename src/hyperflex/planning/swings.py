@@ -22,6 +22,7 @@ from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import MODEL, RolloutBatch, Strikes, find_strikes, mass_points
 
 DELAY = 0.05  # s, between the strikes of two chains at most
+GROUP = 16  # flights of nearly the same span that are simulated together
 MIN_SPEED = 0.3  # of a move, over the motor's
 
 
@@ -51,13 +52,14 @@ class Swing:
 class Strike(Candidate):
     """A swing until it strikes at `t`, s: the states there of each chain, and the swing from which it was simulated.
 
-    `follow` are the moves to try in contact, which agree with `moves` until the strike; empty: not drawn yet. A swing
-    that misses has no states; its score is below 0.
+    `follow` are the moves to try in contact, which agree with `moves` until the strike; empty: usual last moves, of
+    which so many were `tried`. A swing that misses has no states; its score is below 0.
     """
 
     swing: Swing | None = None
     states: tuple[State, ...] = ()
     follow: tuple[Moves, ...] = field(default=())
+    tried: int = 0
 
 
 @dataclass(eq=False)
@@ -75,20 +77,21 @@ class _Lane:
         self.levels.append(self.swings)
         self.swings, self.first = swings, min(self.first, struck)
 
-    def restart(self, back: int) -> None:
-        """Go back to some strokes before the first strike, or to the middle."""
+    def restart(self, back: int, random: np.random.Generator) -> None:
+        """Go back to any stroke, but to some before the first strike, or to the middle, at most."""
         levels = [*self.levels, self.swings]
         first = min(self.first, len(levels) // 2 + back)
-        keep = max(0, int(first) - back)
+        keep = int(random.integers(max(0, int(first) - back) + 1))
         self.levels, self.swings, self.passes = levels[:keep], levels[keep], self.passes + 1
 
 
 class _Try(NamedTuple):
-    """Moves that continue a swing, simulated until a time, s, at most."""
+    """Moves that continue a swing, simulated until a time, s, at most. `whole`: with last moves after the strike."""
 
     swing: Swing
     moves: Moves
     until: float
+    whole: bool = False
 
 
 class SwingSearch:
@@ -129,18 +132,18 @@ class SwingSearch:
         """Return the predictable strikes of whole moves, simulated from the start."""
         first = {swing.moves.side: swing for swing in self.begin}
         some = [one for one in moves if one.side in first]
-        return self._strikes([_Try(first[one.side], one, self.problem.time) for one in some], budget, whole=True)[0]
+        return self._strikes([_Try(first[one.side], one, self.problem.time, True) for one in some], budget)[0]
 
     def extend(self, budget: Budget) -> list[Strike]:
         """Continue the swings of a speed by a stroke; return predictable strikes.
 
         When there is no time for more strokes, the next speed is on. Each speed begins again with other rests and
-        strokes some strokes before its first strike, or in the middle.
+        strokes, after some of the strokes made.
         """
         lane = self._lanes[0]
         tries = [one for swing in lane.swings for one in self._strokes(swing, lane)]
         if not tries:
-            lane.restart(self.options.back)
+            lane.restart(self.options.back, self.random)
             self._lanes, self.passes = [*self._lanes[1:], lane], self.passes + 1
             lane = self._lanes[0]
             tries = [one for swing in lane.swings for one in self._strokes(swing, lane)]
@@ -166,8 +169,9 @@ class SwingSearch:
                 speeds=(parent.moves.speeds + change[2]).clip(MIN_SPEED, 1.0),
             )
             until = parent.t if math.isfinite(parent.t) else parent.moves.stops(self.problem.limits)
-            tries.append(_Try(swing, moves, until + self.options.watched * self.problem.period))
-        return self._strikes(tries, budget, whole=True)[0]
+            whole = bool(parent.states)
+            tries.append(_Try(swing, moves, until + self.options.watched * self.problem.period, whole))
+        return self._strikes(tries, budget, onward=False)[0]
 
     def _strokes(self, swing: Swing, lane: _Lane) -> list[_Try]:
         """Return the strokes that are tried after a swing, within the time."""
@@ -186,36 +190,35 @@ class SwingSearch:
                     found.append(_Try(swing, moves, moves.stops(limits) + options.watched * self.problem.period))
         return found
 
-    def _strikes(self, tries: list[_Try], budget: Budget, whole: bool = False) -> tuple[list[Strike], list[Swing]]:
+    def _strikes(self, tries: list[_Try], budget: Budget, onward: bool = True) -> tuple[list[Strike], list[Swing]]:
         """Simulate tries; return predictable strikes, the best first, and swings that may be continued.
 
-        `whole` moves are not continued, and are tried in contact as they are.
+        `onward`: whether any are continued.
         """
         if not tries:
             return [], []
         limits, step = self.problem.limits, MODEL.step
         stops = np.array([one.moves.stops(limits) for one in tries])
         since = np.array([one.swing.states[0].t for one in tries])
-        span = max(one.until - begin for one, begin in zip(tries, since.tolist(), strict=True))
-        t, q, qd, seen = self._fly(0, tries, span, budget)
-        struck, onward = list[tuple[int, Strike]](), list[tuple[int, Swing]]()
-        for k, (swing, moves, _) in enumerate(tries):
+        t, q, qd, seen = self._fly(0, tries, [one.until for one in tries], budget)
+        struck, swings = list[tuple[int, Strike]](), list[tuple[int, Swing]]()
+        for k, (swing, moves, _, whole) in enumerate(tries):
             at, row = float(since[k] + seen.t[k]), math.ceil((stops[k] - since[k]) / step) - 1
             begins = moves.starts(limits)[swing.moves.ends.size]
             if at < self.problem.time and (swing.parent is None or begins < at):
                 follow, state = (moves,) if whole else (), State(at, seen.q[k].copy(), seen.qd[k].copy())
                 struck.append((k, Strike(moves, float(seen.score[k]), at, False, swing, (state,), follow)))
             clear = min(int(seen.clear[k]), t.size if math.isnan(at) else round((at - since[k]) / step))
-            if not whole and row < clear and np.isfinite(q[k, row]).all():
+            if onward and not whole and row < clear and np.isfinite(q[k, row]).all():
                 state = State(float(since[k] + t[row]), q[k, row].copy(), qd[k, row].copy())
                 energy = _energy(self.problem, moves, state)
-                onward.append((k, Swing(moves, (state,), energy, swing)))
+                swings.append((k, Swing(moves, (state,), energy, swing)))
             elif math.isnan(at):
                 self._misses.append(Strike(moves, float(seen.score[k]), at, swing=swing))
         self._misses = sorted(self._misses, key=lambda one: -one.score)[: self.options.parents]
         width, siblings = self.options.width, self.options.siblings
-        struck = sorted(struck, key=lambda one: -one[1].score)[: 4 * width]
-        likely = _best(onward, 2 * width, 2 * siblings)
+        struck = sorted(struck, key=lambda one: -one[1].score)[: self.options.batch]
+        likely = _best(swings, 2 * width, 2 * siblings)
         for chain in range(1, len(self.chains)):
             struck, likely = self._agreed(chain, tries, struck, likely, budget)
         strikes = sorted((one for _, one in struck), key=lambda one: -one.score)
@@ -239,9 +242,9 @@ class SwingSearch:
             return struck, onward
         ends = [one.t + 2.0 * DELAY if isinstance(one, Strike) else one.states[0].t for _, one in some]
         since = [tries[k].swing.states[0].t for k, _ in some]
-        span = max(end - at for end, at in zip(ends, since, strict=True))
-        _, q, qd, seen = self._fly(chain, [tries[k] for k, _ in some], span, budget)
+        _, q, qd, seen = self._fly(chain, [tries[k] for k, _ in some], ends, budget)
         strikes, swings, rope = list[tuple[int, Strike]](), list[tuple[int, Swing]](), self.problem.rope
+        apart = list[float]()
         for m, (k, one) in enumerate(some):
             at = since[m] + float(seen.t[m])
             if isinstance(one, Strike):
@@ -251,20 +254,35 @@ class SwingSearch:
                 continue
             row = round((one.states[0].t - since[m]) / MODEL.step) - 1
             state = State(one.states[0].t, q[m, row].copy(), qd[m, row].copy())
-            off = _apart(rope, one.states[0].q, self.chains[chain].rope, state.q)
-            if off <= self.options.deviation:
-                swings.append((k, replace(one, states=(*one.states, state))))
-        return strikes, swings
+            apart.append(_apart(rope, one.states[0].q, self.chains[chain].rope, state.q))
+            swings.append((k, replace(one, states=(*one.states, state))))
+        usual, most = self.options.deviations
+        limit = max(usual, min(2.0 * min(apart, default=0.0), most))
+        return strikes, [one for one, off in zip(swings, apart, strict=True) if off <= limit]
 
-    def _fly(self, chain: int, tries: list[_Try], span: float, budget: Budget) -> tuple[Array, Array, Array, Strikes]:
-        """Simulate tries on a chain for a span, s; return times, angles and rates of samples, and first strikes."""
+    def _fly(
+        self, chain: int, tries: list[_Try], until: list[float], budget: Budget
+    ) -> tuple[Array, Array, Array, Strikes]:
+        """Simulate tries on a chain until times (M,), s; return times, angles and rates of samples, and first strikes.
+
+        Samples later than that of a try may be NaN.
+        """
         problem, states = self.chains[chain], [one.swing.states[chain] for one in tries]
-        motions = [one.moves.motion(problem.limits).shifted(-state.t) for one, state in zip(tries, states, strict=True)]
+        motions = [one.moves.motion(problem.limits, state.t) for one, state in zip(tries, states, strict=True)]
         q, qd = np.stack([each.q for each in states]), np.stack([each.qd for each in states])
         batch = RolloutBatch([problem.rope] * len(tries), [self.peg] * len(tries), motions, q, qd)
-        t, q, qd = batch.fly(problem.arm, span, budget)
+        spans = np.array(until) - [each.t for each in states]
+        groups = np.array_split(np.argsort(spans), math.ceil(len(tries) / GROUP))  # of nearly the same span
+        t: Array = MODEL.step * np.arange(1.0, math.ceil(spans.max() / MODEL.step - 1e-9) + 1.0)
+        q, qd = (np.full((len(tries), t.size, problem.rope.n_links), np.nan) for _ in range(2))
+        found = list[Strikes]()
+        for rows in groups:
+            some = batch.select(rows.tolist())
+            here, *flown = some.fly(problem.arm, float(spans[rows].max()), budget)
+            q[rows, : here.size], qd[rows, : here.size] = flown
+            found.append(find_strikes(problem, self.peg, some, here, *flown))
         self.runs += len(tries)
-        return t, q, qd, find_strikes(problem, self.peg, batch, t, q, qd)
+        return t, q, qd, Strikes.joined(found).select(np.argsort(np.concatenate(groups)))
 
 
 def _energy(problem: Problem, moves: Moves, state: State) -> float:

@@ -75,7 +75,8 @@ class WindTask(Task):
         self.contact, self.finer = self.model.cut(cuts), self.model.cut(max(options.pieces, cuts + 1))
         chains = self.model, self.finer
         self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options)
-        self.random = np.random.default_rng([options.seed, 1])  # of the last moves
+        self.order = 1 + np.random.default_rng([options.seed, 1]).permutation(len(FINISHES) - 1)  # of the last moves
+        self._again = list[Strike]()  # to be tried with other last moves
         self.scenarios: list[Scenario] = []
         if uncertainty is not None:
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
@@ -90,13 +91,16 @@ class WindTask(Task):
             if self._start:
                 given, self._start = self._start, []
                 new = [replace(one, score=math.inf) for one in self.search.start(given, budget)]
+            elif self._again:
+                new, self._again = self._again, []
             else:
                 self._samples += 1
                 vary = self.options.members and self._samples % 2 == 0 and (found or self.search.passes)
                 if vary:
                     best = _distinct(found[: 4 * self.options.parents], self.options.parents)
                     new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
-                    if best and best[0].good:  # else they wait for better swings
+                    nearly = self.options.nearly * self.problem.criteria.turns
+                    if best and best[0].score > nearly:  # else they wait for better swings
                         new = [replace(one, score=math.inf) for one in new]
                 else:
                     new = self.search.extend(budget)
@@ -104,26 +108,34 @@ class WindTask(Task):
         return list(new)
 
     def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Simulate strikes in contact with several last moves; simulate those that wind with shorter links, too."""
+        """Simulate strikes in contact with some last moves; simulate those that wind with shorter links, too.
+
+        A strike whose rope winds with the first last moves, but does not stay, is tried with others later.
+        """
         swings = [one for one in some if isinstance(one, Strike)]
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
         states = [one.states[0] for one, _ in pairs]
         cuts = self.contact.rope.n_links // self.model.rope.n_links
         states = [State(each.t, np.repeat(each.q, cuts), np.repeat(each.qd, cuts)) for each in states]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
-        found, good = list[Strike](), list[Strike]()
+        found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
         for one in swings:
             rows = [k for k, (other, _) in enumerate(pairs) if other is one]
             k = rows[int(np.argmax(wound.score[rows]))]
             tried = replace(one, moves=pairs[k][1], score=float(wound.score[k]))
-            (good if wound.turns[k] >= self.problem.criteria.turns else found).append(tried)
+            if wound.turns[k] >= required:
+                good.append(tried)
+                continue
+            found.append(tried)
+            if not one.follow and wound.most[rows].max() >= required and one.tried + len(rows) < len(FINISHES):
+                self._again.append(replace(one, tried=one.tried + len(rows), score=math.inf))
         return found + self._confirmed(good, budget)
 
     def _wind(
         self, problem: Problem, moves: Sequence[Moves], states: Sequence[State], budget: Budget, sweeping: bool
     ) -> WindingScores:
         """Simulate moves in contact on a chain, each from the state of its strike."""
-        motions = [one.motion(problem.limits).shifted(-state.t) for one, state in zip(moves, states, strict=True)]
+        motions = [one.motion(problem.limits, state.t) for one, state in zip(moves, states, strict=True)]
         q, qd = np.stack([each.q for each in states]), np.stack([each.qd for each in states])
         batch = RolloutBatch([problem.rope] * len(moves), [self.peg] * len(moves), motions, q, qd)
         self.runs += len(moves)
@@ -163,11 +175,11 @@ class WindTask(Task):
         return robust_values(winding_scores(self.problem, batch, budget), self.problem)
 
     def finishes(self, strike: Strike) -> list[Moves]:
-        """Return the moves of a swing with several last moves: the first of FINISHES, and others at random."""
-        others = 1 + self.random.permutation(len(FINISHES) - 1)[: self.options.finishes - 1]
+        """Return the moves of a swing with the next last moves: first the first of FINISHES, then some others."""
+        order = [0, *self.order][strike.tried :][: self.options.finishes if strike.tried else 1]
         towards = 1.0 if self.peg.x >= self.problem.arm.pivot[0] else -1.0
         limits, found = self.problem.limits, list[Moves]()
-        for more, end, rest in (FINISHES[k] for k in (0, *others.tolist())):
+        for more, end, rest in (FINISHES[k] for k in order):
             moves = strike.moves
             wait = max(0.0, strike.t - moves.stops(limits)) + 2.0 * MODEL.step
             for _ in range(more):
