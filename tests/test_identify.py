@@ -12,9 +12,9 @@ from hyperflex import files, progress
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, identify, lumped, ratios
-from hyperflex.identification.fit import Fit, Window, fit
+from hyperflex.identification.fit import Fit, Linear, Window, fit
 from hyperflex.identification.measurements import measure
-from hyperflex.identification.model import Parameters, Plant, parse
+from hyperflex.identification.model import Parameters, Plant, parse, scaling
 from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.symptoms import _of_prediction
@@ -140,6 +140,22 @@ def test_what_cannot_be_known_is_named_for_what_it_is(single_swing, free, unknow
         each.kind: each.values["names"] for each in result.findings if each.kind in (Kind.NO_EFFECT, Kind.COMBINATION)
     }
     assert found == unknown
+
+
+def test_scaling_multiplies_all_moments_and_torques_by_one_factor():
+    rope = DOUBLE.replace(tip_mass=0.01, dry_friction=[2e-3, 5e-4], stiffness=0.01)
+    free = ["inertia", "com", "tip_mass", "friction", "dry_friction", "stiffness", "length", "gravity_angle"]
+    parameters = freed(rope, free)
+    direction = scaling(parameters, parameters.start)
+    assert direction is not None
+    step = 1e-5
+    moved = parameters.rope(parameters.start + step * direction * parameters.widths)
+    before, after = (np.concatenate([*lumped(r), r.friction, r.dry_friction, r.stiffness]) for r in (rope, moved))
+    growth = (after / before - 1.0) / step
+    np.testing.assert_allclose(growth, growth[0], rtol=1e-3)  # the curvature over the step is of its size, 1e-5
+    assert abs(growth[0]) > 0.1  # of the size of the direction
+    assert moved.length[0] == pytest.approx(rope.length[0], rel=1e-9)  # it acts by itself, and stays
+    assert scaling(freed(rope, ["friction", "inertia"]), parameters.start[[4, 5, 0, 1]]) is None  # p is held
 
 
 def test_a_value_at_its_bound_does_not_hide_what_is_known():
@@ -329,6 +345,20 @@ def test_only_the_ratios_move_the_chain():
     t = np.linspace(0.0, 2.0, 41)
     ours, theirs = (simulate(r, duration=2.0, t_eval=t, tol=1e-10, **START).q for r in (DOUBLE, other))
     np.testing.assert_allclose(ours, theirs, atol=1e-8)  # both within the tolerance, grown over 2 s
+
+
+def test_states_are_eliminated_exactly():
+    random = np.random.default_rng(0)
+    slope, shared, residual = (random.standard_normal(s) for s in ((30, 4), (30, 3), (30,)))
+    linear = Linear(slope, shared, residual)
+    left, rest = linear.reduced()
+    whole = np.linalg.lstsq(np.hstack([slope, shared]), residual, rcond=None)[0]
+    np.testing.assert_allclose(np.linalg.lstsq(left, rest, rcond=None)[0], whole[4:], rtol=1e-10)  # same least squares
+    few = linear.compact()
+    assert few.residual.size == 8  # unknowns, and one for what no unknown can reach
+    assert few.residual @ few.residual == pytest.approx(residual @ residual)
+    left, rest = few.reduced()
+    np.testing.assert_allclose(np.linalg.lstsq(left, rest, rcond=None)[0], whole[4:], rtol=1e-10)
 
 
 HEAVY = DOUBLE.replace(inertia=[1.2e-3, 3.5e-4])

@@ -6,6 +6,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter
+from hyperflex.estimate.filter import ValidationGate
 from hyperflex.estimate.noise import NoiseLevel
 from tests.estimate.runs import LENGTH, free_swing, pumped, rope, track
 from tests.refusals import refuses
@@ -118,6 +119,21 @@ def test_what_half_of_a_frame_says_is_not_believed_at_once(seen, false):
         tracker.update(Observations(float(run.t[i]), places if i < 600 else shown, 1e-3))
     assert np.linalg.norm(tracker.markers()[0][-1] - run.joints[600, 100]) < 0.02
     np.testing.assert_array_equal(np.flatnonzero(tracker.used), [k for k in seen if k not in false])
+
+
+def test_a_wrong_state_is_told_from_wrong_places():
+    """Where most of three places and more are off, it is the state; one or two are believed when they stay."""
+    wide, near, far = np.tile(np.eye(2), (4, 1, 1)), [0.5, 0.5], [30.0, 0.0]
+    hidden = [np.nan, np.nan]
+    gate = ValidationGate(4)
+    assert gate.accepted(np.array([far, far, far, near]), wide).all()
+    gate = ValidationGate(4)
+    for expected in ([True, True, False, False], [True] * 4):
+        assert gate.accepted(np.array([near, near, far, far]), wide).tolist() == expected
+    gate = ValidationGate(4)
+    lone = np.array([hidden, hidden, hidden, far])
+    assert not gate.accepted(lone, wide)[3]
+    assert gate.accepted(lone, wide)[3]
 
 
 def test_bad_input():
