@@ -76,6 +76,15 @@ def test_targets_that_cannot_be_written_are_named(tmp_path):
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 
 
+def test_reasons_that_name_the_temporary_file_name_the_users(tmp_path):
+    def lock():
+        with files.atomic_path(tmp_path / "out.nc") as part:
+            raise OSError(f"cannot lock {part.name}")  # as HDF5 puts it
+
+    with pytest.raises(FileProblem, match=r"written: cannot lock out\.nc\. Nothing was"):
+        lock()
+
+
 def test_another_file_missing_within_the_block_is_named(tmp_path):
     with (
         pytest.raises(FileProblem, match=r"out\.txt could not be written.*other\.txt"),

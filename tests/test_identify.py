@@ -387,6 +387,26 @@ def test_a_fit_that_cannot_move_has_not_converged(free_swing, reach):
     assert fit(Plant(parameters), windows, parameters.start, states).converged
 
 
+class Stuck(Plant):
+    """Can simulate one set of parameters only."""
+
+    only = np.zeros(0)
+
+    def predict(self, x: Array, t: Array, state: Array) -> Array | None:
+        return super().predict(x, t, state) if np.array_equal(x, self.only) else None
+
+
+def test_a_fit_that_stalls_at_its_best_has_converged(free_swing):
+    parameters = freed(GUESS, ["inertia", "friction"])
+    windows, _ = measure(free_swing, DOUBLE, None).windows(1.0)
+    best = fit(Plant(parameters), windows, parameters.start, [window.guess for window in windows])
+    plant = Stuck(parameters)
+    plant.only = best.x
+    again = fit(plant, windows, best.x, best.states)
+    np.testing.assert_array_equal(again.x, best.x)  # every step was refused
+    assert again.converged  # derivatives are there, and promise no gain
+
+
 def test_autocorrelation_of_known_processes():
     random = np.random.default_rng(0)
     white = random.standard_normal((20000, 1))
