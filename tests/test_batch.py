@@ -203,3 +203,5 @@ def test_a_batch_can_be_copied_and_sent():
     for other in (copy.deepcopy(batch), pickle.loads(pickle.dumps(batch))):
         np.testing.assert_array_equal(other.tip, batch.tip)
         assert other.status == batch.status
+    with pytest.raises(AttributeError, match="kept: tip"):
+        _ = batch.q
