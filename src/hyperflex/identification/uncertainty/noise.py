@@ -19,7 +19,8 @@ class NoiseOptions:
     max_worse_terms: int = 2
     # greatest size of a partial autocorrelation: beyond it noise would almost never return to 0
     near_one: float = 0.995
-    # greatest size of all partial autocorrelations but the first: tones that die away very slowly are no noise
+    # greatest size of all partial autocorrelations but the first: beyond it terms make a tone that hardly dies away,
+    # which is no noise, and whose size rounding decides
     later: float = 0.95
     # by which autocorrelations may miss those of the residuals before no process explains them
     agrees: float = 0.05
@@ -72,6 +73,8 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     least, passed, gap = 0.0, 0, 0.0
     for k in range(1, most + 1):
         parts, misfit = _fit_correlations(response[: k + 1], target[1 : k + 1], np.append(parts, plain[k - 1]))
+        if np.abs(parts[1:]).max(initial=0.0) > NOISE.later:
+            break
         criterion = count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))  # BIC
         passed += 1
         if criterion < least:
@@ -211,11 +214,10 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
 
 def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
     """Return partial autocorrelations (k,) whose residuals show those target (k,), and the greatest miss."""
-    bound = np.append(NOISE.near_one, np.full(start.size - 1, NOISE.later))
-    z = np.arctanh(np.clip(start / bound, -0.99, 0.99))
+    z = np.arctanh(np.clip(start / NOISE.near_one, -0.99, 0.99))
 
     def miss(at: Array) -> Array:
-        sums = response @ correlations(ar_coefficients(bound * np.tanh(at)), response.shape[1])
+        sums = response @ correlations(ar_coefficients(NOISE.near_one * np.tanh(at)), response.shape[1])
         return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target)
 
     away, damping = miss(z), 1e-3
@@ -232,7 +234,7 @@ def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Arr
             damping *= 10.0
         if after < NOISE.settled or (1.0 - NOISE.least_gain) * before < after < before:
             break
-    return bound * np.tanh(z), float(np.abs(away).max())
+    return NOISE.near_one * np.tanh(z), float(np.abs(away).max())
 
 
 def _longest(pieces: Sequence[Piece]) -> int:
