@@ -32,7 +32,7 @@ from hyperflex import files
 from hyperflex.identification import Kind
 from hyperflex.identification import text as text_of
 from hyperflex.identification.findings import percent
-from hyperflex.identification.uncertainty.ratios import ratio_spread
+from hyperflex.identification.uncertainty.covariance import ratio_spread
 
 RESULTS = Path(__file__).parent / "results"
 BAND = 1.96  # standard deviations on either side that hold 95 %
@@ -70,7 +70,7 @@ def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
         parts = [percent(each.values["part"]) for each in found.findings if each.kind is Kind.FRICTION_MODEL]
         row["friction"] = f"up to {parts[0]}" if parts else ""
         # without errors of lengths, clock and torque, which all parts of a recording have in common
-        information = replace(found.basis.information, scale_error=np.zeros((4, 4)))
+        information = replace(found.basis.information, scaled=0.0)
         parameters = found.basis.plant.parameters
         own, laws = (ratio_spread(parameters, information, model=model) for model in (False, True))
         row["ratios"] = {

@@ -18,9 +18,8 @@ from hyperflex.identification.model import Parameters, Plant, parse, scaling
 from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.symptoms import _of_prediction
-from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance, ratio_spread
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
-from hyperflex.identification.uncertainty.ratios import ratio_spread
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording

@@ -11,8 +11,8 @@ from benchmarks.wrong_input import DOUBLE, FREE, longer, noisy, swing
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, identify
 from hyperflex.identification.declarations.score_tests import ScoreTest
+from hyperflex.identification.uncertainty.covariance import ratios
 from hyperflex.identification.uncertainty.model_error import with_model_error
-from hyperflex.identification.uncertainty.ratios import ratios
 from hyperflex.model import Arm, Rope, divided, parse_label
 from hyperflex.motion import arm_swings
 from hyperflex.planning import RopePosterior

@@ -122,8 +122,9 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds, monkeypatch):
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=rounds))
     plain = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     information, std = plain.information, np.sqrt(np.diag(plain.information.covariance))
-    errors = {"model": np.diag(std**2), "scales": np.outer(std, [2.0, 0.0, 0.0, 0.0]), "scale_error": np.eye(4)}
-    basis = replace(plain, information=replace(information, **errors))
+    scaled = np.append(2.0 * std, 1.0)  # of x by a factor on all lengths, and of its logarithm
+    errors = replace(information, model=np.diag(std**2), scaled=np.outer(scaled, scaled))
+    basis = replace(plain, information=errors)
     by_std = all_intervals(basis, "covariance")
     for label, one in all_intervals(basis, "profile").items():
         alone, same = (profiled(Coordinate(basis, label), 0.95), profiled(Coordinate(plain, label), 0.95))

@@ -10,10 +10,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import hyperflex as hf
 from hyperflex.identification import Kind, Severity, pipeline, text
 from hyperflex.identification.declarations.evidence import swapped
-from hyperflex.identification.declarations.score_findings import score_findings
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.symptoms import _far, _of_prediction
+from hyperflex.identification.symptoms import _far, _of_prediction, score_findings
 from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])

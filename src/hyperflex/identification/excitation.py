@@ -9,6 +9,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.evidence import unlike_lengths
 from hyperflex.identification.findings import text
 from hyperflex.identification.measurements import LEAST_VALUES, STILL, rms_rate, swing_period
+from hyperflex.identification.uncertainty.noise import CHANCE, LAGS
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
@@ -16,8 +17,6 @@ SHORTEST = 0.1  # of the rope's period, which a recording lasts at least
 WILDEST = 8.0  # times the rate of a small swing: ten somersaults in the time of one
 BEYOND = 5.0  # standard deviations of the declared noise: a spread that large is motion, smooth or not
 LARGE = 0.1  # rad, the same of link angles: no camera errs so much
-LAGS = 10  # of the autocorrelation that tells motion from white noise
-SHUFFLES = 1000  # white noise passes for motion once in so many recordings
 
 
 def check_excitation(channels: Recording, shape: Recording, rope: Rope, *, moved: bool) -> None:
@@ -104,7 +103,7 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
 
 
 def _is_noise(values: Array) -> bool:
-    """Whether shuffled values (T, C) are as autocorrelated, by ranks, so that outliers do not matter."""
+    """Whether values (T, C), shuffled, may be as autocorrelated, by chance of CHANCE; by ranks, for outliers."""
     from scipy.stats import rankdata
 
     ranks = rankdata(values, axis=0, nan_policy="omit")
@@ -115,4 +114,4 @@ def _is_noise(values: Array) -> bool:
         return float(sum(((rows[lag:] * rows[:-lag]).sum(axis=0) ** 2).sum() for lag in lags))
 
     shuffle, found = np.random.default_rng(0), returning(ranks)
-    return any(returning(shuffle.permuted(ranks, axis=0)) >= found for _ in range(SHUFFLES))
+    return any(returning(shuffle.permuted(ranks, axis=0)) >= found for _ in range(round(1.0 / CHANCE)))

@@ -11,6 +11,7 @@ from hyperflex import checks, files
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
+from hyperflex.identification.findings import NAMES
 from hyperflex.identification.fit import Loss, linearise
 from hyperflex.identification.measurements import build_plant, measure, usual_length, with_torque
 from hyperflex.identification.model import (
@@ -23,8 +24,7 @@ from hyperflex.identification.model import (
 )
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.identification.ranking import Ranking
-from hyperflex.identification.uncertainty.covariance import Information, known_directions
-from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Information, known_directions, ratio_spread, ratios
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, Rope, parse_label
 from hyperflex.motion import Motion, arm_swings
@@ -36,13 +36,11 @@ from hyperflex.status import Status
 MOST_FRAMES = 1_000_000  # of an experiment: some minutes of work
 RATE, DURATION, MARKERS = 30.0, 10.0, 11  # frames a second, s, and most markers of the default experiments
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
-BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
 RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
 RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
 FAINT = 1e-3  # a ratio below this part of the largest of its kind is compared with that
 WEIGHED = ("mass", "com", "tip_mass")  # measurable with scales
 FORCELESS = ("J/p1", "p/p1", "c/p1")  # ratios that need no known force
-SHOWN = 3  # standard deviations in a line of the table, the rest in the summary
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +102,8 @@ def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
     n, hangs = rope.n_links, rope.hanging_angle
     found = [Experiment(f"let go at {angle:g} rad", q0=hangs + angle) for angle in ANGLES]
     if n > 1:
-        found.append(Experiment(f"let go bent, {BENT:g} to {-BENT:g} rad", q0=hangs + np.linspace(BENT, -BENT, n)))
+        bent = ANGLES[1]
+        found.append(Experiment(f"let go bent, {bent:g} to {-bent:g} rad", q0=hangs + np.linspace(bent, -bent, n)))
     if arm is not None:
         found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest)) for rest in RESTS]
     return [replace(each, markers=min(n + 1, MARKERS)) for each in found]
@@ -254,7 +253,7 @@ class ExperimentDesign(Ranking):
         return dict(files.plain(super().summary() | {"want": self.want, "plans": table}))
 
     def __str__(self) -> str:
-        labels = next((list(plan.std) for plan in self.plans if plan.std), [])[:SHOWN]
+        labels = next((list(plan.std) for plan in self.plans if plan.std), [])[:NAMES]
         head = ["experiment", "frames/s", "time, s", "markers", "relative", *(f"std of {label}" for label in labels)]
         rows: list[tuple[list[str], str]] = [(head, "")]
         for plan in self.plans:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 LINES = 5  # of a short report, the grade's line included
-NAMES = 4  # of a list that are shown in a line
+NAMES = 4  # of a list, or numbers of a kind, that are shown in a line
 COMPARE = "See whether another model predicts better (compare_models), and check what was declared."
 
 

@@ -7,6 +7,7 @@ the parameters: cost linear in the number of windows. Derivatives are exact, tho
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from statistics import NormalDist
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -23,7 +24,9 @@ LOSSES: tuple[LossName, ...] = get_args(LossName)
 # Where large begins, in standard deviations: 95 % as good as squares where there are no outliers (Holland and Welsch
 # 1977, doi:10.1080/03610927708827533)
 TUNING = {"squares": 1.0, "huber": 1.345, "cauchy": 2.385}
-NORMAL = 1.4826  # standard deviation over the median of absolute values, of a normal distribution
+NORMAL = 1.0 / NormalDist().inv_cdf(
+    0.75
+)  # standard deviation over the median of absolute values, of a normal distribution
 
 
 @dataclass(frozen=True)

@@ -338,9 +338,8 @@ def build_plant(
         place = first_joint(recording, arc_lengths, pivot_places(motion, arm, recording.t))
     else:
         place = checks.array("origin", origin, (2,), unit="m")
-    starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
-    chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
-    return Plant(Parameters(guess, chosen), Markers(arc_lengths, place), motion, arm, torque=torque)
+    parameters = Parameters(guess, chosen).starting({"origin_x": float(place[0]), "origin_y": float(place[1])})
+    return Plant(parameters, Markers(arc_lengths, place), motion, arm, torque=torque)
 
 
 def split(measured: Measurements, options: FitOptions) -> tuple[Measurements, Measurements | None]:

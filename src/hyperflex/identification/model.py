@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -44,7 +45,7 @@ ARM = tuple(each.name for each in PROPERTIES.values() if each.owner == "arm")
 LED = ("com", "inertia")  # what goes with a uniform link's length
 GRAVITY = ("gravity_angle", "gravity_scale")
 TINY = 1e-30  # imaginary step of derivatives, so small that none of it reaches the real parts
-SMALL = 0.1  # rad, and parts of a time or place scale, by which such parameters are compared
+SMALL = 0.1  # rad, parts of a time or place scale, by which such parameters are compared, and of the rope's length
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,10 @@ class Parameters:
         """Return x (P,) with 0 for what is left at its bound."""
         return np.where((x > 0.0) & (x <= self.lower), 0.0, x)
 
+    def starting(self, starts: Mapping[str, float]) -> "Parameters":
+        """Return the same with other starts by name."""
+        return Parameters(self.guess, [replace(each, start=starts.get(each.name, each.start)) for each in self.all])
+
     def values(self, x: Array) -> Array:
         """Return the values (P,) in SI units."""
         return np.array([p.value(each) for p, each in zip(self.all, x, strict=True)])
@@ -219,8 +224,6 @@ def rotated_gravity(gravity: Array, angle: float) -> Array:
 
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
 DELAY = 0.05  # s, scale of the time between camera and motor
-ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
-WHOLE = {"gravity_scale": 1.0}  # what a parameter that no object holds starts from, if not from 0
 NEEDS = {  # what must be measured for parameters that are not the rope's
     "motion": ("nothing moves the first joint", "motion=..."),
     "camera": ("no places are measured", "arc_lengths=..."),
@@ -264,18 +267,16 @@ def parse(
 
 
 def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
-    """Return the parameters of one word in `free`."""
+    """Return the parameters of a word in `free`, or of a tested factor; what no object holds starts at its default."""
     name, place, law = label
-    owner = FREE_PROPERTIES[name].owner
-    unseen = arc_lengths is None
+    about = PROPERTIES[name]
+    owner, unseen = about.owner, arc_lengths is None
     if {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None}.get(owner):
         why, fix = NEEDS[owner]
         raise InvalidInput(f"{name} is free, but {why}", fix=f"Give {fix}, or leave it out")
-    if owner == "marker" and arc_lengths is not None:
-        starts = arc_lengths
-    else:
-        known = getattr(arm if owner == "arm" else guess, name.removeprefix("arm_"), WHOLE.get(name, 0.0))
-        starts = np.atleast_1d(known)
+    held = getattr(arm, name.removeprefix("arm_"), None) if owner == "arm" else getattr(guess, name, None)
+    known = arc_lengths if owner == "marker" else about.default if held is None else held
+    starts = np.atleast_1d(np.asarray(known, dtype=np.float64))
     every, whole = tuple(range(starts.size)), owner not in ("link", "marker")
     if (place is not None and (whole or place not in every)) or (law and owner != "link"):
         what = "belongs to the whole rope, or camera" if whole else f"names a {owner} that the rope does not have"
@@ -284,21 +285,20 @@ def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm:
             got=f"{name}[{place}]" if law == "" else f"{name}:{law}",
             allowed=name if whole else f"{name}, or one of 0 to {every[-1]}",
         )
-    if law in ("factor", "taper"):
-        if not starts.any():
+    if law in ("factor", "taper", "pivot"):
+        if not starts[: 1 if law == "pivot" else None].any():
             raise InvalidInput(f"{name}:{law} is free but starts from 0", allowed=f"a guess of {name} that is not 0")
-        return [Parameter(name, every, f"{name}:{law}", 1.0 if law == "factor" else 0.0, 1.0, law)]  # type: ignore[arg-type]
+        return [Parameter(name, every, f"{name}:{law}", 0.0 if law == "taper" else 1.0, 1.0, law)]  # type: ignore[arg-type]
+    if about.form is None:
+        return [Parameter(name, (), name, float(starts[0]), 1.0, "factor")]
     sizes = scales(guess, name, starts)
-    if whole:
-        return [Parameter(name, (), name, float(starts[0]), float(sizes[0]))]
-    if law:
-        groups = {f"{name}:{law}": every[law == "inner" :]}
-    else:
-        groups = {f"{name}[{k}]": (k,) for k in (every if place is None else (place,))}
+    groups = {f"{name}[{k}]": (k,) for k in (every if place is None else (place,))}
+    if whole or law:
+        groups = {f"{name}:{law}" if law else name: every[law == "inner" :]}
     if () in groups.values():
         raise InvalidInput(f"{name}:inner is free, but there is one link", allowed=f"{name}")
     return [
-        Parameter(name, own, word, float(starts[list(own)].mean()), float(sizes[list(own)].mean()))
+        Parameter(name, () if whole else own, word, float(starts[list(own)].mean()), float(sizes[list(own)].mean()))
         for word, own in groups.items()
     ]
 
@@ -313,7 +313,7 @@ def scales(guess: Rope, name: str, starts: Array) -> Array:
     weight, mass, length = SHARE * np.abs(p) * gravity, SHARE * guess.total_mass, guess.total_length
     typical: dict[str, Array | float] = {
         "com": guess.length,
-        "m": ORIGIN * length,
+        "m": SMALL * length,
         "s": DELAY,
         "rad": 1.0,
         "kg": mass,
@@ -563,14 +563,14 @@ class Plant:
     def _at(self, x: Array) -> _Evaluation | None:
         key = x.tobytes()
         if self._last[0] != key:
-            self._last = (key, self._prepared(x))
+            self._last = (key, None)
+            with suppress(InvalidInput):  # x describes no rope, or no arm
+                self._last = (key, self._prepared(x))
         return self._last[1]
 
-    def _prepared(self, x: Array) -> _Evaluation | None:
-        """Return what follows from x, or None where x describes no rope."""
-        rope = self.parameters.possible(x)
-        if rope is None:
-            return None
+    def _prepared(self, x: Array) -> _Evaluation:
+        """Return what follows from x."""
+        rope = self.parameters.rope(x)
         motion, arm, drive = self.motion, self.arm, self._setup.drive()
         delay, longer = self.parameters.single("delay", x), self.parameters.single(ARM_LENGTH, x, 1.0)
         if motion is not None and (delay != 0.0 or longer != 1.0):
@@ -608,20 +608,11 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), dict[str, list[Parameter]]()
     arcs = plant.sensor.arc_lengths if isinstance(plant.sensor, Markers) else None
     for word in words:
-        if word in (ANGLES, TORQUE, ARM_LENGTH):
-            groups[word] = [Parameter(word, (), word, 1.0, 1.0, "factor")]
-            continue
-        label = parse_label(word.removesuffix(":pivot"))
-        if word.endswith(":pivot") and label is not None:
-            if getattr(rope, label.name)[0] > 0.0:
-                every = tuple(range(rope.n_links))
-                groups[word] = [Parameter(label.name, every, word, 1.0, 1.0, "pivot")]
-            continue
-        try:
-            arm = None if plant.motor is None else plant.arm
-            groups[word] = parse(rope, [word], arcs, moved=plant.motion is not None, arm=arm)
-        except InvalidInput:  # a mass of 0 has no logarithm, say
-            continue
+        name, _, law = word.partition(":")
+        label = Label(name, None, law) if law == "pivot" else parse_label(word)
+        if label is not None and label.name in PROPERTIES:
+            with suppress(InvalidInput):  # a mass of 0 has no logarithm, say
+                groups[word] = _one(rope, label, arcs, plant.motion is not None, plant.motor and plant.arm)
     extra = [each for group in groups.values() for each in group]
     parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
     return replace(plant, parameters=parameters), np.append(x, [each.first for each in extra]), groups

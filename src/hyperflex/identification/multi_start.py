@@ -29,10 +29,10 @@ from hyperflex.identification.fit import (
     with_entries,
 )
 from hyperflex.identification.measurements import FEWEST_SAMPLES, Measurements
-from hyperflex.identification.model import Parameters, Plant
+from hyperflex.identification.model import Plant
 from hyperflex.interruption import stoppable
 
-# windows so many times shorter come first; how many, spread over the recording
+# windows, and parts of one, so many times shorter come first; how many windows, spread over the recording
 FIRST = 8
 FIRST_WINDOWS = 40
 # times what a value of the middle window costs, or of known noise: worth another state, or start
@@ -59,9 +59,6 @@ DELAY_ROUNDS = 2
 CLEARLY = 0.8
 # of the derivatives of all values that are in memory at once
 COPIES = 4
-
-
-GROWING = (0.125, 0.25, 0.5)  # parts of a window to which a state is fitted first
 
 
 @dataclass
@@ -270,16 +267,17 @@ class MultiStart:
     ) -> set[int]:
         """Put states that cost clearly less in place of those of windows, given by number with their costs `before`.
 
-        Return the numbers of those found. `thorough`: states are fitted to a window's last samples as well, beginning
-        with the window after, and to its first samples, then to more and more of it. A state of which a value costs
-        no more than AMISS ends that search.
+        Return the numbers of those found. `thorough`: after the first of the usual states all of them are fitted to a
+        window's first samples, then to more and more of it. A state of which a value costs no more than AMISS ends
+        that search.
         """
         found: set[int] = set()
         for k, least in before.items():
             least, window = BETTER * least, windows[k]
-            usual = restart_states(self.plant, windows, x, states, k)
-            for starts in self._starts(windows, x, states, k, list(usual), loss) if thorough else [usual]:
+            usual = list(restart_states(self.plant, windows, x, states, k))
+            for grow in (False, True)[: 1 + thorough]:
                 self.budget.check()
+                starts = _grown(self.plant, x, window, usual, loss) if grow else usual[: 1 if thorough else None]
                 best = fit_state(self.plant, x, window, *starts, loss=loss, enough=HARDLY)
                 if best is None or (cost := loss.cost(best[1]) + window.prior_cost(best[0])) >= least:
                     continue
@@ -288,16 +286,6 @@ class MultiStart:
                 if thorough and cost <= AMISS * window.values:
                     break
         return found
-
-    def _starts(
-        self, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int, usual: list[Array], loss: Loss
-    ) -> Iterator[list[Array]]:
-        """Yield groups of states to start window k from, the cheapest first."""
-        if k > 0:
-            yield arrived(self.plant, x, windows[k - 1], states[k - 1], windows[k])
-        if k + 1 < len(windows) and self.plant.motion is None:
-            yield _from_behind(self.plant, x, windows[k], windows[k + 1], states[k + 1], loss)
-        yield _grown(self.plant, x, windows[k], usual, loss)
 
     def _enough(self, windows: Sequence[Window]) -> bool:
         return sum(window.values - window.unknowns for window in windows) > len(self.plant.parameters)
@@ -338,36 +326,19 @@ class MultiStart:
         return kept, states
 
 
-def _part(window: Window, rows: slice) -> Window:
-    return replace(window, t=window.t[rows], y=window.y[rows], weight=window.weight[rows])
-
-
 def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Loss) -> list[Array]:
-    """Return states (2n,) fitted to the first samples of a window, then to more and more; those that end alike once."""
-    for part in GROWING:
-        seen = _part(window, slice(0, max(FEWEST_SAMPLES, int(part * window.t.size))))
-        grown: list[Array] = []
+    """Return states (2n,) fitted to the first samples of a window, then to twice as many; those that end alike once."""
+    size = window.t.size / FIRST
+    while size < window.t.size:
+        rows, grown = slice(0, max(FEWEST_SAMPLES, int(size))), list[Array]()
+        seen = replace(window, t=window.t[rows], y=window.y[rows], weight=window.weight[rows])
         for state in states:
             found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT, enough=HARDLY)
             end = state if found is None else found[0]
             if all(np.abs(end - other).max() > SAME_STATE for other in grown):
                 grown.append(end)
-        states = grown
+        states, size = grown, 2.0 * size
     return states
-
-
-def _from_behind(plant: Plant, x: Array, window: Window, after: Window, state: Array, loss: Loss) -> list[Array]:
-    """Return the state (2n,) of a window from the beginning of the one after, back in time and fitted on the way."""
-    end, n = float(after.t[0]), state.size // 2
-    for part in (*(1.0 - each for each in GROWING[1:]), 0.0):
-        first = int(part * window.t.size)
-        mirrored = plant.propagate(x, 0.0, np.append(state[:n], -state[n:]), end - float(window.t[first]))
-        if mirrored is None:  # backwards friction would push; forwards, with all rates reversed, it is about right
-            return []
-        state = nearest_turn(np.append(mirrored[:n], -mirrored[n:]), window.guess)
-        found = fit_state(plant, x, _part(window, slice(first, None)), state, loss=loss, rounds=SHORT, enough=HARDLY)
-        state, end = state if found is None else found[0], float(window.t[first])
-    return [state]
 
 
 def restart_states(
@@ -418,5 +389,4 @@ def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss
 
 def with_delay(plant: Plant, delay: float) -> Plant:
     """Return the model with its delay starting from `delay`, s."""
-    every = [replace(each, start=delay) if each.name == "delay" else each for each in plant.parameters.all]
-    return replace(plant, parameters=Parameters(plant.parameters.guess, every))
+    return replace(plant, parameters=plant.parameters.starting({"delay": delay}))

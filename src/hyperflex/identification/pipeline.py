@@ -15,7 +15,6 @@ from hyperflex.errors import IdentificationError, Interrupted
 from hyperflex.identification.declarations.evidence import evidence
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
-from hyperflex.identification.declarations.score_findings import explaining, first_misdeclared
 from hyperflex.identification.declarations.score_tests import TESTING, Scores, ScoreTest, score_tests
 from hyperflex.identification.declarations.window_tests import (
     Scatter,
@@ -39,11 +38,17 @@ from hyperflex.identification.multi_start import multi_start, search_delay, with
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
-from hyperflex.identification.symptoms import symptoms
-from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information, of_ratios
+from hyperflex.identification.symptoms import explaining, first_misdeclared, symptoms
+from hyperflex.identification.uncertainty.covariance import (
+    Basis,
+    Interval,
+    fit_information,
+    of_ratios,
+    ratio_spread,
+    ratios,
+)
 from hyperflex.identification.uncertainty.model_error import with_model_error
 from hyperflex.identification.uncertainty.profile import all_intervals
-from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.interruption import deferred, interruptible, stoppable
 from hyperflex.model import Rope
 from hyperflex.progress import progress_bar

@@ -1,6 +1,7 @@
 """Prediction of the held-out part of a recording, with its standard deviation."""
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -10,11 +11,10 @@ from hyperflex.identification.fit import Loss, Window, fit_state, linearise, res
 from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
 from hyperflex.identification.model import Plant
 from hyperflex.identification.options import FitOptions
-from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis
 
-BAND = 1.96  # standard deviations on either side that hold 95 %
+BAND = NormalDist().inv_cdf(0.5 * (1.0 + LEVEL))  # standard deviations on either side that hold 95 %
 WIDE = 0.2  # part of what keeping still would err by: where the band of a prediction is wider, chaos has begun
-TINY = 1e-9  # rad or m, the least noise that samples are weighed by
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def predict(basis: Basis, measured: Measurements, options: FitOptions) -> HeldOu
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     uncertainty = prediction_uncertainty(basis, data.shape[1])
-    size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
+    size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), float(np.finfo(float).eps))
     predictions = []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)

@@ -37,7 +37,8 @@ class Property:
     sign : str
         What values are allowed, see :mod:`hyperflex.checks`.
     default : float or None
-        Value that does nothing (inf is allowed then, too); None: it must be given, or follows from others.
+        Value that does nothing (inf is allowed then, too), from which a fit starts what no object holds; None: it must
+        be given, or follows from others.
     form : str or None
         How a fit sees it: its logarithm, the value itself, or a value kept >= 0; None: it cannot be free.
     power : int
@@ -89,17 +90,30 @@ _TABLE = (
         "gravity over what it was taken to be (a wrong clock or lengths)",
         "1",
         owner="rope",
+        default=1.0,
         form="log",
     ),
     Property("delay", "delay of the motion", "s", owner="motion", form="linear"),
     Property("origin_x", "origin of the motion as the camera sees it, x", "m", owner="camera", form="linear"),
     Property("origin_y", "origin of the motion as the camera sees it, y", "m", owner="camera", form="linear"),
     Property("arc", "place along the rope", "m", owner="marker", form="linear"),
-    Property("angle_factor", "angles as read over angles", "1", owner="encoder", sign="positive", form=None),
+    Property(
+        "angle_factor", "angles as read over angles", "1", owner="encoder", sign="positive", default=1.0, form=None
+    ),
     Property("arm_inertia", "moment of inertia of arm and rotor", "kg m^2", owner="arm"),
     Property("arm_friction", "viscous friction of the shaft", "N m s/rad", owner="arm"),
-    Property("torque_factor", "torque as measured over torque", "1", owner="arm", sign="positive", form=None),
-    Property("arm_length", "length of the arm over what was declared", "1", owner="motion", sign="positive", form=None),
+    Property(
+        "torque_factor", "torque as measured over torque", "1", owner="arm", sign="positive", default=1.0, form=None
+    ),
+    Property(
+        "arm_length",
+        "length of the arm over what was declared",
+        "1",
+        owner="motion",
+        sign="positive",
+        default=1.0,
+        form=None,
+    ),
 )
 PROPERTIES = {each.name: each for each in _TABLE}
 LINK_PROPERTIES = tuple(each for each in _TABLE if each.owner == "link")

@@ -22,9 +22,8 @@ from hyperflex.identification.declarations.held import (
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Fit, Window, fit, linearise
 from hyperflex.identification.model import Mask, Parameter, Plant, extended, scale_words
-from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance, ratio_spread, ratios
 from hyperflex.identification.uncertainty.noise import CHANCE
-from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 
 
 @dataclass(frozen=True)

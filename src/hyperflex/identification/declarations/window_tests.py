@@ -19,9 +19,8 @@ from hyperflex.identification.declarations.score_tests import (
 )
 from hyperflex.identification.fit import Window, fit
 from hyperflex.identification.model import Plant
-from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratio_spread, ratios
 from hyperflex.identification.uncertainty.noise import CHANCE
-from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 

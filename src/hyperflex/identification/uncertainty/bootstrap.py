@@ -14,8 +14,7 @@ from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.identification.fit import Loss, Window, fit
 from hyperflex.identification.model import Parameters
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
-from hyperflex.identification.uncertainty.ratios import ratios
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level, ratios
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.status import Status
 

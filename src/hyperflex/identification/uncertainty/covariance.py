@@ -1,6 +1,6 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -11,10 +11,11 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit import Fit, Loss, Window, least_squares, linearise
-from hyperflex.identification.model import Mask, Plant, in_common_factor
+from hyperflex.identification.model import Mask, Parameter, Parameters, Plant, in_common_factor, lumped
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.interruption import stoppable
+from hyperflex.model import RESISTANCES, Rope
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
@@ -36,8 +37,8 @@ class Information:
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters share an
-    unknown common factor. scales (P, 4): change of x by the logarithms of factors on the links' lengths, on gravity,
-    which a clock makes, on the arm's length and on the torque; scale_error (4, 4): covariance of these. estimated:
+    unknown common factor. scaled (P + 1, P + 1): covariance
+    of x and of the logarithm of a factor on all lengths, as lengths, clock and torque may be off. estimated:
     False where an interrupt left all open.
     """
 
@@ -57,8 +58,7 @@ class Information:
     agrees: bool = True
     growing: Mask | bool = False
     model: Array | float = 0.0
-    scales: Array | float = 0.0
-    scale_error: Array = field(default_factory=lambda: np.zeros((4, 4)))
+    scaled: Array | float = 0.0
     estimated: bool = True
 
     @property
@@ -68,13 +68,8 @@ class Information:
 
     def model_spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
         """Return the part of `spread` that errors of the model, the lengths, the clock and the torque have."""
-        moved = self._by_scales(gradient)
-        moved[:, 0] += by_length
-        by_model = _variances(gradient, np.broadcast_to(self.model, self.covariance.shape))
-        return np.asarray(np.sqrt(by_model + _variances(moved, self.scale_error)))
-
-    def _by_scales(self, gradient: Array) -> Array:
-        return np.asarray(gradient @ np.broadcast_to(self.scales, (gradient.shape[1], 4)))
+        both = np.column_stack([gradient, np.broadcast_to(by_length, len(gradient))])
+        return np.asarray(np.sqrt(_variances(gradient, self.model) + _variances(both, self.scaled)))
 
     def spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
         """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x does not determine them.
@@ -91,18 +86,19 @@ class Information:
 
         `slopes` (P,) are d value / d x.
         """
-        moved = self._by_scales(np.diag(slopes))
-        by_length = np.append(moved @ self.scale_error[:, 0], self.scale_error[0, 0])
-        return self.total * np.outer(slopes, slopes) + moved @ self.scale_error @ moved.T, by_length
+        both = np.append(slopes, 1.0)
+        moved = self.scaled * np.outer(both, both)
+        return self.total * np.outer(slopes, slopes) + moved[:-1, :-1], moved[-1]
 
     def deviations(self, slopes: Array) -> Array:
         """Return standard deviations (P,) of the values, `slopes` (P,) d value / d x; inf where unknown."""
         return np.where(self.growing, np.inf, self.spread(np.diag(slopes)))
 
 
-def _variances(gradient: Array, covariance: Array) -> Array:
-    """Return the variances (k,) of functions with gradients (k, P)."""
-    return np.asarray(np.einsum("ij,jk,ik->i", gradient, covariance, gradient))
+def _variances(gradient: Array, covariance: Array | float) -> Array:
+    """Return the variances (k,) of functions with gradients (k, P); a number is each element of the covariance."""
+    size = gradient.shape[1]
+    return np.asarray(np.einsum("ij,jk,ik->i", gradient, np.broadcast_to(covariance, (size, size)), gradient))
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,4 +292,47 @@ def of_ratios(ratios: dict[str, Array], std: dict[str, Array], freedom: float) -
         for name, values in ratios.items()
         for k, (value, spread) in enumerate(zip(values, std[name], strict=True))
         if spread > 0.0
+    }
+
+
+def ratios(rope: Rope, free: Collection[str] = ()) -> dict[str, Array]:
+    """Return the ratios over p1 = p of link 0 that are identifiable without known forces, each (n,).
+
+    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and of the other resistances those that the rope has or that are `free`:
+    ``tau_d/p1`` and ``k/p1`` (m/s^2), ``d/p1`` (1/m^3).
+    """
+    p, inertia = lumped(rope)
+    resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
+    shown = {each.symbol for each in RESISTANCES if each.name in free or each.symbol == "c"}
+    resistances = {name: value for name, value in resistances.items() if name in shown or value.any()}
+    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
+
+
+def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
+    """Return the derivatives (n, P) of each ratio by x (P,)."""
+    every = tuple(each.name for each in RESISTANCES)
+    names = ratios(parameters.rope(x), parameters.names)
+    step = 1e-6
+    columns = []
+    for k in range(x.size):
+        up, down = x.copy(), x.copy()
+        up[k] += step
+        down[k] = max(x[k] - step, parameters.lower[k])
+        above, below = (ratios(parameters.rope(end), every) for end in (up, down))
+        columns.append({name: (above[name] - below[name]) / (up[k] - down[k]) for name in names})
+    return {name: np.stack([c[name] for c in columns], axis=1) for name in names}
+
+
+def ratio_spread(parameters: Parameters, information: Information, *, model: bool = False) -> dict[str, Array]:
+    """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known.
+
+    With `model` only the part that errors of the model, lengths and clock have. Ratios of what was held have none.
+    """
+    every = tuple(range(parameters.guess.n_links))
+    stretched = Parameter("length", every, "length:factor", 1.0, 1.0, "factor")
+    gradients = ratio_gradients(Parameters(parameters.guess, [*parameters.all, stretched]), np.append(information.x, 0))
+    spread = information.model_spread if model else information.spread
+    return {
+        name: spread(each[:, :-1], np.where(each[:, :-1].any(axis=1), each[:, -1], 0.0))
+        for name, each in gradients.items()
     }

@@ -47,8 +47,8 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     gravity = next((float(each.values[0]) for each in tests if each.name == CLOCK), 1.0)
     driven = basis.plant.motion is not None
     observed = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight))
-    scales, error = _scale_error(basis, tests, scale_std, observed=observed)
-    return replace(basis, information=replace(information, model=model, scales=scales, scale_error=error))
+    scaled = _scale_error(basis, tests, scale_std, observed=observed)
+    return replace(basis, information=replace(information, model=model, scaled=scaled))
 
 
 def _shift(test: ScoreTest, basis: Basis) -> Array:
@@ -70,8 +70,8 @@ def _shift(test: ScoreTest, basis: Basis) -> Array:
     return shift
 
 
-def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observed: bool) -> tuple[Array, Array]:
-    """Return how x (P, 4) goes with the logarithms of the factors of SCALES, and the covariance (4, 4) of these.
+def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observed: bool) -> Array:
+    """Return the covariance (P + 1, P + 1) of x and a length factor's logarithm by errors of the factors of SCALES.
 
     The prior deviations are `std` (4,), of gravity twice that of a clock. A clock also changes frictions and torques by
     its own factor. The data determine some combinations, as a rule: the posterior covariance keeps the width of
@@ -87,8 +87,6 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observ
             which = list(scale_words(basis.plant))[: each.rate.shape[1]]
             rate[:, which], known[np.ix_(which, which)] = each.rate, each.information
             step[which] = np.log(np.clip(each.values, 1e-9, 1e9))  # what is not determined may be any number
-    if not rate.any():
-        return rate, known
     for k, free in enumerate(parameters.all):
         power = (
             CLOCK_POWER.get(free.kind.unit, 0.0) if free.name in LAWS and free.law not in ("taper", "pivot") else 0.0
@@ -101,7 +99,8 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observ
     moved = error @ known @ step
     share = std**2 / max(float(std @ std), 1e-300)  # of the one cause, the probability
     causes = np.diag(moved**2 / np.where(share > 0.0, share, np.inf))
-    return rate, 0.5 * (error + error.T) + observed * causes
+    acting = np.vstack([rate, np.eye(std.size)[:1]])
+    return np.asarray(acting @ (0.5 * (error + error.T) + observed * causes) @ acting.T)
 
 
 def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:

@@ -24,15 +24,16 @@ from hyperflex.identification.uncertainty.covariance import (
     checked_level,
     interval,
     of_parameters,
+    ratio_gradients,
+    ratios,
 )
-from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratios
 from hyperflex.identification.uncertainty.threshold import Mask, near_bounds, quantile, threshold
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
 
-# Of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is at
-# its bound they may do so a thousand times more than the standard deviation suggests
-WEIGHT = 1000.0
+# Of a target, in 1 / std: the data hold a ratio back from it by 1e-10 of its way; where another parameter is at its
+# bound they may do so a thousand times more than the standard deviation suggests
+WEIGHT = 1e5
 TRIED = 2  # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
 
 
@@ -115,14 +116,9 @@ class Coordinate:
                 return begun
         return x
 
-    def target(self, at: float, unit: float, firmness: float) -> Target:
-        """Return the target that draws a fit to `at`, so many times more firmly than usual.
-
-        `unit` is the rise of the squares one std away. The target lies beyond by what the data hold it back.
-        """
-        weight = firmness * WEIGHT
-        beyond = at + (at - self.at(self.basis.fit.x)) / weight**2
-        return Target(self.at, self.gradient, beyond, weight * float(np.sqrt(unit)) / self.std)
+    def target(self, at: float, unit: float) -> Target:
+        """Return the target that draws a fit to `at`; `unit` is the rise of the squares one std away."""
+        return Target(self.at, self.gradient, at, WEIGHT * float(np.sqrt(unit)) / self.std)
 
     def by_std(self, level: float) -> Interval:
         """Return its interval of noise from the standard deviation."""
@@ -153,8 +149,6 @@ class ProfileOptions:
 
 
 WALK = ProfileOptions()
-# Firmness with which a ratio is drawn there, one after the other, before a bound is taken to be in its way
-FIRMNESS = (1.0, 10.0, 100.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,25 +302,21 @@ class _ProfileSearch:
         return _Point(self.along.at(found.x), found.x, found.states, rise, limit)
 
     def at(self, value: float) -> _Point | None:
-        """Return the fit with the coordinate at `value`, as firmly held as it takes; None where none can be found."""
+        """Return the fit with the coordinate drawn to `value`; None where none can be found."""
         start = min(self.points, key=lambda p: abs(p.at - value))
         x = self.along.aimed(start.x, value)
         follow = zip(start.states, self.along.basis.information.follow, strict=True)
-        states, point = [s + f @ (x - start.x) for s, f in follow], start
-        for firmness in FIRMNESS:
-            if self.rounds <= 0:
-                raise _TooLong
-            target = self.along.target(value, self.unit, firmness)
-            try:
-                found = self._fit(x, states, rounds=min(20, self.rounds), target=target)
-            except InvalidInput:
-                self.rounds, self.settled = self.rounds - 1, True
-                return None
-            self.rounds -= max(len(found.history), 1)
-            x, states, self.settled = found.x, found.states, found.converged
-            point = self._point(found, found.cost - target.residual(x) ** 2)
-            if self.settled and not self.short(point, value):
-                break
+        states = [s + f @ (x - start.x) for s, f in follow]
+        if self.rounds <= 0:
+            raise _TooLong
+        target = self.along.target(value, self.unit)
+        try:
+            found = self._fit(x, states, rounds=min(20, self.rounds), target=target)
+        except InvalidInput:
+            self.rounds, self.settled = self.rounds - 1, True
+            return None
+        self.rounds, self.settled = self.rounds - max(len(found.history), 1), found.converged
+        point = self._point(found, found.cost - target.residual(found.x) ** 2)
         self.points += [point] * self.settled
         return point if self.settled else None
 
