@@ -6,6 +6,7 @@ the parameters: cost linear in the number of windows. Derivatives are exact, tho
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import Any, Literal, get_args
@@ -144,8 +145,6 @@ STALLS = 5
 # in scales: farther above its bound a parameter falls by no more than this part of the way
 NEAR = 0.01
 FALL = 0.7
-# rounds after which one of several states is preferred
-SKETCH = 6
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -306,19 +305,13 @@ def fit_state(
 ) -> tuple[Array, Array] | None:
     """Return the fitted state (2n,) at a window's start and its residual (m C,), parameters fixed; None on failure.
 
-    Of several `starts` the one goes on that a few rounds bring farthest. It ends as :func:`fit` does.
+    Of several `starts` the one counts that ends with the least cost. It ends as :func:`fit` does.
     """
-
-    def fitted(start: Array, rounds: int) -> Fit | None:
-        try:
-            return fit(plant, [window], x, [start], loss=loss, states_only=True, rounds=rounds, enough=enough)
-        except InvalidInput:
-            return None
-
-    sketches = [fitted(start, SKETCH if len(starts) > 1 else rounds) for start in starts]
-    found = min((each for each in sketches if each is not None), key=lambda each: each.cost, default=None)
-    if found is not None and len(starts) > 1 and not found.converged:
-        found = fitted(found.states[0], rounds) or found
+    fits = list[Fit]()
+    for start in starts:
+        with suppress(InvalidInput):
+            fits.append(fit(plant, [window], x, [start], loss=loss, states_only=True, rounds=rounds, enough=enough))
+    found = min(fits, key=lambda each: each.cost, default=None)
     return None if found is None else (found.states[0], found.residuals[0])
 
 

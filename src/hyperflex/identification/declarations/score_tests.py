@@ -264,9 +264,8 @@ def score_tests(
         for each in tests:
             if each.significant and (each.matters or each.slight) and not each.law:
                 later.setdefault(each.name, within(each, basis.fit.x.size, freed))
-    first = {each.name: each for each in found}
-    kept = {name: each for name, each in first.items() if each.significant}
-    every = first | later | kept
+    every = {each.name: each for each in found}
+    every |= later | {name: each for name, each in every.items() if each.significant}
     if CLOCK in every:
         every[CLOCK] = replace(every[CLOCK], declared_std=declared_std)
     return tuple(sorted(every.values(), key=lambda each: -each.gain)), by_window

@@ -24,16 +24,10 @@ class NoiseOptions:
     later: float = 0.95
     # by which autocorrelations may miss those of the residuals before no process explains them
     agrees: float = 0.05
-    # of Gauss and Newton's steps
-    rounds: int = 20
-    # sum of squared misses of autocorrelations below which nothing is left to gain
-    settled: float = 1e-09
-    # part of that sum which a step must gain for another one to follow
+    # part of the sum of squared misses of autocorrelations that a step must gain for another one to follow
     least_gain: float = 0.01
     # autocorrelation of neighbours from which a line bridges a gap well
     smooth: float = 0.8
-    # of differences
-    step: float = 1e-06
 
 
 NOISE = NoiseOptions()
@@ -56,7 +50,7 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     """Return the a_j (k,) of r_t = sum of a_j r_(t - j) + white noise for the residuals, and whether it explains them.
 
     The process is stationary, one for all channels and windows; k, often 0, is chosen by BIC. Partial autocorrelations,
-    bounded, are found by damped Gauss-Newton steps, so that the process, less what the fit absorbs, has the residuals'
+    bounded, are found by least squares, so that the process, less what the fit absorbs, has the residuals'
     autocorrelations. If none has, the terms are those of Yule and Walker for the residuals as they are. Times are taken
     as even. Cost: a few Fourier transforms (m, C K) a window.
     """
@@ -214,27 +208,15 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
 
 def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
     """Return partial autocorrelations (k,) whose residuals show those target (k,), and the greatest miss."""
-    z = np.arctanh(np.clip(start / NOISE.near_one, -0.99, 0.99))
+    from scipy.optimize import least_squares
 
-    def miss(at: Array) -> Array:
-        sums = response @ correlations(ar_coefficients(NOISE.near_one * np.tanh(at)), response.shape[1])
+    def miss(z: Array) -> Array:
+        sums = response @ correlations(ar_coefficients(NOISE.near_one * np.tanh(z)), response.shape[1])
         return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target)
 
-    away, damping = miss(z), 1e-3
-    for _ in range(NOISE.rounds):
-        slope = np.stack([(miss(z + NOISE.step * one) - away) / NOISE.step for one in np.eye(z.size)], axis=1)
-        normal = slope.T @ slope
-        scale = np.diag(np.diag(normal) + 1e-12)
-        move = -np.linalg.solve(normal + damping * scale, slope.T @ away)
-        tried = miss(z + move)
-        before, after = float(away @ away), float(tried @ tried)
-        if after < before:
-            z, away, damping = z + move, tried, max(0.1 * damping, 1e-9)
-        else:
-            damping *= 10.0
-        if after < NOISE.settled or (1.0 - NOISE.least_gain) * before < after < before:
-            break
-    return NOISE.near_one * np.tanh(z), float(np.abs(away).max())
+    z = np.arctanh(np.clip(start / NOISE.near_one, -0.99, 0.99))
+    found = least_squares(miss, z, method="lm", ftol=NOISE.least_gain)
+    return NOISE.near_one * np.tanh(found.x), float(np.abs(found.fun).max())
 
 
 def _longest(pieces: Sequence[Piece]) -> int:
