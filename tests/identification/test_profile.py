@@ -295,7 +295,7 @@ def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held():
         return float(2.0 * least_squares(residual, begun, x_scale="jac", diff_step=1e-5, bounds=(least, np.inf)).cost)
 
     best = float((found.residuals**2).sum())
-    unit = found.basis.information.variance * Coordinate(found.basis, "J/p1[1]").widening  # of white residuals: 1
+    unit = Coordinate(found.basis, "J/p1[1]").unit  # of white residuals: their variance
     weight = found.basis.windows[0].weight.max()
     for end in (one.low, one.high):
         rise = (squares(end) - best) * weight**2 / unit

@@ -20,7 +20,6 @@ from hyperflex.identification.uncertainty.covariance import (
     Basis,
     End,
     Interval,
-    IntervalKind,
     checked_level,
     interval,
     of_parameters,
@@ -102,9 +101,10 @@ class Coordinate:
         return self.at(lowest) if alone and self.parameters.possible(lowest) is not None else -np.inf
 
     @property
-    def widening(self) -> float:
-        """By what factor autocorrelated residuals widen its variance."""
-        return self.std**2 / float(self.slope @ self.basis.information.plain @ self.slope)
+    def unit(self) -> float:
+        """Rise of the squares one `std` away: the residual variance, as far as autocorrelation widens that of it."""
+        information = self.basis.information
+        return information.variance * self.std**2 / float(self.slope @ information.plain @ self.slope)
 
     def aimed(self, x: Array, at: float) -> Array:
         """Return where a fit at `at` begins: x moved with its estimate, as far as the coordinate goes along."""
@@ -116,14 +116,9 @@ class Coordinate:
                 return begun
         return x
 
-    def target(self, at: float, unit: float) -> Target:
-        """Return the target that draws a fit to `at`; `unit` is the rise of the squares one std away."""
-        return Target(self.at, self.gradient, at, WEIGHT * float(np.sqrt(unit)) / self.std)
-
-    def by_std(self, level: float) -> Interval:
-        """Return its interval of noise from the standard deviation."""
-        freedom = self.basis.information.freedom
-        return interval(self.at(self.basis.fit.x), self.std, freedom, self.bound, level, self.value)
+    def target(self, at: float) -> Target:
+        """Return the target that draws a fit to `at`."""
+        return Target(self.at, self.gradient, at, WEIGHT * float(np.sqrt(self.unit)) / self.std)
 
 
 @dataclass(frozen=True)
@@ -151,8 +146,8 @@ class ProfileOptions:
 WALK = ProfileOptions()
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Profile(Interval):
     """Profile likelihood of one parameter or ratio, and its interval.
 
     Attributes
@@ -180,14 +175,9 @@ class Profile:
     """
 
     name: str
-    low: float
-    high: float
-    level: float
-    ends: tuple[End, End]
     values: Array
     rise: Array
     limit: Array
-    kind: IntervalKind = "profile"
     gain: float = 0.0
     better: Rope | None = None
 
@@ -239,13 +229,15 @@ def profiled(
 ) -> Profile:
     """Return the profile along a coordinate; see :func:`profile`."""
     if not np.isfinite(along.std) or along.std == 0.0:
-        return Profile(along.label, along.value(along.bound), np.inf, level, ("open", "open"), *np.zeros((3, 0)))
+        known = Interval(along.value(along.bound), np.inf, "profile", ("open", "open"), level)
+        return Profile(**vars(known), name=along.label, values=np.zeros(0), rise=np.zeros(0), limit=np.zeros(0))
     walk = _ProfileSearch(along, level, budget or Budget(), report)
     try:
         (below, first), (above, second) = walk.side(-1.0), walk.side(1.0)
         found = Interval(along.value(below), along.value(above), "profile", (first, second), level)
     except _TooLong:
-        found = along.by_std(level)
+        at, freedom = along.at(along.basis.fit.x), along.basis.information.freedom
+        found = interval(at, along.std, freedom, along.bound, level, along.value)
     if points:
         walk.fill(points)
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: p.at)
@@ -253,8 +245,8 @@ def profiled(
     best = min(known, key=lambda p: p.rise)
     gain = (along.basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
     better = along.parameters.rope(best.x) if gain > WALK.better else None
-    ends = found.low, found.high, level, found.ends
-    return Profile(along.label, *ends, values, rise, limit, found.kind, max(gain, 0.0), better)
+    curve = {"values": values, "rise": rise, "limit": limit}
+    return Profile(**vars(found), name=along.label, **curve, gain=max(gain, 0.0), better=better)
 
 
 class _TooLong(Exception):
@@ -291,7 +283,7 @@ class _ProfileSearch:
             WALK.finish * variance / max(found.cost, 1e-300),
         )
         self._fit = partial(fit, basis.plant, basis.windows, loss=loss, enough=enough, budget=budget, report=report)
-        self.unit = variance * along.widening
+        self.unit = along.unit
         best = self._fit(found.x, found.states, rounds=10, target=None)
         self.least = best.cost
         self.points = [self._point(best, best.cost)]
@@ -309,7 +301,7 @@ class _ProfileSearch:
         states = [s + f @ (x - start.x) for s, f in follow]
         if self.rounds <= 0:
             raise _TooLong
-        target = self.along.target(value, self.unit)
+        target = self.along.target(value)
         try:
             found = self._fit(x, states, rounds=min(20, self.rounds), target=target)
         except InvalidInput:
@@ -319,11 +311,6 @@ class _ProfileSearch:
         point = self._point(found, found.cost - target.residual(found.x) ** 2)
         self.points += [point] * self.settled
         return point if self.settled else None
-
-    def short(self, point: _Point, value: float) -> bool:
-        """Whether a point stays short of the value that it was drawn to, seen from the optimum."""
-        origin = self.points[0].at
-        return bool((value - point.at) * np.sign(value - origin) > WALK.reached * abs(value - origin))
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
@@ -342,9 +329,9 @@ class _ProfileSearch:
                 continue
             if abs(tried.excess) < WALK.close:
                 return tried.at, "crossed"
-            short = self.short(tried, value)
+            short = value - tried.at  # of a bound of others that is in its way
             inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
-            if (value == bound or short) and tried is inside:
+            if tried is inside and (value == bound or sign * short > WALK.reached * abs(value - origin)):
                 return bound if value == bound else tried.at, "bound"
             if outside is None:  # the root of the rise, taken as linear, meets the limit there
                 root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / WALK.longest)

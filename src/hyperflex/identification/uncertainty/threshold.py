@@ -23,10 +23,9 @@ Mask = npt.NDArray[np.bool_]
 
 def quantile(level: float, freedom: float) -> float:
     """Return the quantile of F(1, freedom): the square of Student's."""
-    from scipy.special import ndtri, stdtrit
+    from scipy.special import stdtrit
 
-    upper = 0.5 * (1.0 + level)
-    return float(stdtrit(freedom, upper) if freedom < 1e6 else ndtri(upper)) ** 2
+    return float(stdtrit(freedom, 0.5 * (1.0 + level))) ** 2
 
 
 def near_bounds(covariance: Array, above: Array) -> Mask:
