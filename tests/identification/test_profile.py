@@ -15,8 +15,15 @@ from hyperflex.identification import Finding, FitOptions, Identification, Kind, 
 from hyperflex.identification.fit import Loss, Target, fit
 from hyperflex.identification.model import PredictedChannels
 from hyperflex.identification.uncertainty import profile as _profile
-from hyperflex.identification.uncertainty.profile import Coordinate, all_intervals, profiled, skewed
-from hyperflex.identification.uncertainty.threshold import _rise, quantile, threshold
+from hyperflex.identification.uncertainty.covariance import quantile
+from hyperflex.identification.uncertainty.profile import (
+    Coordinate,
+    _least_rise,
+    all_intervals,
+    profiled,
+    skewed,
+    threshold,
+)
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -83,7 +90,10 @@ def test_the_least_squares_beside_bounds_are_the_least():
     inverse = root.T @ root
     limit = np.array([-0.5, -0.1, -np.inf])
     wanted = 2.0 * random.standard_normal((40, 3))
-    everything, tested = _rise(wanted, inverse, limit, tested=False), _rise(wanted, inverse, limit, tested=True)
+    everything, tested = (
+        _least_rise(wanted, inverse, limit, tested=False),
+        _least_rise(wanted, inverse, limit, tested=True),
+    )
     for k, u in enumerate(wanted):
         free = lsq_linear(root, root @ u, bounds=(limit, np.inf), tol=1e-12)
         rest = lsq_linear(root[:, 1:], root @ u, bounds=(limit[1:], np.inf), tol=1e-12)

@@ -7,6 +7,7 @@ from scipy.stats import binom
 from hyperflex.checks import Array
 from hyperflex.identification import FitOptions, identify
 from hyperflex.identification.fit import LossName
+from hyperflex.identification.uncertainty.covariance import quantile
 from hyperflex.identification.uncertainty.noise import (
     Piece,
     ar_coefficients,
@@ -18,7 +19,6 @@ from hyperflex.identification.uncertainty.noise import (
     partial_correlations,
     whiteness,
 )
-from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, read_recording
 from hyperflex.simulation import simulate

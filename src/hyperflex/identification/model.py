@@ -292,7 +292,7 @@ def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm:
     if about.form is None:
         return [Parameter(name, (), name, float(starts[0]), 1.0, "factor")]
     sizes = scales(guess, name, starts)
-    groups = {f"{name}[{k}]": (k,) for k in (every if place is None else (place,))}
+    groups: dict[str, tuple[int, ...]] = {f"{name}[{k}]": (k,) for k in (every if place is None else (place,))}
     if whole or law:
         groups = {f"{name}:{law}" if law else name: every[law == "inner" :]}
     if () in groups.values():
@@ -607,12 +607,13 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
     """Return the model at x (P,) with more free parameters, its x, and these by word; words that fail are out."""
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), dict[str, list[Parameter]]()
     arcs = plant.sensor.arc_lengths if isinstance(plant.sensor, Markers) else None
+    arm = None if plant.motor is None else plant.arm
     for word in words:
         name, _, law = word.partition(":")
         label = Label(name, None, law) if law == "pivot" else parse_label(word)
         if label is not None and label.name in PROPERTIES:
             with suppress(InvalidInput):  # a mass of 0 has no logarithm, say
-                groups[word] = _one(rope, label, arcs, plant.motion is not None, plant.motor and plant.arm)
+                groups[word] = _one(rope, label, arcs, plant.motion is not None, arm)
     extra = [each for group in groups.values() for each in group]
     parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
     return replace(plant, parameters=parameters), np.append(x, [each.first for each in extra]), groups

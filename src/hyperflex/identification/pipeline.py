@@ -15,12 +15,15 @@ from hyperflex.errors import IdentificationError, Interrupted
 from hyperflex.identification.declarations.evidence import evidence
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
-from hyperflex.identification.declarations.score_tests import TESTING, Scores, ScoreTest, score_tests
-from hyperflex.identification.declarations.window_tests import (
+from hyperflex.identification.declarations.score_tests import (
+    TESTING,
     Scatter,
+    Scores,
+    ScoreTest,
     drift_test,
     link_test,
     scatter_test,
+    score_tests,
 )
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.findings import Finding, Kind, Severity, ordered

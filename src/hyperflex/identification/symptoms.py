@@ -9,8 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.evidence import hangs_upwards, unlike_lengths
 from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, SCALES, as_free
-from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
-from hyperflex.identification.declarations.window_tests import Scatter
+from hyperflex.identification.declarations.score_tests import TESTING, Scatter, ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity, percent
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, lumped

@@ -13,7 +13,6 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit import Fit, Loss, Window, least_squares, linearise
 from hyperflex.identification.model import Mask, Parameter, Parameters, Plant, in_common_factor, lumped
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
-from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.interruption import stoppable
 from hyperflex.model import RESISTANCES, Rope
 
@@ -258,6 +257,13 @@ def checked_level(level: float) -> float:
     if checks.number("level", level, sign="positive") >= 1.0:
         raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
     return float(level)
+
+
+def quantile(level: float, freedom: float) -> float:
+    """Return the quantile of F(1, freedom): the square of Student's."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.5 * (1.0 + level))) ** 2
 
 
 def interval(

@@ -1,5 +1,6 @@
 """Profile likelihood of a parameter or ratio, all else fitted again; and which intervals are found by it."""
 
+import functools
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -12,6 +13,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import Fit, Loss, Report, Target, fit, with_entries
+from hyperflex.identification.model import Mask
 from hyperflex.identification.options import How
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import (
@@ -23,10 +25,10 @@ from hyperflex.identification.uncertainty.covariance import (
     checked_level,
     interval,
     of_parameters,
+    quantile,
     ratio_gradients,
     ratios,
 )
-from hyperflex.identification.uncertainty.threshold import Mask, near_bounds, quantile, threshold
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
 
@@ -211,8 +213,8 @@ def profile(
     At each value all other parameters and states are fitted again, starting from a linear extrapolation of the last
     point; a ratio is drawn to its value by one residual more, whose squares do not count. The rise of the squares,
     divided by the factor by which autocorrelation widens the variance, is compared with F(1, freedom), or near a
-    bound with the distribution there (see ``threshold``). Robust losses are treated as in :func:`estimate_covariance`.
-    Cost: about three fits of two or three rounds a side, a hundred rounds at most.
+    bound with the distribution there (see :func:`threshold`). Robust losses are treated as in
+    :func:`estimate_covariance`. Cost: about three fits of two or three rounds a side, a hundred rounds at most.
     """
     basis, level, points = found.basis, checked_level(level), checks.count("points", points, least=0)
     every = [f"{ratio}[{k}]" for ratio, std in found.ratio_std.items() for k in np.flatnonzero(std)]
@@ -229,8 +231,8 @@ def profiled(
 ) -> Profile:
     """Return the profile along a coordinate; see :func:`profile`."""
     if not np.isfinite(along.std) or along.std == 0.0:
-        known = Interval(along.value(along.bound), np.inf, "profile", ("open", "open"), level)
-        return Profile(**vars(known), name=along.label, values=np.zeros(0), rise=np.zeros(0), limit=np.zeros(0))
+        every = Interval(along.value(along.bound), np.inf, "profile", ("open", "open"), level)
+        return Profile(**vars(every), name=along.label, values=np.zeros(0), rise=np.zeros(0), limit=np.zeros(0))
     walk = _ProfileSearch(along, level, budget or Budget(), report)
     try:
         (below, first), (above, second) = walk.side(-1.0), walk.side(1.0)
@@ -245,8 +247,9 @@ def profiled(
     best = min(known, key=lambda p: p.rise)
     gain = (along.basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
     better = along.parameters.rope(best.x) if gain > WALK.better else None
-    curve = {"values": values, "rise": rise, "limit": limit}
-    return Profile(**vars(found), name=along.label, **curve, gain=max(gain, 0.0), better=better)
+    return Profile(
+        **vars(found), name=along.label, values=values, rise=rise, limit=limit, gain=max(gain, 0.0), better=better
+    )
 
 
 class _TooLong(Exception):
@@ -451,3 +454,78 @@ def _rise(basis: Basis, move: Array) -> float:
             return np.inf
         total += found.window_cost(window, moved, residual)
     return (total - found.cost) / basis.information.variance
+
+
+NEAR = 4.0  # std: a bound so far off is not felt
+DRAWS = 4000  # their chance error is mostly cancelled by that of the F quantile on the same draws
+SWEEPS = 300  # of coordinate descent, at most
+SETTLED = 1e-4  # std
+SEED = 1
+
+
+def near_bounds(covariance: Array, above: Array) -> Mask:
+    """Return which parameters (P,) are less than NEAR standard deviations `above` their bounds (P,), inf for none."""
+    std = np.sqrt(np.diag(covariance))
+    return np.asarray((above < NEAR * std) & (std > 0.0))
+
+
+def threshold(level: float, freedom: float, which: int, covariance: Array, above: Array) -> float:
+    """Return the rise, over the residual variance, at which the value of parameter `which` is refused at a `level`.
+
+    `freedom` is of the residual variance; covariance (P, P) as it would be without bounds; above (P,) the distances
+    above the bounds, at the tested value and the others' estimates there, inf where there is no bound. The others are
+    at their estimates, not at the truth: the level is reached nearly, not exactly. About 1 ms a bound that is near.
+
+    Away from bounds the rise follows F(1, freedom). Beside a bound it does not: an estimate that noise would push
+    beyond stays at the bound. There the distribution is that of the linear problem with the bounds, taken at the very
+    value that is tested, so that intervals contain the truth as often as stated, whether the truth lies at the bound,
+    near it or far off (the construction of Feldman and Cousins 1998, doi:10.1103/PhysRevD.57.3873).
+    """
+    usual = quantile(level, freedom)
+    chosen = np.flatnonzero(near_bounds(covariance, above))
+    others = chosen[chosen != which]
+    if chosen.size == 0:
+        return usual
+    index = np.append(which, others)
+    part = covariance[np.ix_(index, index)]
+    std = np.sqrt(np.diag(part))
+    scaled = part / np.outer(std, std)
+    normal, size = _draws(index.size, freedom)
+    values, vectors = np.linalg.eigh(scaled)
+    shifted = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    inverse = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)
+    limit = np.where(np.isfinite(above[index]), -above[index] / std, -np.inf)
+    rise = _least_rise(shifted, inverse, limit, tested=True) - _least_rise(shifted, inverse, limit, tested=False)
+    plain = shifted[:, 0] ** 2
+    return usual * float(np.quantile(rise / size, level) / np.quantile(plain / size, level))
+
+
+@functools.lru_cache(maxsize=8)
+def _draws(count: int, freedom: float) -> tuple[Array, Array]:
+    """Return normal draws (DRAWS, count), and of the residual variance over its mean (DRAWS,)."""
+    random = np.random.default_rng(SEED)
+    half = random.standard_normal((DRAWS // 2, count))
+    size = random.chisquare(min(freedom, 1e6), DRAWS // 2) / min(freedom, 1e6)
+    return np.concatenate([half, -half]), np.concatenate([size, size])
+
+
+def _least_rise(points: Array, inverse: Array, limit: Array, *, tested: bool) -> Array:
+    """Return the least (v - u)^T H (v - u) over v >= limit for each u (N, k); with v[0] = 0 where it is `tested`.
+
+    By coordinate descent, of those alone that the bounds change.
+    """
+    away = np.zeros_like(points)  # v - u
+    if tested:
+        away[:, 0] = -points[:, 0]
+        away[:, 1:] = np.outer(points[:, 0], np.linalg.pinv(inverse[1:, 1:], hermitian=True) @ inverse[1:, 0])
+    first = int(tested)
+    crossing = (points + away < limit)[:, first:].any(axis=1)
+    some, own = away[crossing], limit - points[crossing]
+    for _ in range(SWEEPS):
+        before = some.copy()
+        for j in range(first, limit.size):
+            some[:, j] = np.maximum(some[:, j] - some @ inverse[:, j] / inverse[j, j], own[:, j])
+        if np.abs(some - before).max(initial=0.0) < SETTLED:
+            break
+    away[crossing] = some
+    return np.asarray(np.einsum("ni,ij,nj->n", away, inverse, away))
