@@ -24,7 +24,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, Kind, RecordingSetup
 from hyperflex.identification.measurements import build_plant
-from hyperflex.identification.model import ARM_LENGTH, TORQUE, Plant, extended
+from hyperflex.identification.model import ANGLES, ARM_LENGTH, TORQUE, Plant, extended
 from hyperflex.sensors import MotorTorque
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
@@ -139,6 +139,20 @@ def test_slopes_by_the_parameters_are_those_of_the_reference():
         for row, time in enumerate(t):
             up, down = (by_matrices(each, ARM, time, y[row, :2], y[row, 2:]) for each in ends)
             assert slopes[row, 4 + k] == pytest.approx(float((up - down) / 2e-5), rel=1e-7, abs=1e-9), label
+
+
+def test_what_no_object_holds_starts_from_what_does_nothing():
+    names = [ANGLES, TORQUE, ARM_LENGTH, "gravity_scale", "gravity_angle", "delay"]
+    subject = plant(["friction"])
+    subject, x, _ = extended(subject, subject.parameters.start, names)
+    values = dict(zip(subject.parameters.labels, subject.parameters.values(x), strict=True))
+    assert [values[name] for name in names] == [1.0, 1.0, 1.0, 1.0, 0.0, 0.0]
+
+
+def test_an_impossible_arm_has_no_prediction():
+    subject, swing = plant(["inertia", "arm_inertia"]), run(duration=0.2)
+    below = np.array([1.0, 1.0, -1.0])  # two standard deviations below its estimate a parameter may be beyond its bound
+    assert subject.predict(below, swing.t, np.concatenate([swing.q[0], swing.qd[0]])) is None
 
 
 def test_slopes_by_everything_are_those_of_whole_rollouts():
