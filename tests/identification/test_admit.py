@@ -6,7 +6,7 @@ import pytest
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, RecordingSetup, identify
-from hyperflex.identification.excitation import check_motion, check_times
+from hyperflex.identification.measurements import check_motion, check_times
 from hyperflex.model import Rope
 from hyperflex.paper import iterative_revision
 from hyperflex.recording import Recording

@@ -25,12 +25,12 @@ from hyperflex.identification.declarations.score_tests import (
     scatter_test,
     score_tests,
 )
-from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.findings import Finding, Kind, Severity, ordered
 from hyperflex.identification.fit import POOR, Loss, Report, part_left, residuals_of
 from hyperflex.identification.measurements import (
     Measurements,
     build_plant,
+    check_excitation,
     checked_measurements,
     split,
     usual_length,
