@@ -10,7 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.identification import Identification, correlogram
+from hyperflex.identification import BAND, Identification, correlogram
 from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
 from hyperflex.report.identification.figures import (
@@ -215,7 +215,7 @@ def test_laws_along_the_rope_are_told_as_factors(markers):
     assert (factor.value, factor.std) == (1.5, 0.1)
     assert "at the tip over that at the first joint" in described(taper.label)
     assert taper.value == pytest.approx(np.exp(0.1))
-    assert (taper.low, taper.high) == pytest.approx((np.exp(0.1 - 1.96 * 0.2), np.exp(0.1 + 1.96 * 0.2)))
+    assert (taper.low, taper.high) == pytest.approx((np.exp(0.1 - BAND * 0.2), np.exp(0.1 + BAND * 0.2)))
 
 
 def test_what_errs_together_is_named(swing):
@@ -292,7 +292,7 @@ def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
     assert len(bands) == found.held_out.starts.size
     first = found.held_out.t <= found.held_out.starts[0] + found.held_out.ahead + 1e-9
     height = bands[0].get_paths()[0].vertices[:, 1].max()
-    assert height == pytest.approx(1.96e3 * found.held_out.std[first, 0].max())
+    assert height == pytest.approx(1e3 * BAND * found.held_out.std[first, 0].max())
 
 
 # ---- autocorrelation

@@ -78,7 +78,7 @@ class Information:
         variance = _variances(gradient, self.covariance) + self.model_spread(gradient, by_length) ** 2
         scaled = gradient * self.widths
         beyond = np.linalg.norm(scaled @ self.unknown, axis=1) > TOUCHED * np.linalg.norm(scaled, axis=1)
-        return np.where(beyond, np.inf, np.sqrt(np.maximum(variance, 0.0)))
+        return np.where(beyond, np.inf, np.sqrt(variance))
 
     def covariances(self, slopes: Array) -> tuple[Array, Array]:
         """Return the covariance (P, P) of the values, and that of a length factor with these and itself (P + 1,).
@@ -97,7 +97,8 @@ class Information:
 def _variances(gradient: Array, covariance: Array | float) -> Array:
     """Return the variances (k,) of functions with gradients (k, P); a number is each element of the covariance."""
     size = gradient.shape[1]
-    return np.asarray(np.einsum("ij,jk,ik->i", gradient, np.broadcast_to(covariance, (size, size)), gradient))
+    found = np.einsum("ij,jk,ik->i", gradient, np.broadcast_to(covariance, (size, size)), gradient)
+    return np.asarray(np.maximum(found, 0.0))  # but for rounding
 
 
 @dataclass(frozen=True, eq=False)
