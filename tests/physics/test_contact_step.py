@@ -10,8 +10,6 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.chain.torque_peaks import COLUMNS, WINDOWS
 from hyperflex.core.contact import run as at
-from hyperflex.core.contact.arrays import OPEN, ContactMemory, new_contact_memory, save_memory
-from hyperflex.core.contact.modes import ALL, EVEN, NONE, SOLVER, USUAL_TOL, looseness, update_modes
 from hyperflex.core.contact.run import (
     ContactWorkspace,
     Scene,
@@ -21,6 +19,20 @@ from hyperflex.core.contact.run import (
     new_branch,
     new_contact_workspace,
     try_step,
+)
+from hyperflex.core.contact.solver import (
+    ALL,
+    EVEN,
+    LOOSEST,
+    NONE,
+    OPEN,
+    STIFF,
+    USUAL_TOL,
+    ContactMemory,
+    looseness,
+    new_contact_memory,
+    save_memory,
+    update_modes,
 )
 from tests.core.helpers import scene_of
 from tests.reference.wrapping import laid
@@ -141,7 +153,7 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one():
         save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, STEP)
         known.append(memory.penalty[0])
     assert np.all(np.diff(known) >= 0.0)
-    assert known[-1] == pytest.approx(SOLVER.stiff * rope.total_mass, rel=1e-12)
+    assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)
 
 
 @pytest.mark.parametrize(("which", "first", "by"), [(NONE, 0, 1), (ALL, 0, 1), (EVEN, 0, 2), (EVEN + 1, 1, 2)])
@@ -159,4 +171,4 @@ def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(whi
 
 def test_a_solution_may_leave_more_in_proportion_to_the_tolerance():
     tolerances = np.array([1e-8, 1e-5, 1e-4, 1.0])
-    np.testing.assert_allclose([looseness(tol) for tol in tolerances], [1.0, 1.0, 1e-4 / USUAL_TOL, SOLVER.loosest])
+    np.testing.assert_allclose([looseness(tol) for tol in tolerances], [1.0, 1.0, 1e-4 / USUAL_TOL, LOOSEST])

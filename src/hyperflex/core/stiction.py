@@ -115,18 +115,6 @@ def tolerance_factor(chatter, n):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def chatter_exceeded(chatter, n):  # type: ignore[no-untyped-def]
-    """Whether wider tolerances have not ended the chatter after so many quick events."""
-    return chatter > chatter_allowance(n) + STICTION.hopeless
-
-
-@non_allocating
-def widened_count(chatter, n):  # type: ignore[no-untyped-def]
-    """Count of quick events at which ``tolerance_factor`` is ten times that at `chatter`."""
-    return max(chatter, chatter_allowance(n)) + 1.0
-
-
-@non_allocating
 def at_rest(rate, up):  # type: ignore[no-untyped-def]
     """Whether two links' rates are the same but for rounding."""
     return abs(rate - up) <= STICTION.still + STICTION.same * (abs(rate) + abs(up))
@@ -231,27 +219,22 @@ def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  
     good : bool, False if no modes obey the law, or if joints chatter
     chatter : float, for the next event
     """
-    n = q.size
+    n, good = q.size, False
+    allowance = chatter_allowance(n)
+    most = allowance + STICTION.hopeless
     assign(before, slip)
-    good = False
-    while not (good or chatter_exceeded(chatter, n)):
-        if chatter > chatter_allowance(n):
-            stop_slow_joints(chain, w, base, min(STICTION.still * tolerance_factor(chatter, n), STICTION.calm))
-        good = find_modes(chain, q, w, base, torque, tolerance_factor(chatter, n), slip, workspace)
+    while not good and chatter <= most:
+        widen = tolerance_factor(chatter, n)
+        for i in range(n if chatter > allowance else 0):  # joints that are nearly at rest are brought to rest
+            up = w[i - 1] if i > 0 else base[3]
+            if chain.dry[i] > 0.0 and abs(w[i] - up) <= min(STICTION.still * widen, STICTION.calm):
+                w[i] = up
+        good = find_modes(chain, q, w, base, torque, widen, slip, workspace)
         if not good:
-            chatter = widened_count(chatter, n)
+            chatter = max(chatter, allowance) + 1.0
     if good and chatter > 0.0 and (slip == before).all():
-        chatter = max(chatter, widened_count(0.0, n))  # an event after a quick one, and nothing has changed: rounding
-    return good and not chatter_exceeded(chatter, n), chatter
-
-
-@non_allocating
-def stop_slow_joints(chain, w, base, still):  # type: ignore[no-untyped-def]
-    """Set the rates in `w` (n,) of dry joints slower than `still`, rad/s, to those of their parents."""
-    for i in range(w.size):
-        up = w[i - 1] if i > 0 else base[3]
-        if chain.dry[i] > 0.0 and abs(w[i] - up) <= still:
-            w[i] = up
+        chatter = max(chatter, allowance + 1.0)  # an event after a quick one, and nothing has changed: rounding
+    return good and chatter <= most, chatter
 
 
 @kernel

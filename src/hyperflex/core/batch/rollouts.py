@@ -13,11 +13,12 @@ import numpy.typing as npt
 from hyperflex.core import status
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import (
+    SLIDING,
+    STICKING,
     Array,
     Chain,
     can_stick,
     chain_of_rows,
-    dry_joints,
     energies,
     sincos,
 )
@@ -150,12 +151,6 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     lane[:] = 0.0
     lane[T] = lane[END] = terms.begin
     lane[STEP], lane[AFTER], lane[CHATTER] = members.clock[m]
-
-
-@non_allocating
-def save_clock(members, m, lane):  # type: ignore[no-untyped-def]
-    """Keep what member m, in the lane with the clock `lane` (CLOCK,), needs to continue."""
-    members.clock[m, 0], members.clock[m, 1], members.clock[m, 2] = lane[STEP], lane[AFTER], lane[CHATTER]
 
 
 @inlined
@@ -405,13 +400,6 @@ def accept(lanes, n, j, energy):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def write_state(lanes, j, energy, out):  # type: ignore[no-untyped-def]
-    """Copy the state of lane j to ``out`` (2 n + 2,)."""
-    read_start(lanes, j, out)
-    out[-2], out[-1] = energy[j, 0], energy[j, 1]
-
-
-@non_allocating
 def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
     k = len(MEMBERS)
@@ -478,7 +466,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     reached : (high - low,) out, s
     stop : (1,) int64; once another thread makes it 1, the block ends: members at work keep their codes as they were
     """
-    dry = dry_joints(members.links[low:high, DRY])
+    dry = STICKING if members.links[low:high, DRY].any() else SLIDING
     run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, stop)
 
 
@@ -538,8 +526,11 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
                 if len(dry) > 0 and sticks[j]:
                     finish_lane(lanes, n, j, lane[j], energy, step, verdict == EVENT, friction)
                 if t_out[index[j]] <= lane[j, T]:
-                    write_state(lanes, j, energy, y_out[m, index[j]])
+                    out = y_out[m, index[j]]
+                    read_start(lanes, j, out)
+                    out[-2], out[-1] = energy[j, 0], energy[j, 1]
                     index[j] += 1
             if index[j] == t_out.size or code == status.STEP_TOO_SMALL or code == status.NOT_FINITE:
-                save_clock(members, member[j], lane[j])
+                clock = members.clock[member[j]]
+                clock[0], clock[1], clock[2] = lane[j, STEP], lane[j, AFTER], lane[j, CHATTER]
                 codes[m], reached[m], member[j] = code, lane[j, T], -1

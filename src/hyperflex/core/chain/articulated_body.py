@@ -258,11 +258,6 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
 SLIDING, STICKING = (), (0,)
 
 
-def dry_joints(dry):  # type: ignore[no-untyped-def]
-    """Return STICKING if any dry friction in an array is above zero, else SLIDING."""
-    return STICKING if np.any(dry) else SLIDING
-
-
 @inlined
 def can_stick(chain):  # type: ignore[no-untyped-def]
     """Whether dry friction may hold a joint."""

@@ -5,7 +5,7 @@ are accepted. A sample within a step is reached by steps of its own.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,36 +15,42 @@ from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import Array, Chain, energies, relative, sines
 from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.chain.torque_peaks import watch_torque
-from hyperflex.core.contact.arrays import (
+from hyperflex.core.contact.gaps import NOWHERE, Contacts, Pegs, find, joint_positions, nearest, new_contacts, speeds
+from hyperflex.core.contact.solver import (
+    LIMIT_PASSED,
     OPEN,
     STEADY,
+    TX,
+    TY,
     UNHELD,
+    USUAL_TOL,
     ContactMemory,
     Impulses,
     Joints,
     Motion,
+    Spin,
+    bend_clearance,
+    bound_joint_rates,
     clear_memory,
+    friction_impulse,
+    joint_impulses,
+    joint_losses,
     keeps_modes,
+    looseness,
+    lost_in_bearings,
     new_contact_memory,
     new_impulses,
     new_joints,
     new_motion,
+    new_spin,
+    prepare_spin,
+    resolved,
     save_memory,
     save_trend,
+    solve,
     trend_factor,
     warm_start,
 )
-from hyperflex.core.contact.gaps import NOWHERE, Contacts, Pegs, find, joint_positions, nearest, new_contacts, speeds
-from hyperflex.core.contact.joints import (
-    JOINTS,
-    bend_clearance,
-    bound_joint_rates,
-    friction_impulse,
-    joint_impulses,
-    joint_losses,
-)
-from hyperflex.core.contact.modes import USUAL_TOL, looseness, solve
-from hyperflex.core.contact.sweep import TX, TY, Spin, lost_in_bearings, new_spin, prepare_spin, resolved
 from hyperflex.core.integrate.step_size import allowed, fitted, lasting
 from hyperflex.core.jit import absorbed, kernel, non_allocating, zeros
 
@@ -153,37 +159,33 @@ def energy(chain, y, base, spin, rate, trig):  # type: ignore[no-untyped-def]
     return kinetic + potential
 
 
-class Approach(NamedTuple):
-    """Numbers that decide which links touch in a step, and how a rope is pushed out of a peg."""
-
-    # m/s, speed above which a link touches in an impact of its own, and
-    fast: float = 0.01
-    # m/s^2, the same in proportion to the longest step
-    fall: float = 50.0
-    # m, gap that counts as touching in an impact
-    touch: float = 1e-6
-    # m/s, largest speed at which a rope is pushed out of a peg
-    recovery: float = 1e-3
-    # W, largest power with which it is pushed out
-    push: float = 5e-7
-    # m, depth that stays as it is: neighbours pushed at speeds of their own let contacts change modes in every
-    # step, for which half of all rounds were made
-    shallow: float = 2e-6
-    # m, depth from which the speed is `recovery`; from `shallow` to here it is proportional and its power is limited
-    deep: float = 2e-5
-    # N, added to the contact force by which `push` is divided
-    slight_force: float = 1e-6
-    # part of the power allowed from nowhere that the residual velocities of contacts may have
-    residual_share: float = 0.25
-    # m, gap below which a link is watched even at rest
-    near: float = 1e-4
-    # m, by which a gap may change more than its rate predicts
-    bend: float = 2e-5
-    # how many times faster than before a step links may be after it
-    faster: float = 2.0
-
-
-APPROACH: Final = Approach()
+# Numbers that decide which links touch in a step, and how a rope is pushed out of a peg.
+#
+# m/s, speed above which a link touches in an impact of its own, and
+FAST = 0.01
+# m/s^2, the same in proportion to the longest step
+FALL = 50.0
+# m, gap that counts as touching in an impact
+TOUCHING = 1e-6
+# m/s, largest speed at which a rope is pushed out of a peg
+RECOVERY = 1e-3
+# W, largest power with which it is pushed out
+PUSH = 5e-7
+# m, depth that stays as it is: neighbours pushed at speeds of their own let contacts change modes in every
+# step, for which half of all rounds were made
+SHALLOW = 2e-6
+# m, depth from which the speed is `recovery`; from `shallow` to here it is proportional and its power is limited
+DEEP = 2e-5
+# N, added to the contact force by which `push` is divided
+SLIGHT_FORCE = 1e-6
+# part of the power allowed from nowhere that the residual velocities of contacts may have
+RESIDUAL_SHARE = 0.25
+# m, gap below which a link is watched even at rest
+NEAR = 1e-4
+# m, by which a gap may change more than its rate predicts
+MOST_BEND = 2e-5
+# how many times faster than before a step links may be after it
+FASTER = 2.0
 
 
 class ContactWorkspace(NamedTuple):
@@ -225,15 +227,15 @@ def new_contact_workspace(scene, rate, longest, tol):  # type: ignore[no-untyped
     links = zeros((2, n + 1), (2, n + 1), n, 2 * n, (2, n + 1), n, (2, n), 3, 2 * n, (3, 9))
     return ContactWorkspace(  # type: ignore[call-arg]
         new_contacts(most),
-        new_impulses(most, APPROACH.residual_share * rate, looseness(tol)),
+        new_impulses(most, RESIDUAL_SHARE * rate, looseness(tol)),
         new_motion(chain),
         new_joints(chain),
         new_spin(n, pegs),
         *links,
         *zeros(6 * n, 3, 3, 1, 2),
         whole,
-        max(APPROACH.fast, APPROACH.fall * longest),
-        JOINTS.beyond / longest,
+        max(FAST, FALL * longest),
+        LIMIT_PASSED / longest,
     )
 
 
@@ -248,7 +250,7 @@ def velocity_before(contacts, motion, c):  # type: ignore[no-untyped-def]
 def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
-    A gap may be closed, not more. Without `push`, or where it is shallow (``APPROACH``), a link inside a peg stays as
+    A gap may be closed, not more. Without `push`, or where it is shallow (``SHALLOW``), a link inside a peg stays as
     deep as it is; deeper ones are pushed out, the faster the deeper. `bounce` is the part of the restitution that takes
     place in an impact. Where an impact was made already (`struck`), a link that touches is held by the step,
     however it moves: only links further away may be left free. What was held in the last step (`memory`) is never
@@ -260,7 +262,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
     for i in range(n):
         a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
         b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
-        workspace.margin[i] = APPROACH.near + 1.5 * APPROACH.faster * h * max(a, b)
+        workspace.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
     least = find(chain, pegs, motion.q, motion.trig, workspace.xy, workspace.margin, contacts)
     count = contacts.total[0]
     if count == 0:
@@ -273,22 +275,22 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
         impulses.tangent_target[c] = 0.0
         if h == 0.0:
             rebound = bounce * pegs.bounce[p] * closing if closing < -workspace.fast else 0.0
-            impulses.target[c] = rebound if contacts.gap[c] <= 2.0 * APPROACH.touch else UNHELD
+            impulses.target[c] = rebound if contacts.gap[c] <= 2.0 * TOUCHING else UNHELD
             continue
         held, fast = memory.mode[i, p] != OPEN, workspace.fast
         if held and pegs.bounce[p] == 0.0:
-            fast = max(fast, 2.0 * APPROACH.touch / h)  # held again, it sinks by half a step at that speed
+            fast = max(fast, 2.0 * TOUCHING / h)  # held again, it sinks by half a step at that speed
         away = contacts.gap[c] - 0.5 * h * closing  # at the beginning of the step
-        if closing < -fast and (away > APPROACH.touch or not struck):
-            workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= APPROACH.touch else -away / closing)
+        if closing < -fast and (away > TOUCHING or not struck):
+            workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= TOUCHING else -away / closing)
             if not held:
                 impulses.target[c] = UNHELD
                 continue
         bend, impulses.tangent_target[c] = second_order(chain, pegs, workspace, h, c)
-        out, depth = APPROACH.recovery if push else 0.0, -contacts.gap[c]
-        if depth < APPROACH.deep:
-            limit = APPROACH.push / (abs(memory.normal[i, p]) + APPROACH.slight_force)
-            out = min(out, limit) * max(0.0, (depth - APPROACH.shallow) / (APPROACH.deep - APPROACH.shallow))
+        out, depth = RECOVERY if push else 0.0, -contacts.gap[c]
+        if depth < DEEP:
+            limit = PUSH / (abs(memory.normal[i, p]) + SLIGHT_FORCE)
+            out = min(out, limit) * max(0.0, (depth - SHALLOW) / (DEEP - SHALLOW))
         impulses.target[c] = max(contacts.gap[c] / h, -out) + bend / h
     return least
 
@@ -321,14 +323,12 @@ def second_order(chain, pegs, workspace, h, c):  # type: ignore[no-untyped-def]
     tx, ty, speed = workspace.ahead[0], workspace.ahead[1], workspace.ahead_speed
     link = (tx[i], ty[i], tx[i + 1], ty[i + 1], chain.length[i], trig[i], trig[n + i])
     s, gap, nx, ny = nearest(link, (pegs.x[p], pegs.y[p], pegs.ux[p], pegs.uy[p], pegs.span[p], pegs.reach[p]))
-    if contacts.gap[c] >= APPROACH.near or gap >= NOWHERE:
+    if contacts.gap[c] >= NEAR or gap >= NOWHERE:
         return 0.0, 0.0
     closing, sliding = velocity_before(contacts, motion, c)
     lever = s * motion.w[i]
     wx, wy = speed[0, i] + lever * trig[n + i], speed[1, i] + lever * trig[i]
-    return max(-APPROACH.bend, min(gap - contacts.gap[c] - h * closing, APPROACH.bend)), 0.5 * (
-        (wy * nx - wx * ny) - sliding
-    )
+    return max(-MOST_BEND, min(gap - contacts.gap[c] - h * closing, MOST_BEND)), 0.5 * ((wy * nx - wx * ny) - sliding)
 
 
 @non_allocating
@@ -452,34 +452,30 @@ class ContactState(NamedTuple):
     torque: Array  # (k, COLUMNS) windows of ``core.chain.torque_peaks``
 
 
-class Control(NamedTuple):
-    """Numbers that decide which steps in contact are accepted, and how long the next one is."""
-
-    # of the longest step, the shortest that is tried
-    shortest: float = 2.0**-10
-    # times as long it is at most, in proportion to a tolerance above the usual one, where that is safe
-    coarsest: float = 2.0**5
-    # s, the shortest step to an impact
-    brief: float = 1e-9
-    # of the longest step: errors of positions shorten no step that is shorter
-    resolved: float = 0.12
-    # relative error of a step that is tried again at half its length
-    rejected_error: float = 4.0
-    # of the smallest reach of a peg that links near one may move in a step
-    safe: float = 0.5
-    # how many times more energy than may appear contacts may give a rope that they push out
-    generous: float = 100.0
-    # m, penetration at which a step is tried again at half its length
-    deeper: float = 5e-5
-    # factor from a step to the next
-    growth: float = 1.5
-    # relative error of a step, below which steps grow
-    easy: float = 0.2
-    # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
-    sinking: float = 1.02
-
-
-CONTROL: Final = Control()
+# Numbers that decide which steps in contact are accepted, and how long the next one is.
+#
+# of the longest step, the shortest that is tried
+SHORTEST = 2.0**-10
+# times as long it is at most, in proportion to a tolerance above the usual one, where that is safe
+COARSEST = 2.0**5
+# s, the shortest step to an impact
+BRIEF = 1e-9
+# of the longest step: errors of positions shorten no step that is shorter
+RESOLVED = 0.12
+# relative error of a step that is tried again at half its length
+REJECTED_ERROR = 4.0
+# of the smallest reach of a peg that links near one may move in a step
+SAFE = 0.5
+# how many times more energy than may appear contacts may give a rope that they push out
+GENEROUS = 100.0
+# m, penetration at which a step is tried again at half its length
+DEEPER = 5e-5
+# factor from a step to the next
+GROWTH = 1.5
+# relative error of a step, below which steps grow
+EASY = 0.2
+# times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
+SINKING = 1.02
 
 
 class Chosen(NamedTuple):
@@ -553,7 +549,7 @@ def impact(scene, part, state, workspace):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def longest_safe_step(scene, workspace):  # type: ignore[no-untyped-def]
-    """Longest step, s, in which no link near a peg moves by more than CONTROL.safe of the smallest reach."""
+    """Longest step, s, in which no link near a peg moves by more than SAFE of the smallest reach."""
     speed = workspace.motion.speed
     fastest = 0.0
     for c in range(workspace.contacts.total[0]):
@@ -563,7 +559,7 @@ def longest_safe_step(scene, workspace):  # type: ignore[no-untyped-def]
     smallest = np.inf
     for reach in scene.pegs.reach:
         smallest = min(smallest, reach)
-    return CONTROL.safe * smallest / fastest if fastest > 0.0 else np.inf
+    return SAFE * smallest / fastest if fastest > 0.0 else np.inf
 
 
 @non_allocating
@@ -605,8 +601,8 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
     chain, base, trig = scene.chain, workspace.base, workspace.ahead_trig
     wanted = min(clock[STEP], bounds.step)
     h = fitted(wanted, end - clock[T])
-    coarse = max(1.0, min(bounds.tol / USUAL_TOL, CONTROL.coarsest))
-    finest, shortest = CONTROL.shortest * bounds.step, min(coarse * CONTROL.shortest * bounds.step, h)
+    coarse = max(1.0, min(bounds.tol / USUAL_TOL, COARSEST))
+    finest, shortest = SHORTEST * bounds.step, min(coarse * SHORTEST * bounds.step, h)
     push, anew, back, stale = True, False, False, np.inf
     while True:
         begin = nothing if anew else state.memory
@@ -617,7 +613,7 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
             struck, had = True, math.nan
             continue
         if touch < 0.999 * h:
-            h = max(touch, CONTROL.brief)
+            h = max(touch, BRIEF)
             shortest = min(shortest, h)
             continue
         rounds = finish_step(chain, workspace, torque, h)
@@ -627,7 +623,7 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
         longest = longest_safe_step(scene, workspace)
         if h > longest:  # a peg may be passed: no tolerance allows that
             shortest = min(finest, shortest)
-        if push and (taken < -CONTROL.generous * given or not little):
+        if push and (taken < -GENEROUS * given or not little):
             push = False  # a shorter step would be pushed out with as much power
             continue
         error = relative_error(chain, bounds, state.memory, workspace, h)
@@ -636,9 +632,9 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
         has = energy(chain, workspace.out, base[2], spin, spin.after, trig)
         surplus = has - had + account[FRICTION] + taken - account[WORK]
         good = -LOSS * given <= surplus <= given and little and rounds > 0 and h <= longest
-        good = good and (error <= CONTROL.rejected_error or h <= CONTROL.resolved * bounds.step)
-        good = good and (-least < CONTROL.deeper or -least <= CONTROL.sinking * clock[DEEPEST])
-        good = good and (-workspace.bend[0] < JOINTS.beyond or -workspace.bend[0] <= CONTROL.sinking * clock[BEND])
+        good = good and (error <= REJECTED_ERROR or h <= RESOLVED * bounds.step)
+        good = good and (-least < DEEPER or -least <= SINKING * clock[DEEPEST])
+        good = good and (-workspace.bend[0] < LIMIT_PASSED or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return Chosen(h, wanted, least, touch, rounds, surplus, has, good, error, struck)
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
@@ -658,8 +654,8 @@ def complete_step(drive, bounds, state, workspace, chosen, end):  # type: ignore
     accept_step(drive, state, workspace, h, chosen.rounds, chosen.least)
     clock[IMPACT_DUE] = 1.0 if chosen.touch <= 1.001 * h else 0.0
     clock[T] = end if h >= end - clock[T] else clock[T] + h
-    growth = CONTROL.growth if error < CONTROL.easy else 1.0 if error < 1.0 else 1.0 / CONTROL.growth
-    clock[STEP] = max(chosen.wanted * growth, min(chosen.wanted, CONTROL.resolved * bounds.step))
+    growth = GROWTH if error < EASY else 1.0 if error < 1.0 else 1.0 / GROWTH
+    clock[STEP] = max(chosen.wanted * growth, min(chosen.wanted, RESOLVED * bounds.step))
 
 
 MOST_STEPS = 100  # to a sample

@@ -43,7 +43,6 @@ from hyperflex.core.integrate.step_size import (
     lasting,
     longer,
     shorter,
-    until_next_event,
 )
 from hyperflex.core.integrate.steps import (
     COURSE,
@@ -140,16 +139,6 @@ def set_next_step(clock, step, size, grown, wanted, longest, alike):  # type: ig
     if clock[RESTARTED] == 1.0:
         clock[AFTER] = clock[STEP]
         clock[RESTARTED] = 0.0
-
-
-@non_allocating
-def save_mark(progress):  # type: ignore[no-untyped-def]
-    """Save the state from which an uninterrupted run would continue, unless one is saved already."""
-    clock = progress.clock
-    if clock[MARK] == -np.inf:
-        assign(progress.mark, progress.y)
-        assign(progress.mark_slip, progress.slip)
-        assign(clock[MARK : 2 * MARK], clock[:MARK])
 
 
 class Workspace(NamedTuple):
@@ -476,8 +465,10 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
         clock[UNDECIDED] = 0.0
         end, wanted, step = next_step(limits, part, clock)
         cut = step >= end - t
-        if step < wanted and limits.stop < part.end:
-            save_mark(progress)
+        if step < wanted and limits.stop < part.end and clock[MARK] == -np.inf:
+            assign(progress.mark, y)
+            assign(progress.mark_slip, slip)
+            assign(clock[MARK : 2 * MARK], clock[:MARK])
         order = min(max(int(clock[ORDER]), limits.least), limits.most)
         table = tables[order - tables[0].order]
         kept = workspace.kept[: MOST_SUBSTEPS if fixed == 0.0 and samples(clock, t_out, t + step) else 0]
@@ -509,7 +500,9 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:
-            longest = until_next_event(step, taken) if often and event == 1 and joint >= 0 else np.inf
+            longest = np.inf
+            if often and event == 1 and joint >= 0:
+                longest = step * max(0.5, math.sqrt(STEP_SIZE.often * taken / step))
             choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table, longest)
         if event >= 2:
             return status.REACHED if event == 2 else status.LIMIT

@@ -114,12 +114,6 @@ def shorter(step, size, order):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def until_next_event(step, taken):  # type: ignore[no-untyped-def]
-    """Longest step, s, to try after one of the length `step` that an event ended after `taken`, s."""
-    return step * max(0.5, math.sqrt(STEP_SIZE.often * taken / step))
-
-
-@non_allocating
 def allowed(tol, step, rounding):  # type: ignore[no-untyped-def]
     """Error that a step may make, m: `tol`, and its share of that where it is short, but not less than rounding.
 

@@ -64,12 +64,6 @@ def cycle_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
     return cycle * (breaks[last] - breaks[first])
 
 
-@non_allocating
-def end_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
-    """Change of the time at which the Segment `part` ends, s."""
-    return cycle_shift(drive, part, breaks) + breaks[part.last + 1]
-
-
 @inlined
 def moved(c, dc, s, ds):  # type: ignore[no-untyped-def]
     """Change of a polynomial c (6,), of its rate and of its second derivative at s by dc (6,) and ds."""
@@ -163,6 +157,11 @@ class TangentWorkspace(NamedTuple):
     bends: Array  # (3, n, p) of accelerations
     out: Array  # (2 n + 2,) result of a step
     air: Array  # ((n + 2) ROW K,) as in tangent.air; empty without drag
+    stiction: StictionWorkspace
+    base_before: Array  # (9,) motion of the first joint at the beginning of the step, and at another time
+    base_after: Array
+    moves_before: Array  # (p, CHANGES) its changes
+    moves: Array
 
 
 @kernel
@@ -174,7 +173,8 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
     p, width, of_pairs = 2 * pairs, 2 * n + 2, (pairs, n * PARTS * CELL)
     step = zeros((9, K), 6 * n, (2, width), of_pairs, CELL, CELL, p, p, p, K, K, CHANGES, (3, width), (3, width))
     nodes = zeros((3, 2 * n, p), (3, n, p), width)
-    return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain))  # type: ignore[call-arg]
+    ends = new_stiction_workspace(n), *zeros(9, 9, (p, CHANGES), (p, CHANGES))
+    return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain), *ends)  # type: ignore[call-arg]
 
 
 @non_allocating
@@ -443,22 +443,6 @@ def write_within_step(chain, drive, part, table, t, step, y, t_out, directions, 
     tangent_dense_output(t, step, t_out, workspace, y_out, dy_out)
 
 
-class EventWorkspace(NamedTuple):
-    """Working arrays of a replay with stiction."""
-
-    stiction: StictionWorkspace
-    before: Array  # (9,) motion of the first joint at the beginning of the step, and at another time
-    after: Array
-    moved_before: Array  # (p, CHANGES) its changes
-    moved: Array
-
-
-@kernel
-def new_event_workspace(n, p):  # type: ignore[no-untyped-def]
-    """Working arrays for n links and p directions."""
-    return EventWorkspace(new_stiction_workspace(n), *zeros(9, 9, (p, CHANGES), (p, CHANGES)))
-
-
 def with_step_length(directions):  # type: ignore[no-untyped-def]
     """Return Directions with one more pair, for :func:`event_sensitivity`: nothing changes but the length of steps."""
     more = zip(directions, (1, 2, 1, 2, 1, 1, 1), strict=True)
@@ -509,7 +493,7 @@ def relative(values, row, i, x, moved, kind):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace, turn):  # type: ignore[no-untyped-def]
+def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace):  # type: ignore[no-untyped-def]
     """Derivatives (p,) of the margin of `joint` at the end of the step.
 
     A stuck joint is at its limit where, let go, it would not accelerate: its margin is that acceleration.
@@ -518,35 +502,35 @@ def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, 
     row, kind, values = n + joint, RATE, workspace.nodes[2]
     if slip[joint] == 0.0:
         out = workspace.ys[2]
-        torque = base_state(drive, part, min(t + step, part.end), turn.after)
-        constraint_torques(chain, out[:n], out[n : 2 * n], slip, turn.after, torque, turn.stiction)
+        torque = base_state(drive, part, min(t + step, part.end), workspace.base_after)
+        constraint_torques(chain, out[:n], out[n : 2 * n], slip, workspace.base_after, torque, workspace.stiction)
         free = slip.copy()
-        free[joint] = -1.0 if turn.stiction.load[joint] > 0.0 else 1.0
+        free[joint] = -1.0 if workspace.stiction.load[joint] > 0.0 else 1.0
         assign(workspace.ys[1], out)
         assign_rows(workspace.nodes[1], workspace.nodes[2])
         ln.set_slip(ln.COLUMNS, workspace.lanes, free)
         acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
         ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
         row, kind, values = joint, ALPHA, workspace.bends[2]
-    base_changes(drive, part, t + step, workspace.shift + workspace.change, directions, turn.moved)
+    base_changes(drive, part, t + step, workspace.shift + workspace.change, directions, workspace.moves)
     result = np.empty(values.shape[1])
     for x in range(result.size):
-        result[x] = relative(values, row, joint, x, turn.moved, kind)
+        result[x] = relative(values, row, joint, x, workspace.moves, kind)
     return result
 
 
 @non_allocating
-def is_chatter(drive, part, t, step, y, slip, joint, turn):  # type: ignore[no-untyped-def]
+def is_chatter(drive, part, t, step, y, slip, joint, workspace):  # type: ignore[no-untyped-def]
     """Whether the event at the end of a step is but rounding: of a joint at rest, within a step that is too short."""
     n = slip.size
-    base_state(drive, part, t, turn.before)
-    return step < STICTION.quick and at_rest(y[n + joint], y[n + joint - 1] if joint > 0 else turn.before[3])
+    base_state(drive, part, t, workspace.base_before)
+    return step < STICTION.quick and at_rest(y[n + joint], y[n + joint - 1] if joint > 0 else workspace.base_before[3])
 
 
 @kernel
-def event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn):  # type: ignore[no-untyped-def]
+def event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace):  # type: ignore[no-untyped-def]
     """Let the step in ``workspace.nodes`` end where `joint` changes its mode; sets ``workspace.change``."""
-    margin = margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace, turn)
+    margin = margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace)
     set_start(values, workspace.store)  # where it was before
     slope, nodes = margin[-2], workspace.nodes[2]
     for x in range(margin.size - 2):
@@ -557,37 +541,37 @@ def event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, direc
 
 
 @kernel
-def tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn):  # type: ignore[no-untyped-def]
+def tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, directions, workspace):  # type: ignore[no-untyped-def]
     """Hold stuck joints at the end of a step, in ``ys[2]`` and ``nodes[2]``, and those at rest after it.
 
     `y`, `values`: state and derivatives (2 n, p) before the step. `joint`: whose change of mode ends the step, or -1.
     """
     n = slip.size
     out = workspace.ys[2]
-    base_state(drive, part, t, turn.before)
-    torque = base_state(drive, part, min(t + step, part.end), turn.after)
-    project_stuck(chain, slip, y, turn.before, out, turn.after)
-    base_changes(drive, part, t, workspace.shift, directions, turn.moved_before)
-    base_changes(drive, part, t + step, workspace.shift + workspace.change, directions, turn.moved)
-    project_stuck_tangent(slip, values, turn.moved_before, turn.moved, workspace.nodes[2])
+    base_state(drive, part, t, workspace.base_before)
+    torque = base_state(drive, part, min(t + step, part.end), workspace.base_after)
+    project_stuck(chain, slip, y, workspace.base_before, out, workspace.base_after)
+    base_changes(drive, part, t, workspace.shift, directions, workspace.moves_before)
+    base_changes(drive, part, t + step, workspace.shift + workspace.change, directions, workspace.moves)
+    project_stuck_tangent(slip, values, workspace.moves_before, workspace.moves, workspace.nodes[2])
     if joint >= 0:
-        margin = turn.stiction.margin
-        margins(chain, out[:n], out[n : 2 * n], slip, turn.after, torque, 1.0, turn.stiction, margin)
-        stop_joints(chain, slip, margin, out, turn.after)
-        stop_joints_tangent(slip, margin, turn.moved, workspace.nodes[2])
+        margin = workspace.stiction.margin
+        margins(chain, out[:n], out[n : 2 * n], slip, workspace.base_after, torque, 1.0, workspace.stiction, margin)
+        stop_joints(chain, slip, margin, out, workspace.base_after)
+        stop_joints_tangent(slip, margin, workspace.moves, workspace.nodes[2])
 
 
 @kernel
-def project_outputs(chain, drive, part, t, y, values, slip, t_out, directions, workspace, turn, y_out, dy_out):  # type: ignore[no-untyped-def]
+def project_outputs(chain, drive, part, t, y, values, slip, t_out, directions, workspace, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Hold stuck joints at outputs (m,) within a step from t, whose beginning is in `y` and `values`."""
     still = np.zeros_like(workspace.shift)
-    base_state(drive, part, t, turn.before)
-    base_changes(drive, part, t, workspace.shift, directions, turn.moved_before)
+    base_state(drive, part, t, workspace.base_before)
+    base_changes(drive, part, t, workspace.shift, directions, workspace.moves_before)
     for k in range(t_out.size):
-        base_state(drive, part, t_out[k], turn.after)
-        project_stuck(chain, slip, y, turn.before, y_out[k], turn.after)
-        base_changes(drive, part, t_out[k], still, directions, turn.moved)
-        project_stuck_tangent(slip, values, turn.moved_before, turn.moved, dy_out[k])
+        base_state(drive, part, t_out[k], workspace.base_after)
+        project_stuck(chain, slip, y, workspace.base_before, y_out[k], workspace.base_after)
+        base_changes(drive, part, t_out[k], still, directions, workspace.moves)
+        project_stuck_tangent(slip, values, workspace.moves_before, workspace.moves, dy_out[k])
 
 
 @non_allocating
@@ -611,7 +595,8 @@ def set_change(drive, part, t_new, stop, directions, workspace):  # type: ignore
     for x, m in enumerate(directions.driven):
         workspace.change[x] = -workspace.shift[x] if t_new >= part.end or t_new >= stop else 0.0
         if m >= 0 and t_new >= part.end:
-            workspace.change[x] += end_shift(drive, part, directions.breaks[m])
+            breaks = directions.breaks[m]
+            workspace.change[x] += cycle_shift(drive, part, breaks) + breaks[part.last + 1]
 
 
 @kernel
@@ -631,7 +616,6 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
     halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
     workspace = new_tangent_workspace(chain, directions.parameters.size)
-    turn = new_event_workspace(chain.length.size, start.shape[1])
     sticks = steps.shape[1] > JOINT
     slip, joint = np.ones(chain.length.size), -1
     y = y_out[0].copy()
@@ -658,11 +642,15 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
         assign(workspace.ys[0], y)
         assign(workspace.ys[2], workspace.out)
         assign_rows(workspace.nodes[0], values)
-        if joint >= 0 and t_new < min(part.end, stop) and not is_chatter(drive, part, t, step, y, slip, joint, turn):
-            event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn)
+        if (
+            joint >= 0
+            and t_new < min(part.end, stop)
+            and not is_chatter(drive, part, t, step, y, slip, joint, workspace)
+        ):
+            event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace)
         if sticks:
             workspace.change[-2:] = 0.0
-            tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn)
+            tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, directions, workspace)
         last = index
         while last < t_out.size and t_out[last] < t_new:
             last += 1
@@ -677,7 +665,7 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
         elif last > index:
             write_within_step(chain, drive, part, table, t, t_new - t, y, times, directions, workspace, states, slopes)
         if last > index and not slip.all():
-            project_outputs(chain, drive, part, t, y, values, slip, times, directions, workspace, turn, states, slopes)
+            project_outputs(chain, drive, part, t, y, values, slip, times, directions, workspace, states, slopes)
         index = last
         assign(y, workspace.ys[2])
         assign_rows(values, workspace.nodes[2])
