@@ -20,7 +20,6 @@ from hyperflex.simulation.sensitivity import (
     ParameterDirections,
     forward_derivatives,
     parameter_directions,
-    record_steps,
 )
 from tests.reference import dense
 
@@ -31,7 +30,9 @@ STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 def run_of(it: hf.Setup, ways: ParameterDirections | None = None) -> Rollout:
     chain = ways.with_faint_terms(it.chain()) if ways else it.chain()
     limits = rollout_limits(it, chain, it.duration)
-    return record_steps(chain, lambda log: Rollout(it, np.zeros(1), chain=chain, limits=limits, log=log))
+    run = Rollout(it, np.zeros(1), chain=chain, limits=limits, logged=True)
+    run.complete()
+    return run
 
 
 class Frozen:
@@ -90,7 +91,7 @@ class Frozen:
 
     def log(self) -> Array:
         """The log of the run with this set-up's lengths of steps."""
-        steps, old = self.run.progress.log.copy(), 0.0
+        steps, old = self.run.log.copy(), 0.0
         for row in steps:
             length, end, order, grip = row[0], row[1], int(row[2]), row[MODES:]
             part, before = segment(self.drive, self.t), segment(self.run.drive, old)
@@ -118,7 +119,7 @@ class Frozen:
 def times_of(run: Rollout) -> Array:
     """Output times far from ends of steps, which differences must not carry across them."""
     times = np.linspace(0.03, run.limits.stop, 60)
-    near = np.abs(times[:, None] - run.progress.log[:, 1]).min(axis=1)
+    near = np.abs(times[:, None] - run.log[:, 1]).min(axis=1)
     return np.append(0.0, times[near > 2.5e-3])
 
 
@@ -133,7 +134,7 @@ def check(make: Callable[[float], hf.Setup], wrt: Any, size: float) -> Rollout:
     def followed(x: float) -> Array:
         other, moved = copy.copy(run), make(x)
         other.chain, other.drive = moved.chain(), moved.drive()
-        other.progress = run.progress._replace(log=Frozen(run, moved).log())
+        other.log = Frozen(run, moved).log()
         return forward_derivatives(other, ways, moved.start(), times)[0][:, : 2 * n]
 
     want = np.zeros((times.size, 2 * n))

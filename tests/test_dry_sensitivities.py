@@ -60,7 +60,7 @@ LINKS = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffn
 )
 def test_rope_parameter_of_one_link(n, name, link):
     run = check(changed(n, name, link)[0], f"{name}[{link}]", changed(n, name, link)[1])
-    log = run.progress.log
+    log = run.log
     ends = log[log[:, JOINT] >= 0.0]
     freed = [row[MODES + int(row[JOINT])] == 0.0 for row in ends]
     assert len(ends) >= 4  # joints do come to rest on the way, and come loose

@@ -62,7 +62,7 @@ WAYS: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
 
 @pytest.mark.parametrize("name", WAYS)
 def test_each_name(name):
-    log = check(*WAYS[name][:1], name, WAYS[name][1]).progress.log
+    log = check(*WAYS[name][:1], name, WAYS[name][1]).log
     joints = log[log[:, JOINT] >= 0.0]
     modes = np.array([row[MODES + int(row[JOINT])] for row in joints])
     assert (modes == 0.0).sum() >= 2

@@ -31,12 +31,7 @@ from hyperflex.model import (
 )
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, Markers, MotorTorque, PostureSensor
-from hyperflex.simulation import (
-    ParameterDirections,
-    Rollout,
-    forward_derivatives,
-    record_steps,
-)
+from hyperflex.simulation import ParameterDirections, Rollout, forward_derivatives
 
 Law = Literal["own", "factor", "taper", "pivot"]
 Part = dict[str, Array]
@@ -516,7 +511,8 @@ class Plant:
             return None
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
-            run = record_steps(at.chain, lambda log: self._rollout(at, t, start, log))
+            run = self._rollout(at, t, start, logged=True)
+            run.complete()
             _, dy = forward_derivatives(run, at.directions, start, t, at.seeds)
         except SimulationError:
             return None
@@ -541,8 +537,8 @@ class Plant:
             return None
         return PredictedChannels(seen, moved[:, :, : 2 * n], shared)
 
-    def _rollout(self, at: _Evaluation, t: Array, start: tuple[Array, Array], log: Array | None = None) -> Rollout:
-        return Rollout(self._setup, t, start, chain=at.chain, drive=at.drive, log=log)
+    def _rollout(self, at: _Evaluation, t: Array, start: tuple[Array, Array], logged: bool = False) -> Rollout:
+        return Rollout(self._setup, t, start, chain=at.chain, drive=at.drive, logged=logged)
 
     def _run(self, x: Array, t: Array, state: Array) -> tuple[_Evaluation, Array] | None:
         """Return what follows from x, and the states at t (m,) from `state` (2n,); None where that fails."""

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         Sensitivities,
         forward_derivatives,
         predictability,
-        record_steps,
         sensitivities,
     )
     from hyperflex.simulation.stepper import Linearization, Stepper, arm_polynomials, commanded_accelerations, setup_for

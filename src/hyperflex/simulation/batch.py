@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks, extras, memory
+from hyperflex import checks, memory
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.core import status
@@ -29,7 +29,7 @@ from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, SetupFields
 from hyperflex.motion import Motion
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact import check_start
-from hyperflex.simulation.rollouts import Interval, balanced, lever, status_of, stored
+from hyperflex.simulation.rollouts import Interval, balanced, dataset_of, lever, status_of, stored
 from hyperflex.simulation.runs import output_times, setup_of, simulate
 from hyperflex.simulation.stepper import COMMANDS, arm_polynomials, setup_for
 from hyperflex.status import Status
@@ -61,7 +61,7 @@ def setups_of(
     pegs = checks.sequence("pegs", common.pop("pegs", ()), "Peg, Wall and Ground, or a list of these for each member")
     if any(isinstance(each, Obstacle) for each in pegs):
         pegs = [pegs]
-    starts = [None if (value := common.pop(name, None)) is None else value for name in ("q0", "qd0")]
+    starts = [common.pop(name, None) for name in ("q0", "qd0")]
     rows = [[None] if each is None else list(np.atleast_2d(checks.array("q0 or qd0", each, None))) for each in starts]
     obstacles = [checked_obstacles(each) for each in pegs] or [()]
     every: list[list[Any]] = [_each("ropes", ropes, Rope), _each("motions", motions, Motion), obstacles, *rows]
@@ -217,9 +217,7 @@ class Batch:
         }
         variables["status"] = ("member", np.array(self.status, dtype=str))
         variables["reached"] = ("member", self.reached, {"units": "s", "long_name": "time reached"})
-        variables |= {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
-        made: xr.Dataset = extras.load("xarray", "xarray", "Datasets").Dataset(variables, attrs={"source": "simulated"})
-        return made
+        return dataset_of(self.t, variables)
 
 
 @interruptible(Batch)
@@ -571,7 +569,8 @@ class BatchStepper:
         self.command = checks.choice("command", command, tuple(COMMANDS))
         if isinstance(ropes, Rope) and members is not None:
             ropes = [ropes] * checks.count("members", members, most=MOST_MEMBERS)
-        setups = self._setups(ropes, arm=arm, tol=tol)
+        self._common: BatchFields = {"duration": 1.0, "arm": arm, "tol": tol}
+        setups = self._setups(ropes)
         if members not in (None, len(setups)):
             raise InvalidInput("members and ropes do not fit together", got=members, allowed=f"{len(setups)}")
         self.setups = tuple(setups)
@@ -598,7 +597,8 @@ class BatchStepper:
 
         q0 and qd0 are (n,) or (M, n), arm_angle and arm_rate numbers or (M,): for all members, or of each; t in s.
         """
-        return self._begin([setup.rope for setup in self.setups], (q0, qd0, arm_angle, arm_rate), t)
+        setups = self._setups([setup.rope for setup in self.setups], q0=q0, qd0=qd0)
+        return self._begin(setups, arm_angle, arm_rate, t)
 
     def restart(
         self,
@@ -633,16 +633,15 @@ class BatchStepper:
         chosen = _members(which, len(self.setups))
         if not chosen.size:
             return state
-        first = self.setups[0]
         given = [self.setups[m].rope for m in chosen] if ropes is None else ropes
         given = [given] * chosen.size if isinstance(given, Rope) else list(given)
-        kind = first.rope.n_links, first.rope.friction_model
+        kind = self.setups[0].rope.n_links, self.setups[0].rope.friction_model
         if len(given) != chosen.size or any((rope.n_links, rope.friction_model) != kind for rope in given):
             allowed = f"{chosen.size} ropes of {kind[0]} links and the batch's friction model"
             raise InvalidInput("ropes do not fit the members", got=[rope.n_links for rope in given], allowed=allowed)
-        new = self._begin(given, (q0, qd0, arm_angle, arm_rate), state.t)
+        setups = self._setups(given, q0=q0, qd0=qd0)
+        new = self._begin(setups, arm_angle, arm_rate, state.t)
         if ropes is not None:
-            setups = self._setups(given, arm=first.arm, tol=first.tol)
             rows = members_of(setups, _intervals(setups))
             links = self._members.links.copy()
             links[chosen], self._members.whole[chosen] = rows.links, rows.whole
@@ -655,23 +654,24 @@ class BatchStepper:
             value[chosen] = getattr(new, name)
         return replace(state, **values)
 
-    def _setups(self, ropes: Rope | Sequence[Rope], *, arm: Arm | None, tol: float) -> list[Setup]:
+    def _setups(self, ropes: Rope | Sequence[Rope], **start: Any) -> list[Setup]:
         """Return the set-ups of ropes that the stepper can take."""
-        setups = [setup_for(self.command, setup) for setup in setups_of(ropes, duration=1.0, arm=arm, tol=tol)]
+        setups = [setup_for(self.command, setup) for setup in setups_of(ropes, **self._common, **start)]
         if any(setup.touches for setup in setups):
             raise InvalidInput("a batch is stepped in free flight", got="ropes with joint limits", fix="Use hf.Stepper")
         return setups
 
-    def _begin(self, ropes: Sequence[Rope], start: tuple[Any, Any, Any, Any], t: float) -> BatchState:
-        """Return a state in which members with these ropes begin; `start` has what :meth:`start` takes."""
-        q0, qd0, arm_angle, arm_rate = start
-        count, n = len(ropes), ropes[0].n_links
-        begin = starts_of(setups_of(ropes, duration=1.0, q0=q0, qd0=qd0))
+    def _begin(self, setups: list[Setup], arm_angle: npt.ArrayLike, arm_rate: npt.ArrayLike, t: float) -> BatchState:
+        """Return a state in which members with these set-ups begin."""
+        count, own, n = len(setups), self._own, self._members.links.shape[2]
+        begin = starts_of(setups)
         angle = checks.array("arm_angle", arm_angle, (count,), scalar=True, unit="rad")
         rate = checks.array("arm_rate", arm_rate, (count,), scalar=True, unit="rad/s")
         codes, memory = np.full(count, status.OK), np.tile(INITIAL_CLOCK, (count, 1))
         none, time = np.zeros(count), checks.number("t", t, unit="s")
-        return BatchState(time, begin[:, :n], begin[:, n : 2 * n], angle, rate, none, none.copy(), codes, memory)
+        return BatchState(
+            time, begin[:, own:n], begin[:, n + own : 2 * n], angle, rate, none, none.copy(), codes, memory
+        )
 
     def tips(self, state: BatchState) -> tuple[Array, Array]:
         """Return places (M, 2), m, and velocities (M, 2), m/s, of the tips in a `state`."""
@@ -727,12 +727,10 @@ class BatchStepper:
         q, qd, work, lost = y[:, own:n], y[:, n + own : 2 * n], y[:, 2 * n], y[:, 2 * n + 1]
         return BatchState(state.t + span, q, qd, angle, rate, work, lost, codes, members.clock.copy())
 
-    def _check(self, state: object) -> None:
+    def _check(self, state: BatchState) -> None:
         """Refuse what is no state of this batch, or holds what no member can begin with."""
         count, n = len(self.setups), self.setups[0].rope.n_links
-        if not isinstance(state, BatchState):
-            raise InvalidInput("state is not a BatchState", got=state, allowed="what start() or step() returned")
-        checks.number("state t", state.t, unit="s")
+        checks.number("state t", checks.instance("state", state, BatchState).t, unit="s")
         columns = {"q": (n,), "qd": (n,), "memory": (len(INITIAL_CLOCK),)}
         values = {name: np.asarray(getattr(state, name)) for name in ROWS}
         for name, value in values.items():

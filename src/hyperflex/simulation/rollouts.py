@@ -5,21 +5,36 @@ import math
 import struct
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex import checks, extras, memory
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
-from hyperflex.core.chain.articulated_body import Chain, accelerations, mass_matrix, sticks_often
+from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick, mass_matrix, sticks_often
 from hyperflex.core.chain.drive import Drive, motion_at
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.events import NEVER, Until
 from hyperflex.core.integrate.observation import senses
-from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
+from hyperflex.core.integrate.rollout import (
+    AFTER,
+    CLOCK,
+    INDEX,
+    JOINT,
+    MARK,
+    MODES,
+    REJECTED,
+    STEP,
+    TAKEN,
+    UNDECIDED,
+    Limits,
+    Progress,
+    T,
+    restart,
+)
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import MOST_ORDER, scheme
 from hyperflex.core.read_only import read_only
@@ -28,6 +43,9 @@ from hyperflex.interruption import OutOfTime, defer_while_compiling, raise_if_ca
 from hyperflex.model import Setup
 from hyperflex.status import Status
 from hyperflex.trajectory import State
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # s of processor time: allowed to a run without a time budget, and spent before the whole is predicted
 LONGEST, PREDICTED = 1800.0, 10.0
@@ -174,12 +192,14 @@ class Rollout:
         Others than the set-up's.
     limits : Limits, optional
         From :func:`rollout_limits`; by default the run ends with the last output.
-    log : (m, k) float64, optional
-        Filled with the first m steps.
+    logged : bool
+        Keep each step, for derivatives; events end steps exactly then.
 
     Attributes
     ----------
     progress : Progress
+    log : (m, 3) float64, or (m, 4 + n) where joints may stick
+        The steps taken, as in ``rollout.Progress.log``, of a run that is `logged`.
     y : (T, 2 n + 2) float64
         States at the output times: angles, rates, work, dissipation; the first `done` rows are filled.
     """
@@ -193,16 +213,18 @@ class Rollout:
         chain: Chain | None = None,
         drive: Drive | None = None,
         limits: Limits | None = None,
-        log: Array | None = None,
+        logged: bool = False,
     ) -> None:
         self.setup, self.chain, self.drive = setup, chain or setup.chain(), drive or setup.drive()
-        self.limits = limits or rollout_limits(setup, self.chain, float(t[-1]))
+        self.limits = limits or rollout_limits(setup, self.chain, float(t[-1]) if t.size else 0.0)
         n, own = self.chain.length.size, int(setup.torque_driven)
         self.links = slice(own, n), slice(n + own, 2 * n)  # of a state y: the rope's angles and rates
         y = np.concatenate([*(setup.start() if start is None else start), np.zeros(2)])
         clock = np.zeros(CLOCK)
-        clock[:MARK], clock[MARK] = starting_clock(t[0]), -np.inf
-        self.progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((0, 3)) if log is None else log)
+        clock[:MARK], clock[MARK] = starting_clock(t[0] if t.size else 0.0), -np.inf
+        self.log = np.empty((0, MODES + n if can_stick(self.chain) else JOINT))
+        room = np.empty((self.limits.budget if logged else 0, self.log.shape[1]))
+        self.progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, room)
         # A copy of the times, which may be read-only or not: the kernels are compiled for one kind.
         self.t, self.y = np.array(t), np.empty((t.size, y.size))
         self._events = rollout.watched(self.chain, self.limits.until)
@@ -217,15 +239,18 @@ class Rollout:
         """Time reached, s."""
         return float(self.progress.clock[T])
 
-    @property
-    def steps(self) -> int:
-        """Number of steps that succeeded."""
-        return int(self.progress.clock[rollout.TAKEN] - self.progress.clock[rollout.REJECTED])
-
     def advance(self) -> int:
         """Run for one budget of steps and return the status code."""
         given = self.chain, self.drive, TABLES, self.limits, self._events, self.progress
-        return int(rollout.run(*given, self.t, self.y))
+        code = int(rollout.run(*given, self.t, self.y))
+        if self.progress.log.size:
+            counts = self.progress.clock[[TAKEN, REJECTED]]
+            if self.log.size:
+                what = f"a run of more than {len(self.log)} steps"
+                memory.check(2.0 * self.log.nbytes, what, "Make it shorter, or loosen tol")
+            self.log = np.concatenate([self.log, self.progress.log[: int(counts[0] - counts[1])]])
+            self.progress.clock[[TAKEN, REJECTED]] = 0.0
+        return code
 
     def finish(self, watch: Callable[[float], None] | None = None, most: float = np.inf) -> int:
         """Run to the end and return the status code; `watch` is called with the time reached, s, between its budgets.
@@ -242,8 +267,17 @@ class Rollout:
         return code
 
     def complete(self, watch: Callable[[float], None] | None = None) -> None:
-        """Run to the end, as :meth:`finish` does; raise the error of a run that fails."""
-        if (code := self.finish(watch)) != status.OK:
+        """Run to the end, as :meth:`finish` does; raise the error of a run that fails, or that `watch` ends.
+
+        Without `watch` a `logged` run ends once it would take more than LONGEST s.
+        """
+        if watch is None and self.progress.log.size:
+            watch = Watch(None, (self.time, self.limits.stop))
+        try:
+            code = self.finish(watch)
+        except OutOfTime as cause:
+            raise out_of_time(self.time, cause) from None
+        if code != status.OK:
             raise self.failure(code)
 
     def failure(self, code: int, time: float | None = None) -> SimulationError:
@@ -270,29 +304,26 @@ class Rollout:
         What was saved counts while the state is as it was saved; one that was changed by hand, or saved where the arm
         was driven in another way, counts by its own values alone. Returns whether what was saved counts.
         """
-        checked_kind(state)
-        n, y, clock, slip = self.chain.length.size, self.progress.y, self.progress.clock, self.progress.slip
-        saved, arm = state.checkpoint, list[float]()
+        rope = self.setup.rope
+        shape = (rope.n_links,)
+        if not (np.shape(checks.instance("state", state, State).q) == np.shape(state.qd) == shape):
+            check_state(state, rope.n_links)
+        y, clock, slip, saved = self.progress.y, self.progress.clock, self.progress.slip, state.checkpoint
+        slip[:], self.log = 1.0, self.log[:0]
         if self.setup.torque_driven:  # the arm starts where the state says, or else the set-up
-            arm = [self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle]
-            arm += [self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate]
-        slip[:] = 1.0
-        before, now = saved.get("y", y[:0]), saved.get("clock", y[:0])
-        as_saved = np.shape(before) == y.shape and np.shape(now) == (MARK,)
-        if as_saved:
-            numbers = now[T], now[STEP], before[-2], before[-1], *([before[0], before[n]] if arm else [])
-            as_saved = numbers == (state.t, state.step, state.work, state.dissipated, *arm)
-            q, qd = before[self.links[0]], before[self.links[1]]
-            as_saved = as_saved and np.array_equal(q, state.q) and np.array_equal(qd, state.qd)
+            y[0] = self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle
+            y[self.chain.length.size] = self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
+        y[self.links[0]], y[self.links[1]], y[-2:] = state.q, state.qd, (state.work, state.dissipated)
+        now = saved.get("clock", y[:0])
+        as_saved = np.shape(now) == (MARK,) and (now[T], now[STEP]) == (state.t, state.step)
+        as_saved = as_saved and np.array_equal(saved.get("y", ()), y)
         if as_saved and "end" in saved and saved["end"][0] == self.fingerprint():
-            y[:], slip[:], clock[:MARK] = np.split(saved["end"][1:], [y.size, y.size + n])
+            y[:], slip[:], clock[:MARK] = np.split(saved["end"][1:], [y.size, y.size + slip.size])
         elif as_saved:
-            y[:], clock[:MARK] = saved["y"], saved["clock"]
+            clock[:MARK] = now
             restart(clock)
         else:
-            check_state(state, self.setup.rope.n_links)
-            y[self.links[0]], y[self.links[1]], y[-2:] = state.q, state.qd, (state.work, state.dissipated)
-            y[[0, n][: len(arm)]] = arm
+            check_state(state, rope.n_links)
             clock[:MARK] = starting_clock(state.t)
             clock[STEP] = state.step or FIRST_STEP
         return bool(as_saved)
@@ -307,11 +338,9 @@ class Rollout:
         now, kept = clock[:MARK], {} if row is not None else self.kept()
         if row is not None:
             y, now = self.y[row], starting_clock(float(self.t[row]))
-        elif end and clock[MARK] == -np.inf:  # no step was cut: the run is where one ended
-            kept["end"] = np.concatenate([[self.fingerprint()], y, slip, now])
-        elif end:
-            marked = self.progress.mark, self.progress.mark_slip, clock[MARK : 2 * MARK]
-            kept["end"] = np.concatenate([[self.fingerprint()], *marked])
+        elif end:  # of a step that was cut, where it began
+            cut = self.progress.mark, self.progress.mark_slip, clock[MARK : 2 * MARK]
+            kept["end"] = np.concatenate([[self.fingerprint()], *((y, slip, now) if cut[2][0] == -np.inf else cut)])
         if self.setup.torque_driven:
             arm = float(y[0]), float(y[self.chain.length.size])
         elif arm is None:
@@ -349,21 +378,21 @@ class Rollout:
         return float(struct.unpack("<Q", digest.digest()[:8])[0] >> 11)  # 53 bits: exact as a float
 
 
+def dataset_of(t: Array, variables: dict[str, Any]) -> "xr.Dataset":
+    """Return an ``xarray.Dataset`` of variables with the dimensions time, s, and perhaps axis, among others."""
+    variables |= {"time": ("time", t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
+    made: xr.Dataset = extras.load("xarray", "xarray", "Datasets").Dataset(variables, attrs={"source": "simulated"})
+    return made
+
+
 def status_of(code: int) -> Status:
     """Return the status of a result for the status code of the kernels."""
     return Status.SUCCESS if code in (status.OK, status.REACHED, status.LEFT) else Status(status.NAMES[code])
 
 
-def checked_kind(state: object) -> State:
-    """Return a State; refuse what is none."""
-    if not isinstance(state, State):
-        raise InvalidInput("state is not a State", got=state, allowed="what a run, start() or step() returned")
-    return state
-
-
 def check_state(given: object, n: int) -> None:
     """Refuse a state that no run of a rope of n links can begin with."""
-    state = checked_kind(given)
+    state = checks.instance("state", given, State)
     checks.array("state q", state.q, (n,), unit="rad")
     checks.array("state qd", state.qd, (n,), unit="rad/s")
     checks.number("state step", state.step, sign="nonnegative", unit="s")

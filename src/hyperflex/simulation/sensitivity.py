@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from hyperflex import checks, extras, memory
+from hyperflex import checks, memory
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick, mass_matrix
@@ -23,11 +23,12 @@ from hyperflex.core.tangent import forward_sensitivity as core
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.forward_sensitivity import CHANGES, RATE, Directions, base_change, place_changes
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import OutOfTime, interruptible
+from hyperflex.interruption import interruptible
 from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields
 from hyperflex.motion import Motion, motion_derivatives, motion_parameters
-from hyperflex.simulation.rollouts import TABLES, Rollout, Watch, out_of_time, rollout_limits
+from hyperflex.simulation.rollouts import TABLES, Rollout, Watch, dataset_of, rollout_limits
 from hyperflex.simulation.runs import observed, output_times, setup_of
+from hyperflex.trajectory import DERIVED, VARIABLES
 
 DIFFERENTIABLE = tuple(each.name for each in LINK_PROPERTIES if each.form)
 STATE_NAMES = ("q0", "qd0")
@@ -153,13 +154,14 @@ def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
 
 def _with_arm(part: ParameterChange, n: int) -> ParameterChange:
     """A direction of the rope's n links, and of the arm, as one of a chain that begins with the arm."""
-    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *DIFFERENTIABLE, *ARM_NAMES)}
-    if "arm_length" in joined:
-        part = {**part, "arm.length": joined.pop("arm_length")}
-    arm = {name: part[own] for own, name in ARM_NAMES.items() if own in part}
-    for name in (*STATE_NAMES, *DIFFERENTIABLE):
-        if name in part or name in arm:
-            joined[name] = np.append(arm.get(name, 0.0), part.get(name, np.zeros(n)))
+    joined: ParameterChange = {}
+    for name, value in part.items():
+        at, change = "arm.length" if name == "arm_length" else name, value
+        if at in ARM_NAMES:
+            at, change = ARM_NAMES[at], np.append(value, np.zeros(n))
+        elif at in (*STATE_NAMES, *DIFFERENTIABLE):
+            change = np.append(0.0, value)
+        joined[at] = change + joined.get(at, 0.0)
     return joined
 
 
@@ -243,7 +245,6 @@ if TYPE_CHECKING:
 _NAMED = 4  # parameters that are printed
 LARGE = 1_000_000  # steps x links x directions, some tenths of a second's work, from which Ctrl-C is heard meanwhile
 ON = np.zeros(1, dtype=np.int64)  # nothing halts what is short
-STEPS = 10_000  # noted in one go; a run with more of them is done again with room for all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -291,18 +292,13 @@ class Sensitivities:
     @property
     def dataset(self) -> "xr.Dataset":
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
-        shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
-        variables: dict[str, Any] = {}
-        for name, shape in shapes.items():
-            unit = {"qd": "rad/s", "arm_rate": "rad/s", "tip": "m"}.get(name, "rad")
-            if getattr(self, name) is not None:
+        variables: dict[str, Any] = {"parameter": ("parameter", np.array(self.names))}
+        for name, (dims, unit, _) in {**DERIVED, **VARIABLES}.items():
+            if (value := getattr(self, name, None)) is not None:
                 about = {"long_name": f"derivative of {name}", "units": f"{unit} per unit"}
-                variables[name] = (("time", *shape), getattr(self, name), {"units": unit})
-                variables[f"d{name}"] = (("time", *shape, "parameter"), getattr(self, f"d{name}"), about)
-        variables |= {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
-        variables["parameter"] = ("parameter", np.array(self.names))
-        made: xr.Dataset = extras.load("xarray", "xarray", "Datasets").Dataset(variables, attrs={"source": "simulated"})
-        return made
+                variables[name] = (("time", *dims), value, {"units": unit})
+                variables[f"d{name}"] = (("time", *dims, "parameter"), getattr(self, f"d{name}"), about)
+        return dataset_of(self.t, variables)
 
 
 @interruptible()
@@ -382,7 +378,8 @@ def sensitivities(
     watch = Watch(time_budget, (0.0, full.duration))
     times = np.append([] if t[0] == 0.0 else 0.0, t)
     parts: dict[str, Any] = {"chain": chain, "drive": drive, "limits": rollout_limits(full, chain, full.duration)}
-    run = record_steps(chain, lambda log: Rollout(full, times, log=log, **parts), watch)
+    run = Rollout(full, times, logged=True, **parts)
+    run.complete(watch)
     if (unbalanced := observed(run)[2]) is not None:
         raise unbalanced
     _, dy = forward_derivatives(run, directions, full.start(), times)
@@ -461,39 +458,12 @@ class AngleJacobian:
         parts: dict[str, Any] = {"chain": self.chain, "drive": self.drive}
         parts["limits"] = self._limits._replace(stop=float(t[-1]))
 
-        def begin_run(log: Array) -> Rollout:
-            run = Rollout(self.setup, t, (q0, qd0), log=log, **parts)
-            run.progress.clock[STEP] = first_step
-            return run
-
-        run = record_steps(self.chain, begin_run)
+        run = Rollout(self.setup, t, (q0, qd0), logged=True, **parts)
+        run.progress.clock[STEP] = first_step
+        run.complete()
         _, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, seeds, begin)
         y = run.y
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :used], dy[:, n:, :used]
-
-
-def record_steps(
-    chain: Chain,
-    begin: Callable[[Array], Rollout],
-    watch: Callable[[float], None] | None = None,
-    count: int = STEPS,
-) -> Rollout:
-    """Return a run that has come to its end, with a log of every step; `watch` may end it before.
-
-    `begin` makes the run of the chain, with a log for `count` steps; it is called again if that was too short.
-    """
-    width = MODES + chain.length.size if can_stick(chain) else JOINT
-    while True:
-        memory.check(8.0 * count * width, f"a run of {count} steps", "Make it shorter, or loosen tol")
-        run = begin(np.empty((count, width)))
-        try:
-            run.complete(watch or Watch(None, (run.time, run.limits.stop)))
-        except OutOfTime as cause:
-            raise out_of_time(run.time, cause) from None
-        if run.steps <= count:
-            run.progress = run.progress._replace(log=run.progress.log[: run.steps])
-            return run
-        count = run.steps
 
 
 def forward_derivatives(
@@ -504,13 +474,13 @@ def forward_derivatives(
     seeds: Directions | None = None,
     changes: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Go through a recorded run again: states (T, 2 n + 2) and their derivatives (T, 2 n, p) at times t (T,).
+    """Go through a logged run again: states (T, 2 n + 2) and their derivatives (T, 2 n, p) at times t (T,).
 
     The run began at t[0]. Within steps they are read off a polynomial; the run's own outputs differ from them by less
     than steps may err. `seeds` are the directions as the kernels take them, `changes` (2 n, p) those of the start,
     where they are at hand.
     """
-    n, steps, times = run.chain.length.size, run.progress.log, np.array(t)
+    n, steps, times = run.chain.length.size, run.log, np.array(t)
     given = directions.start(n) if changes is None else changes
     seeds, used = seeds or directions.directions(run.chain, run.drive), given.shape[1]
     if steps.shape[1] > JOINT:

@@ -1,7 +1,7 @@
 """Stepper: a run taken one interval at a time, with a command for each."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Unpack
 
 import numpy as np
@@ -23,9 +23,10 @@ from hyperflex.motion import torque_profile
 from hyperflex.simulation.contact import ContactRollout
 from hyperflex.simulation.rollouts import Interval, Rollout, check_state, link_accelerations
 from hyperflex.simulation.runs import setup_of
-from hyperflex.simulation.sensitivity import ParameterDirections, check_smooth, forward_derivatives, record_steps
+from hyperflex.simulation.sensitivity import ParameterDirections, check_smooth, forward_derivatives
 from hyperflex.trajectory import State
 
+NO_TIMES = np.empty(0)  # a step shows its end, and no outputs
 COMMANDS = {"acceleration": ANGLE, "angle": ANGLE, "torque": TORQUE}  # and the channel of the motion that each sets
 
 
@@ -122,9 +123,6 @@ def commanded_accelerations(command: str, setup: Setup, q: Array, qd: Array, u: 
     return accelerations, slopes
 
 
-FEW_STEPS = 64  # noted at first for a derivative; an interval with more of them is run again with room for all
-
-
 @dataclass(frozen=True, eq=False)
 class Linearization:
     """A step and its derivatives; the state is x = (arm angle, q, arm rate, qd), in rad and rad/s.
@@ -201,9 +199,13 @@ class Stepper:
         full, _ = setup_of(rope, {"duration": 1.0, **setup} if isinstance(rope, Rope) else setup, refine=refine)
         self.setup = setup_for(command, full)
         self._interval, kind = Interval(self.setup.drive()), ContactRollout if self.setup.touches else Rollout
-        self._run = run = kind(self.setup, np.zeros(1), drive=self._interval.drive)
-        run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
-        self._directions: tuple[ParameterDirections, Directions] | None = None
+        self._run = kind(self.setup, NO_TIMES, drive=self._interval.drive)
+
+    @cached_property
+    def _linear(self) -> tuple[Rollout, ParameterDirections, Directions]:
+        """A logged run, and the directions of state and command with their seeds."""
+        run = Rollout(self.setup, NO_TIMES, drive=self._interval.drive, logged=True)
+        return run, *command_directions(self.command, run.chain, run.drive)
 
     def start(
         self,
@@ -248,7 +250,7 @@ class Stepper:
         SimulationError
             If the interval cannot be simulated within `tol`.
         """
-        arm = self._begin(state, command, dt)
+        arm = self._begin(self._run, state, command, dt)
         self._run.complete()
         return self._run.state(arm=arm)
 
@@ -268,32 +270,19 @@ class Stepper:
         if self.setup.touches:
             got = "a stepper with pegs or joint limits"
             raise InvalidInput("derivatives are of free flight", got=got, fix="Make one without")
-        run, n = self._run, self._run.chain.length.size
-        if self._directions is None:
-            self._directions = command_directions(self.command, run.chain, run.drive)
-        varied, seeds = self._directions
+        run, varied, seeds = self._linear
         powers, ends = arm_polynomials(self.command, dt)
         set_commands(self.command, seeds, powers)
-        plain, start, arm = run.progress, np.empty(2 * n), [0.0, 0.0]
-
-        def begin(log: Array) -> Rollout:
-            run.progress = plain._replace(log=log)
-            arm[:] = self._begin(state, command, dt)
-            start[:] = plain.y[: 2 * n]
-            return run
-
-        try:
-            record_steps(run.chain, begin, lambda t: None, FEW_STEPS)
-            times = np.array([run.drive.breaks[0], run.time])
-            moved = forward_derivatives(run, varied, (start[:n], start[n:]), times, seeds)[1][1]
-        finally:
-            run.progress = plain
+        arm, n = self._begin(run, state, command, dt), run.chain.length.size
+        start = run.progress.y[:n].copy(), run.progress.y[n : 2 * n].copy()
+        run.complete()
+        moved = forward_derivatives(run, varied, start, np.array([run.drive.breaks[0], run.time]), seeds)[1][1]
         if self.command != "torque":  # the arm is no link of the chain: what it does follows from the command alone
             rows = np.zeros((2, moved.shape[1]))
             rows[:, [0, n + 1, 2 * n + 2]] = ends.T
             moved = np.concatenate([rows[:1], moved[:n], rows[1:], moved[n:]])
         size = len(moved)
-        return Linearization(run.state(arm=(arm[0], arm[1])), moved[:, :size].copy(), moved[:, size : size + 1].copy())
+        return Linearization(run.state(arm=arm), moved[:, :size].copy(), moved[:, size : size + 1].copy())
 
     def tip(self, state: State) -> tuple[Array, Array]:
         """Return place (2,), m, and velocity (2,), m/s, of the tip in a `state`."""
@@ -312,7 +301,7 @@ class Stepper:
         run = self._run
         if not isinstance(run, ContactRollout) or not self.setup.pegs:
             raise InvalidInput("there is nothing to touch", fix="Make the stepper with pegs=[...]")
-        self._enter(state, 0.0, 1.0)
+        self._enter(run, state, 0.0, 1.0)
         return float(clearance(run.chain, run.drive, run.contacts, run.time, run.progress.y, np.inf)[0])
 
     def _arm_of(self, state: State) -> tuple[float, float]:
@@ -321,20 +310,18 @@ class Stepper:
         rate = self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
         return checks.number("state arm_angle", angle, unit="rad"), checks.number("state arm_rate", rate, unit="rad/s")
 
-    def _begin(self, state: State, command: float, dt: float) -> tuple[float, float]:
-        """Set the run to a state and a command; returns angle and rate of a prescribed arm at the end."""
+    def _begin(self, run: Rollout, state: State, command: float, dt: float) -> tuple[float, float]:
+        """Set a run to a state and a command; returns angle and rate of a prescribed arm at the end."""
         u, span = checks.number("command", command), checks.number("dt", dt, sign="positive", unit="s")
-        as_saved, known = self._enter(state, u, span)
-        run = self._run
+        as_saved, known = self._enter(run, state, u, span)
         run.limits = run.limits._replace(stop=run.time + span)
         if isinstance(run, ContactRollout) and not as_saved:
             run.check_start()
         angle, rate = (known @ arm_polynomials(self.command, span)[1]).tolist()
         return angle, rate
 
-    def _enter(self, state: State, command: float, span: float) -> tuple[bool, Array]:
-        """Set the run to a state and the arm's motion; returns whether it is as saved, and (angle, rate, command)."""
-        run = self._run
+    def _enter(self, run: Rollout, state: State, command: float, span: float) -> tuple[bool, Array]:
+        """Set a run to a state and the arm's motion; returns whether it is as saved, and (angle, rate, command)."""
         as_saved = run.resume(state)
         run.progress.clock[MARK:] = 0.0
         known = np.array([*self._arm_of(state), command])
