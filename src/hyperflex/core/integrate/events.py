@@ -270,30 +270,31 @@ def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def margin_course(search, end, i, length, x):  # type: ignore[no-untyped-def]
-    """Sign of margin i at the part x in (0, 1] of the interval, of a length, s, from LOW to the margins `end`.
-
-    By the cubics through both ends and, where it is known, the middle; of stuck joints by the parabola or the line, and
-    then it is the margin itself.
-    """
-    low, middle, known = search.low, search.middle, search.middle[0, i] < np.inf
-    if search.locked[i] == 1.0:
-        bend = 2.0 * (low[0, i] - 2.0 * middle[0, i] + end[0, i]) if known else 0.0
-        return low[0, i] + x * (end[0, i] - low[0, i] - bend * (1.0 - x))
-    if not known:
-        return margin_polynomial(low, end, i, length, x)
-    if x <= 0.5:
-        return margin_polynomial(low, middle, i, 0.5 * length, 2.0 * x)
-    return margin_polynomial(middle, end, i, 0.5 * length, 2.0 * x - 1.0)
+def first_zero(low, high, i, length, most):  # type: ignore[no-untyped-def]
+    """First part of an interval, but for its beginning, at which margin i is zero or less; `most` if that is before."""
+    before, at = 0.0, most
+    for k in range(1, EVENTS.points + 1):
+        x = min(k / EVENTS.points, most)
+        if margin_polynomial(low, high, i, length, x) <= 0.0:
+            at = x
+            break
+        before = x
+        if x == most:
+            return most
+    for _ in range(52):
+        x = 0.5 * (before + at)
+        if margin_polynomial(low, high, i, length, x) > 0.0:
+            before = x
+        else:
+            at = x
+    return at
 
 
 @non_allocating
 def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
-    """Whether the course of margin i in an attempt, with a middle, has no Bernstein coefficient below zero."""
+    """Whether the cubics through margin i, with a middle, stay positive: no Bernstein coefficient of theirs is not."""
     v0, s0, v1, s1 = search.low[0, i], search.low[1, i], search.here[0, i], search.here[1, i]
     vm, sm, third = search.middle[0, i], search.middle[1, i], length / 6.0
-    if search.locked[i] == 1.0:
-        return not (2.0 * vm < 0.5 * (v0 + v1))
     return min(v0, v0 + third * s0, vm - third * sm, vm, vm + third * sm, v1 - third * s1) >= 0.0
 
 
@@ -301,17 +302,32 @@ def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
 def hidden_event(search, length):  # type: ignore[no-untyped-def]
     """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
 
+    Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola.
     Margins with an event at the end do not count.
     """
     part = 1.0
     for i in range(search.locked.size):
-        if search.low[0, i] == np.inf or search.here[0, i] == np.inf or is_past(search, search.here, i):
+        v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
+        if v0 == np.inf or v1 == np.inf or is_past(search, search.here, i):
             continue
-        if search.middle[0, i] < np.inf and stays_positive(search, i, length):
-            continue
-        for k in range(1, EVENTS.points):
-            if margin_course(search, search.here, i, length, k / EVENTS.points) < 0.0:
-                part = min(part, k / EVENTS.points)
+        if search.locked[i] == 0.0 and not (vm < np.inf and stays_positive(search, i, length)):
+            for k in range(1, EVENTS.points):
+                x = k / EVENTS.points
+                if vm == np.inf:
+                    value = margin_polynomial(search.low, search.here, i, length, x)
+                elif x <= 0.5:
+                    value = margin_polynomial(search.low, search.middle, i, 0.5 * length, 2.0 * x)
+                else:
+                    value = margin_polynomial(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
+                if value < 0.0:
+                    part = min(part, x)
+        elif search.locked[i] == 1.0 and vm < 0.0:
+            part = min(part, 0.5)
+        elif search.locked[i] == 1.0 and vm < np.inf:
+            bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
+            x = -0.5 * slope / bend if bend > 0.0 else 0.0
+            if 0.03 < x < 0.97 and v0 + x * (slope + x * bend) < 0.0:
+                part = min(part, x)
     return part
 
 
@@ -321,6 +337,14 @@ def is_past(search, margin, i):  # type: ignore[no-untyped-def]
     if search.locked[i] == 0.0 and i < search.locked.size - 1 and margin[1, i] > 0.0:
         return margin[0, i] < -STICTION.still
     return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and search.locked[i] == 0.0)
+
+
+@non_allocating
+def fall(search, i, step):  # type: ignore[no-untyped-def]
+    """How fast margin i falls at the end of an attempt of the length `step`, s: by its slope, else by the secant."""
+    if search.locked[i] == 0.0:
+        return -search.here[1, i]
+    return (search.low[0, i] - search.here[0, i]) / (step - search.span[LOW])
 
 
 @non_allocating
@@ -356,9 +380,7 @@ def assess_step(search, step):  # type: ignore[no-untyped-def]
     for i in range(search.locked.size):
         if is_past(search, search.here, i):
             over = True
-            drop, seconds = search.low[0, i] - search.here[0, i], step - span[LOW]  # of a stuck joint, by the secant
-            falls = -search.here[1, i] if search.locked[i] == 0.0 else drop / seconds
-            past = max(STICTION.instant * falls, search.late[i])
+            past = max(STICTION.instant * fall(search, i, step), search.late[i])
             near = near and search.here[0, i] >= -past
     clear = not over and span[HIGH] == np.inf
     ends = clear or (over and (near or step - span[LOW] <= STICTION.instant or span[TRIES] > 2 * EVENTS.attempts))
@@ -396,30 +418,26 @@ def assess_step(search, step):  # type: ignore[no-untyped-def]
 def first_part(search, i, length, most):  # type: ignore[no-untyped-def]
     """Part of the span, of the given length, s, at which margin i should be passed by half of what is allowed.
 
-    At most `most`.
+    At most `most`. Where the middle is known, by the cubics on both sides of it, for stuck joints by the parabola.
     """
-    aim, high = 0.5 * search.late[i], search.high
-    lift = aim if search.locked[i] == 1.0 else 0.0
-    before, at = 0.0, most
-    for k in range(1, EVENTS.points + 1):
-        x = min(k / EVENTS.points, most)
-        if margin_course(search, high, i, length, x) + lift <= 0.0:
-            at = x
-            break
-        if x == most:
-            return most
-        before = x
-    for _ in range(52):
-        x = 0.5 * (before + at)
-        if margin_course(search, high, i, length, x) + lift > 0.0:
-            before = x
-        else:
-            at = x
+    aim = 0.5 * search.late[i]
+    low, middle, high = search.low, search.middle, search.high
     if search.locked[i] == 1.0:
-        return at
-    if search.low[1, i] > 0.0:
-        at = max(at, EVENTS.soon)
-    return min(most, at + aim / (-high[1, i] * length)) if high[1, i] < 0.0 else at
+        v0, vm, v1 = max(low[0, i], 0.0) + aim, middle[0, i] + aim, high[0, i] + aim
+        if not (vm < np.inf):
+            return min(most, v0 / (v0 - v1)) if v1 < 0.0 else most
+        bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
+        root = math.sqrt(max(slope * slope - 4.0 * bend * v0, 0.0))
+        return min(most, 2.0 * v0 / (root - slope)) if root > slope else most
+    if not (middle[0, i] < np.inf):
+        x = first_zero(low, high, i, length, most)
+    else:
+        x = 0.5 * first_zero(low, middle, i, 0.5 * length, min(2.0 * most, 1.0))
+        if x == 0.5 and most > 0.5:
+            x += 0.5 * first_zero(middle, high, i, 0.5 * length, 2.0 * most - 1.0)
+    if low[1, i] > 0.0:
+        x = max(x, EVENTS.soon)
+    return min(most, x + aim / (-high[1, i] * length)) if high[1, i] < 0.0 else x
 
 
 @non_allocating
