@@ -32,9 +32,9 @@ from hyperflex.identification.uncertainty.covariance import (
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
 
-# Of a target, in 1 / std: the data hold a ratio back from it by 1e-10 of its way; where another parameter is at its
-# bound they may do so a thousand times more than the standard deviation suggests
-WEIGHT = 1e5
+# Of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is at
+# its bound they may do so a thousand times more than the standard deviation suggests
+WEIGHT = 1000.0
 TRIED = 2  # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
 
 
@@ -118,9 +118,14 @@ class Coordinate:
                 return begun
         return x
 
-    def target(self, at: float) -> Target:
-        """Return the target that draws a fit to `at`."""
-        return Target(self.at, self.gradient, at, WEIGHT * float(np.sqrt(self.unit)) / self.std)
+    def target(self, at: float, firmness: float) -> Target:
+        """Return the target that draws a fit to `at`, so many times more firmly than usual.
+
+        It lies beyond by what the data hold it back.
+        """
+        weight = firmness * WEIGHT
+        beyond = at + (at - self.at(self.basis.fit.x)) / weight**2
+        return Target(self.at, self.gradient, beyond, weight * float(np.sqrt(self.unit)) / self.std)
 
 
 @dataclass(frozen=True)
@@ -146,6 +151,8 @@ class ProfileOptions:
 
 
 WALK = ProfileOptions()
+# Firmness with which a ratio is drawn there, one after the other, before a bound is taken to be in its way
+FIRMNESS = (1.0, 10.0, 100.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -297,23 +304,32 @@ class _ProfileSearch:
         return _Point(self.along.at(found.x), found.x, found.states, rise, limit)
 
     def at(self, value: float) -> _Point | None:
-        """Return the fit with the coordinate drawn to `value`; None where none can be found."""
+        """Return the fit with the coordinate at `value`, as firmly held as it takes; None where none can be found."""
         start = min(self.points, key=lambda p: abs(p.at - value))
         x = self.along.aimed(start.x, value)
         follow = zip(start.states, self.along.basis.information.follow, strict=True)
-        states = [s + f @ (x - start.x) for s, f in follow]
-        if self.rounds <= 0:
-            raise _TooLong
-        target = self.along.target(value)
-        try:
-            found = self._fit(x, states, rounds=min(20, self.rounds), target=target)
-        except InvalidInput:
-            self.rounds, self.settled = self.rounds - 1, True
-            return None
-        self.rounds, self.settled = self.rounds - max(len(found.history), 1), found.converged
-        point = self._point(found, found.cost - target.residual(found.x) ** 2)
+        states, point = [s + f @ (x - start.x) for s, f in follow], start
+        for firmness in FIRMNESS:
+            if self.rounds <= 0:
+                raise _TooLong
+            target = self.along.target(value, firmness)
+            try:
+                found = self._fit(x, states, rounds=min(20, self.rounds), target=target)
+            except InvalidInput:
+                self.rounds, self.settled = self.rounds - 1, True
+                return None
+            self.rounds -= max(len(found.history), 1)
+            x, states, self.settled = found.x, found.states, found.converged
+            point = self._point(found, found.cost - target.residual(x) ** 2)
+            if self.settled and not self.short(point, value):
+                break
         self.points += [point] * self.settled
         return point if self.settled else None
+
+    def short(self, point: _Point, value: float) -> bool:
+        """Whether a point stays short of the value that it was drawn to, seen from the optimum."""
+        origin = self.points[0].at
+        return bool((value - point.at) * np.sign(value - origin) > WALK.reached * abs(value - origin))
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
@@ -332,9 +348,9 @@ class _ProfileSearch:
                 continue
             if abs(tried.excess) < WALK.close:
                 return tried.at, "crossed"
-            short = value - tried.at  # of a bound of others that is in its way
+            short = self.short(tried, value)
             inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
-            if tried is inside and (value == bound or sign * short > WALK.reached * abs(value - origin)):
+            if (value == bound or short) and tried is inside:
                 return bound if value == bound else tried.at, "bound"
             if outside is None:  # the root of the rise, taken as linear, meets the limit there
                 root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / WALK.longest)
