@@ -11,6 +11,7 @@ from hyperflex.model import Rope
 from hyperflex.paper import iterative_revision
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from tests.refusals import refuses
 
 ROPE = Rope.uniform(length=1.0, mass=7.65e-3, n_links=5, inertia=1.43e-7, friction=6.3e-4)
 NOISE = 0.01  # rad
@@ -34,10 +35,8 @@ def test_noise_is_no_motion(size, frames, declared):
     t, q, _ = swing(size, frames)
     recording = Recording(t, q + noise(q.shape), noise=declared)
     for each in (recording, Recording(t, 0.3 + recording.data, noise=declared)):  # a camera that is not level
-        with pytest.raises(InvalidInput, match="no motion beyond noise"):
-            identify(each, ROPE, ["friction:shared"])
-        with pytest.raises(InvalidInput, match="no motion beyond noise"):
-            iterative_revision(each, ROPE)
+        refuses("no motion beyond noise", identify, each, ROPE, ["friction:shared"])
+        refuses("no motion beyond noise", iterative_revision, each, ROPE)
 
 
 def test_noise_of_markers_is_no_motion():
@@ -111,10 +110,8 @@ def test_the_tip_alone_identifies_a_rope(links):
         t, tip + spread * np.random.default_rng(0).standard_normal(tip.shape), kind="markers", noise=spread
     )
     guess, free = rope.replace(friction=1e-3), ["friction:shared"]
-    with pytest.raises(InvalidInput, match=r"origin=\(x, y\)"):
-        identify(recording, guess, free, setup=RecordingSetup(arc_lengths=[0.4]))
-    with pytest.raises(InvalidInput, match="marker alone"):
-        recording.angles()
+    refuses(r"origin=\(x, y\)", identify, recording, guess, free, setup=RecordingSetup(arc_lengths=[0.4]))
+    refuses("marker alone", recording.angles)
     found = identify(
         recording,
         guess,

@@ -13,6 +13,7 @@ from hyperflex.identification import FitOptions, RecordingSetup
 from hyperflex.identification import experiment_design as _design
 from hyperflex.identification.experiment_design import default_experiments, expected_information, variations
 from tests.faults.interrupting import left_by
+from tests.refusals import refuses
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -180,18 +181,12 @@ def test_out_of_time_it_ranks_what_was_simulated():
 
 
 def test_wrong_questions_are_refused():
-    with pytest.raises(InvalidInput, match="want names what is not free"):
-        design_experiment(SINGLE, "mass", [SHORT])
-    with pytest.raises(InvalidInput, match="unknown name"):
-        design_experiment(SINGLE, "friction", [SHORT], free=["colour"])
-    with pytest.raises(InvalidInput, match="no experiments"):
-        design_experiment(SINGLE, "friction", [])
-    with pytest.raises(InvalidInput, match="no experiments"):
-        design_experiment(SINGLE, "friction", [arm_swings()])
+    refuses("want names what is not free", design_experiment, SINGLE, "mass", [SHORT])
+    refuses("unknown name", design_experiment, SINGLE, "friction", [SHORT], free=["colour"])
+    refuses("no experiments", design_experiment, SINGLE, "friction", [])
+    refuses("no experiments", design_experiment, SINGLE, "friction", [arm_swings()])
     for wrong in ({"rate": 0.0}, {"duration": -1.0}, {"markers": 1}, {"noise": 0.0}, {"torque_noise": -1.0}):
         with pytest.raises(InvalidInput):
             Experiment("wrong", **wrong)
-    with pytest.raises(InvalidInput, match="too few frames"):
-        Experiment("wrong", rate=1.0, duration=1.0)
-    with pytest.raises(InvalidInput, match="noise"):
-        design_experiment(SINGLE, "friction", [SHORT], noise=-1.0)
+    refuses("too few frames", Experiment, "wrong", rate=1.0, duration=1.0)
+    refuses("noise", design_experiment, SINGLE, "friction", [SHORT], noise=-1.0)

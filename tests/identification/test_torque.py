@@ -28,6 +28,7 @@ from hyperflex.identification.model import ANGLES, ARM_LENGTH, TORQUE, Plant, ex
 from hyperflex.sensors import MotorTorque
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
+from tests.refusals import refuses
 
 ROPE = Rope(
     length=[0.3, 0.25],
@@ -334,8 +335,7 @@ def test_the_scale_of_the_torque_is_in_the_deviations_of_values_alone():
     assert found.settings["torque_std"] == 0.02
     assert found.has(Kind.TORQUE_SCALE)
     assert found.summary()["settings"]["torque_std"] == 0.02
-    with pytest.raises(InvalidInput, match="torque_std has the wrong sign"):
-        driven(torque_std=-0.01)
+    refuses("torque_std has the wrong sign", driven, torque_std=-0.01)
 
 
 @pytest.mark.parametrize(
@@ -385,12 +385,10 @@ def test_torque_that_cannot_be_used_is_refused():
         ({**arm, "torque": torque, "torque_noise": 0.0}, "torque_noise"),
         ({**arm, "torque": np.full(torque.size, np.nan), "torque_noise": 1e-3}, "no value at all"),
     ):
-        with pytest.raises(InvalidInput, match=message):
-            identify(recording, GUESS, SCALED, setup=RecordingSetup(**options))
+        refuses(message, identify, recording, GUESS, SCALED, setup=RecordingSetup(**options))
     with pytest.raises(InvalidInput, match="noise of the recording"):
         identify(bare, GUESS, SCALED, setup=RecordingSetup(torque=torque, torque_noise=1e-3, **arm))
-    with pytest.raises(InvalidInput, match="no torque is measured"):
-        identify(recording, GUESS, ["arm_inertia"], setup=RecordingSetup(**arm))
+    refuses("no torque is measured", identify, recording, GUESS, ["arm_inertia"], setup=RecordingSetup(**arm))
 
 
 def test_an_arm_that_is_held_tells_the_scale_as_well():
