@@ -27,16 +27,6 @@ def test_a_new_folder_appears_with_its_parents(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["x"]
 
 
-def test_an_existing_folder_keeps_its_other_files(tmp_path):
-    for name in ("b", "mine"):
-        (tmp_path / name).write_text("earlier")
-    with whole_folder(tmp_path) as stage:
-        fill(stage)
-        assert (tmp_path / "b").read_text() == "earlier"
-    assert content(tmp_path) == {"a": "new", "b": "new", "c": "new", "mine": "earlier"}
-    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
-
-
 def test_files_of_an_earlier_report_go(tmp_path):
     for name in ("b", "old", "mine"):
         (tmp_path / name).write_text("earlier")
