@@ -29,7 +29,7 @@ from hyperflex.planning.tasks.wind import viscous
 VARIANTS: dict[str, dict[str, Any]] = {
     "as-is": {},
     "no-variation": {"members": 0},
-    "no-predictability": {"deviation": math.inf},
+    "no-predictability": {"deviations": (math.inf, math.inf)},
     "full-speed": {"speeds": (1.0,)},
     "narrow-beam": {"width": 3},
     "one-finish": {"finishes": 1},

@@ -95,12 +95,11 @@ class WindTask(Task):
                 new, self._again = self._again, []
             else:
                 self._samples += 1
-                vary = self.options.members and self._samples % 2 == 0 and (found or self.search.passes)
-                if vary:
-                    best = _distinct(found[: 4 * self.options.parents], self.options.parents)
+                best = _distinct(found[: 4 * self.options.parents], self.options.parents)
+                nearly = bool(best) and best[0].score > self.options.nearly * self.problem.criteria.turns
+                if self.options.members and self._samples % 2 == 0 and (best or self.search.passes):
                     new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
-                    nearly = self.options.nearly * self.problem.criteria.turns
-                    if best and best[0].score > nearly:  # else they wait for better swings
+                    if nearly:  # else they wait for better swings
                         new = [replace(one, score=math.inf) for one in new]
                 else:
                     new = self.search.extend(budget)
