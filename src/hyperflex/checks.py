@@ -237,7 +237,10 @@ def choice(name: str, value: object, options: Sequence[str], *, also: str = "") 
 
 
 def arguments(**parts: type[Any]) -> Callable[[Callable[_P, T]], Callable[_P, T]]:
-    """Decorate a function: arguments that it lacks are refused; those of its `parts`, dataclasses, with their place."""
+    """Decorate a function: arguments that it lacks are refused; those of its `parts`, dataclasses, with their place.
+
+    Arguments for these parts are refused if they are of another class.
+    """
 
     def decorate(function: Callable[_P, T]) -> Callable[_P, T]:
         known = inspect.signature(function).parameters
@@ -246,6 +249,9 @@ def arguments(**parts: type[Any]) -> Callable[[Callable[_P, T]], Callable[_P, T]
         @functools.wraps(function)
         def call(*values: _P.args, **named: _P.kwargs) -> T:
             keys(f"{function.__name__}()", named, known, elsewhere=elsewhere)
+            for name, value in {**dict(zip(known, values, strict=False)), **named}.items():
+                if name in parts and (value is not None or known[name].default is inspect.Parameter.empty):
+                    instance(name, value, parts[name])
             return function(*values, **named)
 
         return call

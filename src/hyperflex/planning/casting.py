@@ -55,12 +55,6 @@ class CastRequest:
     options: SearchOptions
     on_plan: OnPlan | None = None
 
-    def __post_init__(self) -> None:
-        for name, kind in (("criteria", WindCriteria), ("conditions", Conditions), ("options", SearchOptions)):
-            checks.instance(name, getattr(self, name), kind)
-        if self.uncertainty is not None:
-            checks.instance("uncertainty", self.uncertainty, Uncertainty)
-
     def problem(self) -> Problem:
         """Return the problem without a target."""
         given = self.conditions
@@ -201,7 +195,13 @@ def plan_cast(
 ) -> list[CastPlan]: ...
 
 
-@checks.arguments(limits=MotorLimits, criteria=WindCriteria, conditions=Conditions, options=SearchOptions)
+@checks.arguments(
+    limits=MotorLimits,
+    criteria=WindCriteria,
+    conditions=Conditions,
+    uncertainty=Uncertainty,
+    options=SearchOptions,
+)
 def plan_cast(
     rope: Rope,
     arm: Arm,

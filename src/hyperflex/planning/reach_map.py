@@ -159,7 +159,7 @@ class TargetGrid:
         return x, y
 
 
-@checks.arguments(limits=MotorLimits)
+@checks.arguments(limits=MotorLimits, criteria=WindCriteria, conditions=Conditions, options=SearchOptions)
 @interruptible(ReachMap)
 def build_reach_map(
     rope: Rope,

@@ -551,7 +551,7 @@ class _Estimate:
         return bool(gaps.min() > CLOSER and clear == len(q))
 
 
-@checks.arguments(limits=MotorLimits, slot=Slot, conditions=Conditions, options=SearchOptions)
+@checks.arguments(limits=MotorLimits, slot=Slot, conditions=Conditions, uncertainty=Uncertainty, options=SearchOptions)
 @interruptible(InsertPlan)
 def plan_insert(
     rope: Rope,
@@ -597,9 +597,9 @@ def plan_insert(
     InvalidInput
         If an argument is out of range or of another class, or the gap too narrow for the rope.
     """
-    options = checks.instance("options", options or SearchOptions(), SearchOptions)
-    checks.instance("slot", slot, Slot).check_width(checks.instance("rope", rope, Rope))
-    known = checks.instance("uncertainty", uncertainty or usual_uncertainty(), Uncertainty)
+    options = options or SearchOptions()
+    slot.check_width(checks.instance("rope", rope, Rope))
+    known = uncertainty or usual_uncertainty()
     problem = tip_problem(rope, arm, limits, conditions, periods=2.0)
     task = InsertTask(problem, slot, known, checks.count("samples", samples), options.seed)
     return plan_tip(task, InsertPlan, options, time_budget)

@@ -573,7 +573,7 @@ def tip_problem(
 
     Raises InvalidInput if the rope swings at first, or begins in an obstacle on both sides.
     """
-    given = checks.instance("conditions", conditions or Conditions(), Conditions)
+    given = conditions or Conditions()
     if given.state0 is not None:
         fix = "Leave out state0"
         raise InvalidInput("whips and insertions begin with a rope that hangs", got="state0", fix=fix)

@@ -607,8 +607,7 @@ def plan_whip(
         If an argument is out of range or of another class, or a link's centre of mass is not in its middle: the second
         verification cuts it in two.
     """
-    options = checks.instance("options", options or SearchOptions(), SearchOptions)
-    checks.instance("target", target, TipTarget)
+    options = options or SearchOptions()
     problem = tip_problem(rope, arm, limits, conditions, periods=3.0)
     if whip_map is not None:
         made = checks.instance("whip_map", whip_map, WhipMap).problem
