@@ -385,7 +385,8 @@ def test_torque_that_cannot_be_used_is_refused():
         ({**arm, "torque": torque, "torque_noise": 0.0}, "torque_noise"),
         ({**arm, "torque": np.full(torque.size, np.nan), "torque_noise": 1e-3}, "no value at all"),
     ):
-        refuses(message, identify, recording, GUESS, SCALED, setup=RecordingSetup(**options))
+        with pytest.raises(InvalidInput, match=message):
+            identify(recording, GUESS, SCALED, setup=RecordingSetup(**options))
     with pytest.raises(InvalidInput, match="noise of the recording"):
         identify(bare, GUESS, SCALED, setup=RecordingSetup(torque=torque, torque_noise=1e-3, **arm))
     refuses("no torque is measured", identify, recording, GUESS, ["arm_inertia"], setup=RecordingSetup(**arm))

@@ -1037,7 +1037,7 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
     """Store a solution for M = `penalty`, kg, and let the next one start from it.
 
     Returns its residual, m/s, the energy that the residual stands for, J, and the M for the next search, kg. M grows by
-    ``most_growth``, or by less where the residual is large: M times the residual is then the mean of the contacts'
+    ``MOST_GROWTH``, or by less where the residual is large: M times the residual is then the mean of the contacts'
     impulses, weighted by themselves. A larger M would make the next round open most contacts.
     """
     store(impulses, joints)
@@ -1069,7 +1069,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     Where no modes are found for the stiff M, the search begins anew with a softer one, for which they are found nearly
     always. Each solution starts the next search, for the M that :func:`update_multipliers` returns, until the residual
     (P - P0) / M is slight. Where a larger M fails, the last one is tried again, from the P0 that it had. Unless its
-    residual falls, M grows by ``most_growth`` from then on, and by the square root of that where a search fails. The
+    residual falls, M grows by ``MOST_GROWTH`` from then on, and by the square root of that where a search fails. The
     last solution found is the result: its impulses obey Coulomb's law, its velocities obey it up to the residual. The
     next step starts with a slightly larger M.
 
