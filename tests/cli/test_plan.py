@@ -391,6 +391,7 @@ def test_ctrl_c_while_drawing_leaves_the_plan(
         ("cast", ("--target", "nan", 0), "peg x is not finite"),
         ("cast", ("--target", 0, "inf"), "peg y is not finite"),
         ("cast", ("--target", "-0.8"), "Option '--target' requires 2 arguments. See hyperflex cast --help."),
+        ("cast", ("--target", "-0.8,1", "2"), "got '-0.8,1 2'. Separate numbers by spaces. See hyperflex cast --help."),
         ("cast", ("--radius", 0), "peg radius"),
         ("cast", ("--mu", -1), "peg mu"),
         ("cast", ("--torque", 0), "motor torque"),

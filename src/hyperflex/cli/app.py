@@ -129,6 +129,7 @@ def run(arguments: Sequence[str]) -> int:
         return output.interrupt({}, "Interrupted; no file was left incomplete.")
     except _PARSER_ERROR as error:
         text = error.format_message() if hasattr(error, "format_message") else str(error)
+        text += _given(error, arguments)
         stop = "" if text.endswith(("?", ".")) else "."
         path = f"hyperflex {named.name}" if named else "hyperflex"
         return output.complain(f"{text}{stop} See {path} --help.", "UsageError", output.REFUSED)
@@ -141,6 +142,17 @@ def run(arguments: Sequence[str]) -> int:
         message = f"{str(error) or 'no message'}. This is a bug in hyperflex; please report it with the lines above."
         return output.complain(message, type(error).__name__, output.FAILED)
     return output.FAILED
+
+
+def _given(error: Any, arguments: Sequence[str]) -> str:
+    """Return what was given for an option whose value the parser refuses; empty if that is not known."""
+    option = getattr(error, "param", None)
+    name = next((one for one in getattr(option, "opts", ()) if one in arguments), None)
+    if option is None or name is None or "Invalid value" not in error.format_message():
+        return ""
+    at = len(arguments) - list(reversed(arguments)).index(name)  # the last one counts
+    values = " ".join(arguments[at : at + option.nargs])
+    return f": got {values!r}" + (". Separate numbers by spaces" if "," in values else "")
 
 
 def _refusal(error: Exception, named: Any) -> str:
