@@ -187,6 +187,8 @@ def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> l
     skewed, (scale, angle) = left(recording, SKEWED)
     name = "" if named is None else named.name
     most = min(declared, left(recording, (name,))[0]) if name not in ("", *SKEWED) else declared
+    if named is not None and name == "delay":  # what a short fit leaves depends on its search for the delay
+        most = min(most, declared * float(np.sqrt(1.0 - named.gain)))
     for tried in ([*_meant(recording, left), *_driven(recording, left)], _zeros(recording, left, declared)):
         least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
         if least > SHORT_FIT.better * skewed:
