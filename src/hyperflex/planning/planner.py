@@ -115,7 +115,7 @@ class Planner:
     budget : Budget
     improve : float
         A plan that succeeds without a margin is improved for this fraction of the time that it took to find, one with a
-        part of the margin for as much less.
+        part of the margin for as much less, and not where another verification would end later.
     on_improvement : callable, optional
         Called without arguments when a plan succeeds, and at each better one; ends the search by returning True.
 

@@ -120,7 +120,7 @@ class WindTask(Task):
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
         for one in swings:
             rows = [k for k, (other, _) in enumerate(pairs) if other is one]
-            k = rows[int(np.argmax(wound.score[rows]))]
+            k = max(rows, key=lambda row: (wound.turns[row] >= required, wound.score[row]))
             tried = replace(one, moves=pairs[k][1], score=float(wound.score[k]))
             if wound.turns[k] >= required:
                 good.append(tried)
