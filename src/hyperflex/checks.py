@@ -221,10 +221,10 @@ def text(name: str, value: object) -> str:
     return value
 
 
-def instance(name: str, value: object, kind: type[T]) -> T:
-    """Return `value` if it is of a class of this package, such as Rope."""
+def instance(name: str, value: object, kind: type[T], module: str = "hyperflex") -> T:
+    """Return `value` if it is of a class, such as Rope, that users import from a module."""
     if not isinstance(value, kind):
-        raise InvalidInput(f"{name} is not of its class", got=value, allowed=f"hyperflex.{kind.__name__}")
+        raise InvalidInput(f"{name} is not of its class", got=value, allowed=f"{module}.{kind.__name__}")
     return value
 
 

@@ -23,7 +23,7 @@ def checked_chunks(executor: object, chunk_size: object, default: int) -> tuple[
     `default` is the size where none is given.
     """
     size = default if chunk_size is None else checks.count("chunk_size", chunk_size)
-    return None if executor is None else checks.instance("executor", executor, Executor), size
+    return None if executor is None else checks.instance("executor", executor, Executor, "concurrent.futures"), size
 
 
 def run_chunks(

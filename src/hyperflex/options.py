@@ -6,7 +6,7 @@
 import math
 from dataclasses import Field, field, fields
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 from hyperflex import checks
 from hyperflex.checks import Sign
@@ -40,20 +40,29 @@ def options_of(kind: type) -> tuple[Field[Any], ...]:
 
 
 def check(instance: Any, name: str) -> None:
-    """Validate numbers and flags among the options of a dataclass; for its ``__post_init__``. Numbers become float.
+    """Validate the options of a dataclass that are numbers, flags or counts; for its ``__post_init__``.
 
-    `name` comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite,
-    of the wrong sign, or an angle of more than a turn.
+    Numbers become float, sequences of numbers tuples of float. A count without a sign is left to its class. `name`
+    comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite, of the
+    wrong sign, or a direction of more than a turn, and for a sequence that is empty or of the wrong length.
     """
     for each in options_of(type(instance)):  # type: ignore[arg-type]
-        value, rule = getattr(instance, each.name), each.metadata
-        if isinstance(each.default, bool):
-            object.__setattr__(instance, each.name, checks.flag(f"{name} {each.name}".lstrip(), value))
-        if not isinstance(each.default, float) and not (rule["unit"] and value is not None):
-            continue
-        where = f"{name} {each.name}".lstrip()
-        value = checks.number(where, value, sign=rule["sign"], unit=rule["unit"], infinite=rule["infinite"])
-        if rule["unit"] == "rad" and abs(value) > math.tau:
-            fix = f"If these are degrees, give {math.radians(value):.4g}"
-            raise InvalidInput(f"{where} is more than a turn", got=value, allowed="up to 2 pi, in rad", fix=fix)
+        value, rule, default = getattr(instance, each.name), each.metadata, each.default
+        where, how = f"{name} {each.name}".lstrip(), {key: rule[key] for key in ("sign", "unit", "infinite")}
+        if isinstance(default, bool):
+            value = checks.flag(where, value)
+        elif isinstance(default, int):
+            if rule["sign"] == "any":
+                continue
+            value = checks.count(where, value, least=int(rule["sign"] == "positive"))
+        elif isinstance(default, tuple):
+            length = -1 if Ellipsis in get_args(each.type) else len(default)
+            value = tuple(checks.array(where, value, (length,), **how).tolist())
+            if not value:
+                raise InvalidInput(f"{where} is empty", got=value, allowed="one number or more")
+        elif isinstance(default, float) or (rule["unit"] and value is not None):
+            value = checks.number(where, value, **how)
+            if rule["unit"] == "rad" and rule["sign"] != "nonnegative" and abs(value) > math.tau:
+                fix = f"If these are degrees, give {math.radians(value):.4g}"
+                raise InvalidInput(f"{where} is more than a turn", got=value, allowed="up to 2 pi, in rad", fix=fix)
         object.__setattr__(instance, each.name, value)

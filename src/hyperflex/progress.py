@@ -48,7 +48,7 @@ def terminal() -> Any:
 def lines() -> Iterator[Callable[[str], None]]:
     """Write every EVERY s to standard error what was said last, and for how long the work has been going on.
 
-    Yields the function that takes the words. Work that is shorter is not told of.
+    Yields the function that takes the words. Nothing is written for work that is shorter.
     """
     newest, over, began = [""], threading.Event(), time.monotonic()
 

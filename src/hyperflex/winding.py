@@ -65,12 +65,15 @@ class TugTest:
         The simulated pull.
     slip : (T,) float64
         Slip of the rope on the peg, m, see :func:`rope_slip`; of a peg that turns, about its axle.
+    allowed : float
+        Slip, m, from which on the rope counts as slipped.
     """
 
     hold: float
     slipped: bool
     run: Trajectory
     slip: Array
+    allowed: float
 
     def holds(self, force: float) -> bool:
         """Whether the rope withstood a pull of `force`, N, with less than the allowed slip."""
@@ -267,7 +270,7 @@ def tug_test(
     pull = _pull(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size]
     count = min(max(1, round(STEADY / float(pulled.t[1] - pulled.t[0]))), pull.size)
     steady = np.convolve(pull, np.full(count, 1.0 / count), mode="valid")
-    return TugTest(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way)
+    return TugTest(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way, allowed=allowed)
 
 
 def _pull(run: Trajectory) -> Array:

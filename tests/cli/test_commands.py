@@ -39,8 +39,8 @@ def test_help_alone_and_version(hyperflex):
         (("simulate",), "See hyperflex simulate --help."),
         (("reproduce", "--nothing"), "See hyperflex reproduce --help."),
         (
-            ("reach-map", "-o", "map", "--cells", 0),
-            "'--cells': Input should be greater than or equal to 1: got '0'. See hyperfl",
+            ("reach-map", "-o", "map", "--workers", 0),
+            "'--workers': Input should be greater than or equal to 1: got '0'. See hyperfl",
         ),
         (("reach-map", "-o", "map", "--workers=-1"), "'--workers': Input should be greater than or equal to 1. See"),
     ],

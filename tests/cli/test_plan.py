@@ -281,7 +281,7 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(hype
     assert [text[:9] for text in told["remedies"]] == ["a rope of"]
     _, out, _ = hyperflex(*given("cast", place=(2.5, 0)))
     page = (tmp_path / "out" / "report.html").read_text()
-    for words in (f"x = {x:.4g} m", "no throw was planned for it", f"in reach with {told['remedies'][0]}"):
+    for words in (f"x = {x:.4g} m", "no cast was planned for it", f"in reach with {told['remedies'][0]}"):
         assert words in plain(out)
         assert words in page
 
@@ -425,7 +425,8 @@ def test_bad_options_are_refused(hyperflex, given, tmp_path, command, more, word
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("", "no rope is given"),
+        ("", "no rope is given, and --target and --radius are missing"),
+        ("[pegs]\nx = 0.5\ny = -1.0\nradius = 0.04\n", "no rope is given. Give"),
         ("ROPE", "--target and --radius are missing"),
         ("ROPE\n[limits]\npace = 3.0\n", "[limits] does not know this key: got 'pace'"),
         ("ROPE\n[wall]\nx = 1.0\n", "does not know this key: got 'wall'"),

@@ -58,6 +58,7 @@ def test_simulate_tells_how_long_it_can_be_trusted(hyperflex, hyperflex_json, se
         (("simulate", "cast.toml", "-o", "link.nc"), "is one of the inputs"),
         (("simulate", "cast.toml", "-o", "hard.nc"), "is one of the inputs"),
         (("simulate", "heavy.toml", "-o", "x.nc"), "mass"),
+        (("simulate", "pegs.toml", "-o", "x.nc", "--horizon", "0.05"), "--horizon is of a run in free flight"),
     ],
 )
 def test_errors_are_one_line_or_one_json_object_and_leave_nothing(
@@ -66,6 +67,8 @@ def test_errors_are_one_line_or_one_json_object_and_leave_nothing(
     (tmp_path / "link.nc").symlink_to("cast.toml")
     (tmp_path / "hard.nc").hardlink_to("cast.toml")
     (tmp_path / "heavy.toml").write_text('[rope]\nlength = [0.5, 0.5]\nmass = "heavy"\n')
+    pegs = "\n[pegs]\nx = 3.0\ny = 0.0\nradius = 0.1\n"
+    (tmp_path / "pegs.toml").write_text((tmp_path / "cast.toml").read_text() + pegs)
     before, left = (tmp_path / "cast.toml").read_bytes(), files(tmp_path)
     code, out, err = hyperflex(*words)
     assert (code, out, message in err, err.count("\n")) == (2, "", True, 1)

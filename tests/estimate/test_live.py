@@ -172,36 +172,35 @@ def test_a_live_source_is_opened_again(video, pictures):
 
 
 def test_time_goes_on_where_a_source_begins_its_stamps_anew(video, pictures):
-    """A camera that was opened again: its stamps begin at 0, the estimates' times go on, and the rope is found anew."""
+    """A camera that was opened again: its stamps begin at 0, the frames' times go on, and the rope is found anew.
+
+    A busy machine may take no frame of an opening, or give a prediction before a frame that is late.
+    """
     opened = 0
 
     def open_source():
         nonlocal opened
         opened += 1
-        script = [each for frame in pictures[:6] for each in (frame, 0.03)]
+        script = [each for frame in pictures[:6] for each in (frame, 0.04)]  # stamps are 1/30 s apart: never ahead
         return Scripted(*script, 0.5)
 
-    def reopenings() -> list[int]:  # that were told; of a busy machine one may be over before anybody looked
-        return [k for k, each in enumerate(found) if any("opened again: the rope" in words for words in each.messages)]
-
     for retime in ({}, {"retime": StampClock()}):
-        opened, begin, found = 0, time.monotonic(), []
+        opened, begin, found, told = 0, time.monotonic(), [], 0
         with FrameThread(open_source, live=True, reconnect_timeout=1.0) as frames:
             for each in Watch(frames, tracker(video), **retime):
-                found.append(each)
-                if (len(reopenings()) == 2 and each.frame is None) or opened == 20:
+                found += [] if each.frame is None else [each]
+                told += any("opened again: the rope" in words for words in each.messages)
+                if told == 2 or opened == 20:
                     break
         ended = time.monotonic()
-        told = reopenings()
-        assert len(told) == 2
-        assert all(each.found and each.age == 0.0 for each in found if each.frame is not None)
+        assert told == 2
+        assert all(each.found and each.age == 0.0 for each in found)
         times = [each.t for each in found]
         assert np.all(np.diff(times) > 0.0)
         assert times[-1] - times[0] < ended - begin
-        assert times[-1] - times[0] > 15 * 0.03  # no clock stands still
+        assert times[-1] - times[0] > 2 * 0.5  # no clock stands still
         if retime:
-            assert all(each.t <= ended for each in found)
-            assert found[told[1]].t > begin + 12 * 0.03
+            assert begin + 2 * 0.5 < times[-1] <= ended
 
 
 def test_a_live_source_gives_the_newest(pictures):

@@ -112,6 +112,9 @@ def test_the_horizon_is_as_long_as_asked():
 def test_bad_input():
     refuses("frames", MovingHorizon, pendulum.pendulum(), [0.09], frames=1)
     refuses("starts", MovingHorizon, pendulum.pendulum(), [0.09], starts=0)
+    begun = horizon(starts=1)
+    begun.update(seen(spin(0, frames=1))[0])
+    refuses("the estimator has begun", smooth, begun, seen(spin(0, frames=2))[1:])
     refuses("no marker was seen", smooth, horizon(), [Observations(0.0, np.full((2, 2), np.nan), NOISE)])
 
 

@@ -99,6 +99,19 @@ def test_the_rope_is_not_observed_shortly_before_the_strike():
     assert goal.t - 4.0 < done.decisions[-1].t <= goal.t - 2.5
 
 
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (PLAN, ""),
+        (replace(PLAN, message="it slips"), "it slips"),
+        (replace(PLAN, moves=replace(WINDS, ends=np.full(7, -1.5))), "the planned moves do not strike"),
+    ],
+)
+def test_without_an_observation_the_plan_counts(plan, message):
+    done = follow_plan(plan, Hanging(), uncertainty=NONE, options=FollowOptions(blind_time=100.0))
+    assert (done.decisions, done.message, done.success) == ((), message, not message)
+
+
 class Hanging:
     """A source that always sees the rope hang at rest: nothing that is planned can win."""
 

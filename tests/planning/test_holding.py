@@ -34,6 +34,13 @@ def test_a_tug_bears_at_least_what_the_rule_gives():
     assert held.tug.slipped
 
 
+def test_a_tug_allows_the_slip_of_the_criteria():
+    plan = replace(planned(), problem=replace(planned().problem, criteria=hf.WindCriteria(max_slip=0.02)))
+    tug = plan.measure_holding_force().tug
+    assert tug.allowed == 0.02
+    assert tug.slipped == (np.abs(tug.slip).max() > 0.02)
+
+
 def test_a_rope_off_the_peg_holds_nothing():
     assert measure_holding_force(planned(winds=False).outcome.run, PEG) is None
 

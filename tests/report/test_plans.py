@@ -88,6 +88,13 @@ def test_a_plan_without_moves_is_a_page_with_the_reason(tmp_path, kind, made):
     assert unreachable().measure_holding_force() is None
 
 
+def test_a_rule_of_thumb_is_named_whatever_its_message():
+    high, words = hf.Peg(0.0, 1.0, 0.03), replace(unreachable().feasibility, impossible=False, message="too high")
+    report = CastReport(replace(unreachable(), target=high, feasibility=words, message="too high"))
+    assert "by a rule of thumb too high" in report.verdict
+    assert "--skip-feasibility" in " ".join(report.advice)
+
+
 @pytest.mark.parametrize(
     ("made", "reason"),
     [

@@ -23,6 +23,7 @@ from hyperflex.planning import (
     MotorLimits,
     SearchOptions,
     Slot,
+    TargetGrid,
     TipTarget,
     WindCriteria,
     checked_behind,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _DATA, _PICTURE = "reach-map.nc", "reach-map.png"  # files of a reach map
-_RADIUS = 0.03  # m, of its targets by default
 _OBSTACLES = ("pegs", "walls", "grounds")  # tables of a set-up file
 _WRITTEN = {
     "page": "all results on one page",
@@ -88,18 +88,19 @@ class Source:
     ] = None
     limits: Annotated[Given, MotorLimits]
 
-    def read(self, conditions: Given, criteria: Given | None = None) -> Problem:
+    def read(self, conditions: Given, criteria: Given | None = None, aim: "Aim | None" = None) -> Problem:
         """Return what is planned for; options override the file.
 
         The first peg is the target if `criteria` of a wound rope are given, else an obstacle. A plan's file gives the
-        problem that the plan was made for, with the rope before it was cut.
+        problem that the plan was made for, with the rope before it was cut. Without a rope, the options that `aim`
+        lacks are named as well.
         """
         content = {} if self.setup is None else files.read_toml(self.setup)
         if PLAN in content and self.setup is not None:
             found = _of_plan(self.setup, {**conditions, **(criteria or {})})
             rope = found.rope if self.rope is None else Rope.from_toml(self.rope)
         else:
-            found = self._of_tables(content)
+            found = self._of_tables(content, aim)
             rope = found.rope
         arm = found.arm if self.arm_length is None else replace(found.arm, length=self.arm_length)
         obstacles = list(found.conditions.obstacles)
@@ -118,7 +119,7 @@ class Source:
             {**found.targets, "peg": first},
         )
 
-    def _of_tables(self, content: dict[str, Any]) -> Problem:
+    def _of_tables(self, content: dict[str, Any], aim: "Aim | None") -> Problem:
         """Return the problem and the targets of a set-up file's tables, or of the rope's file alone."""
         tables = {name: content.get(name, {}) for name in ("limits", "target", "slot", "behind")}
         for name, table in tables.items():
@@ -128,7 +129,9 @@ class Source:
         if self.rope is not None:
             content["rope"] = Rope.from_toml(self.rope).table()
         if "rope" not in content:
-            raise InvalidInput("no rope is given", fix="Give --rope FILE, or a set-up file with a table [rope]")
+            also = aim.missing(content.get(aim.name, {})) if aim else ""
+            fix = "Give --rope FILE, or a set-up file with a table [rope]"
+            raise InvalidInput(f"no rope is given{also and f', and {also}'}", fix=fix)
         where = str(self.setup or self.rope)
         check_tables(where, content, (*PLANNING, "identification"))
         if swinging := [name for name in ("q0", "qd0") if name in content]:
@@ -177,17 +180,26 @@ def _of_plan(path: Path, given: Given) -> Problem:
     return Problem(known.rope, known.arm, known.limits, known.criteria, conditions, targets)
 
 
-def _target_of(name: str, kind: Any, table: Mapping[str, Any], given: Given, option: str = "") -> Any:
-    """Return a target of a dataclass `kind`: the table [name] of a set-up file, with options over it."""
-    known = {each.name: each.default for each in options_of(kind)}
-    checks.keys(f"the table [{name}]", table, known)
-    values = {**table, **given}
-    lacking = [each for each, default in known.items() if default is MISSING and each not in values and each != "y"]
-    if missing := [f"--{(option or name) if each == 'x' else each}" for each in lacking]:
-        are = "is" if len(missing) == 1 else "are"
-        fix = f"Give {'it' if len(missing) == 1 else 'them'}, or a set-up file with a table [{name}]"
-        raise InvalidInput(f"{' and '.join(missing)} {are} missing", fix=fix)
-    return kind(**values)
+class Aim(NamedTuple):
+    """A target of a dataclass `kind`: the table [name] of a set-up file, with `given` options over it."""
+
+    name: str
+    kind: Any
+    given: Given
+    option: str  # of its place
+
+    def missing(self, table: Mapping[str, Any]) -> str:
+        """Return that options are missing which the table does not hold either; empty if none is."""
+        lacking = [each.name for each in options_of(self.kind) if each.default is MISSING and each.name != "y"]
+        names = [f"--{self.option if each == 'x' else each}" for each in lacking if each not in {*table, *self.given}]
+        return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} missing" if names else ""
+
+    def target(self, table: Mapping[str, Any]) -> Any:
+        """Return the target."""
+        checks.keys(f"the table [{self.name}]", table, [each.name for each in options_of(self.kind)])
+        if missing := self.missing(table):
+            raise InvalidInput(missing, fix=f"Give what is missing, or a set-up file with a table [{self.name}]")
+        return self.kind(**{**table, **self.given})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,15 +284,16 @@ def cast(
     it replaces the files of an earlier cast in the folder.
 
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no cast
-    succeeds; the best throw is written with the reason and with the nearest target that should work.
+    succeeds; the best is written with the reason and with the nearest target that should work.
     """
     from hyperflex.planning import Uncertainty, plan_cast
     from hyperflex.report import CastReport, check_folder
 
     check_folder(task.out)
-    problem = task.read(task.conditions, criteria)
+    aim = Aim("pegs", Peg, target, "target")
+    problem = task.read(task.conditions, criteria, aim)
     first: Peg | None = problem.targets["peg"]
-    peg = _target_of("pegs", Peg, {} if first is None else asdict(first), target, "target")
+    peg = aim.target({} if first is None else asdict(first))
     if first is not None and (peg.x, peg.y) != (first.x, first.y):
         moved = f"--target moves the first of [pegs] from ({first.x:g}, {first.y:g}) m, where no obstacle is left"
         output.note(f"{moved}. Obstacles come after it")
@@ -326,9 +339,9 @@ def whip(target: Annotated[Given, TipTarget], task: Task, *, time_budget: TimeBu
     from hyperflex.report import WhipReport, check_folder
 
     check_folder(task.out)
-    problem = task.read(task.conditions)
-    aim = _target_of("target", TipTarget, problem.targets["target"], target)
-    plan = task.plan(plan_whip, problem, aim, time_budget=time_budget)
+    aim = Aim("target", TipTarget, target, "target")
+    problem = task.read(task.conditions, aim=aim)
+    plan = task.plan(plan_whip, problem, aim.target(problem.targets["target"]), time_budget=time_budget)
 
     def measure() -> tuple[Any, dict[str, Any]]:
         impact = plan.impact()
@@ -355,19 +368,16 @@ def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget 
     from hyperflex.report import InsertReport, check_folder
 
     check_folder(task.out)
-    problem = task.read(task.conditions)
-    where = _target_of("slot", Slot, problem.targets["slot"], slot)
-    plan = task.plan(plan_insert, problem, where, time_budget=time_budget)
+    aim = Aim("slot", Slot, slot, "slot")
+    problem = task.read(task.conditions, aim=aim)
+    plan = task.plan(plan_insert, problem, aim.target(problem.targets["slot"]), time_budget=time_budget)
     task.finish(plan, lambda plan, _: InsertReport(plan), lambda: (None, {}), "drawing the page")
 
 
 def reach_map(
     source: Source,
-    target: Annotated[Given, Peg, "radius", "mu"],
+    grid: Annotated[Given, TargetGrid],
     *,
-    cells: Annotated[
-        int, typer.Option(min=1, max=200, help="Cells of the grid, from the shaft to the rope's reach.")
-    ] = 8,
     criteria: Winding,
     conditions: Annotated[Given, Conditions, "clearance"],
     search: Annotated[Given, SearchOptions, "seed"],
@@ -389,13 +399,14 @@ def reach_map(
 
     Ctrl-C ends it; the map so far is written, marked as incomplete.
     """
-    from hyperflex.planning import NOT_PLANNED, TargetGrid, build_reach_map
+    from hyperflex.planning import NOT_PLANNED, build_reach_map
     from hyperflex.report import check_folder, save_png, whole_folder
 
     check_folder(source.out)
     problem = source.read(conditions, criteria)
-    like = problem.targets["peg"] or Peg(0.0, 0.0, _RADIUS)
-    grid = TargetGrid(cells=cells, **{"radius": like.radius, "mu": like.mu} | target)
+    first = problem.targets["peg"]
+    like: Given = {} if first is None else {"radius": first.radius, "mu": first.mu}
+    targets = TargetGrid(**like | grid)
     # spawned processes inherit no open files
     pool = nullcontext() if workers == 1 else ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     with pool as executor:
@@ -404,7 +415,7 @@ def reach_map(
                 problem.rope,
                 problem.arm,
                 problem.limits,
-                grid=grid,
+                grid=targets,
                 criteria=problem.criteria,
                 conditions=problem.conditions,
                 time_budget=time_budget,
@@ -419,9 +430,9 @@ def reach_map(
         return {"map": folder / _DATA, "picture": folder / _PICTURE}
 
     written = files.rescued(write, source.out)
-    targets, wound = found.status.size, int(found.wound.sum())
+    count, wound = found.status.size, int(found.wound.sum())
     searched = int((~found.infeasible & (found.status != NOT_PLANNED)).sum())
-    result = {"source": "simulated", "targets": targets, "feasible": searched, "wound": wound}
+    result = {"source": "simulated", "targets": count, "feasible": searched, "wound": wound}
     result |= {"complete": found.complete, "files": written}
     stopped_text = f"Interrupted; the map so far is in {source.out}." if stopped else ""
     output.show(result, output.rows("Reach map", result), interrupted=stopped_text)

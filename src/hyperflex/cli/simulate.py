@@ -9,6 +9,7 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
+from hyperflex.errors import InvalidInput
 from hyperflex.interruption import deferred
 
 if TYPE_CHECKING:
@@ -48,6 +49,9 @@ def simulate(
     if horizon is not None:
         checks.number("--horizon", horizon, sign="positive", unit="m")
     simulated = Setup.from_toml(setup)
+    if horizon is not None and simulated.pegs:
+        fix = "Leave out --horizon, or the obstacles"
+        raise InvalidInput("--horizon is of a run in free flight", got=f"{len(simulated.pegs)} obstacles", fix=fix)
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
     found, stopped = output.run(lambda: run(simulated, duration=duration, time_budget=time_budget, progress=True))
     kept = output.partial_path(out) if stopped else out

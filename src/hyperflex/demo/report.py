@@ -108,7 +108,7 @@ class Demo:
     angle_noise: Array  # (n,) standard deviation of the measured link angles, rad
     plan: CastPlan  # how the identified rope is wound round a target
     held: HoldingForce | None  # result of a tug at the wound rope
-    proof: CastOutcome | None  # the same throw by the rope that made the recording
+    proof: CastOutcome | None  # the same cast by the rope that made the recording
     files: dict[str, Path] = field(default_factory=dict)  # of its report, by what they are: "page", "plan", "rope", ...
 
     @property
@@ -131,14 +131,14 @@ class Demo:
 
     @property
     def verdicts(self) -> tuple[tuple[bool, str], ...]:
-        """Whether the planned cast succeeds, and the same throw of the rope that was recorded, in sentences."""
+        """Whether the planned cast succeeds, and the same cast of the rope that was recorded, in sentences."""
         planned = (self.plan.success, CastReport(self.plan).verdict)
         if self.proof is None:
             return (planned,)
         text = f"winds {abs(self.proof.turns):.2f} turns and holds too."
         if not self.proof.success:
             text = f"does not: {self.proof.message}. The identified rope differs a little from that rope."
-        rope = f"The rope that made the recording ({twin.FINE} links), thrown by the same motion"
+        rope = f"The rope that made the recording ({twin.FINE} links), cast by the same motion"
         return planned, (self.proof.success, f"{rope}, {text}")
 
 
@@ -161,7 +161,7 @@ def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
     progress("pulling at the wound rope")
     held, proof = plan.measure_holding_force(), None
     if plan.motion is not None:
-        progress("throwing the rope that made the recording")
+        progress("casting the rope that made the recording")
         proof = verify_cast(Problem(twin.fine_rope(), casting_arm(), plan.problem.limits), TARGET, plan.motion)
     return Demo(recording, track.seen, found, _parameters(found), scale, plan, held, proof)
 

@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.observations import InputFrame, MarkerModel
-from hyperflex.estimate.process import BEYOND, Prediction, Process
+from hyperflex.estimate.process import BEYOND, Process, StatePrediction
 from hyperflex.estimate.square_root import CLOSE
 from hyperflex.interfaces import RopeState
 from hyperflex.status import Status
@@ -110,7 +110,7 @@ class Node(NamedTuple):
     x : (N,) float64
     noise : (r,) float64
         Of the step from the frame before, of variance 1; empty in the first frame.
-    predicted : Prediction
+    predicted : StatePrediction
         From the frame before; of the first frame only its accelerations count.
     measurement : (m,), (m, N) float64
         Residuals of the observations, whitened, and their derivatives.
@@ -118,7 +118,7 @@ class Node(NamedTuple):
 
     x: Array
     noise: Array
-    predicted: Prediction
+    predicted: StatePrediction
     measurement: Measured
 
 
@@ -167,7 +167,7 @@ class Interval:
         self.mean, self.rows, self.frames = mean, rows, [first]
         self.start, self._forgotten = np.zeros(len(rows)), 0.0
         self.smoothed: list[Smoothed] = []
-        self.nodes = [self._node(first, Prediction(mean, np.zeros((0, 0)), qdd), np.zeros(0))]
+        self.nodes = [self._node(first, StatePrediction(mean, np.zeros((0, 0)), qdd), np.zeros(0))]
         self._smoothe()
 
     @property
@@ -333,7 +333,7 @@ class Interval:
             w = w + _gain(frame.noise, target[1]) @ (target[0] - found.x - frame.noise.T @ w)
         return self._node(frame, found, w)
 
-    def _node(self, frame: InputFrame, found: Prediction, w: Array) -> Node:
+    def _node(self, frame: InputFrame, found: StatePrediction, w: Array) -> Node:
         """Return the node of a frame whose state is predicted up to the noise w."""
         x, seen = found.x + frame.noise[: w.size].T @ w, frame.seen
         residuals = np.zeros(0), np.zeros((0, x.size))

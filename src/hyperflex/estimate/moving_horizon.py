@@ -266,13 +266,14 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
     Parameters
     ----------
     estimator : MovingHorizon
+        That has not begun.
     observations : iterable of Observations
         In the order of time.
 
     Raises
     ------
     InvalidInput
-        If nothing is seen in any of them.
+        If nothing is seen in any of them, or the estimator has begun.
     SimulationError
         If the rope's equations cannot be integrated along the estimates.
 
@@ -280,6 +281,9 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
     -----
     Maximum a posteriori, with covariances of Laplace's approximation; cost O(T) per round (see :func:`smooth_linear`).
     """
+    if estimator.smoothed:
+        fix = "Give a new estimator, or restart() it"
+        raise InvalidInput("the estimator has begun", got=f"t = {estimator.t} s", fix=fix)
     frames: list[InputFrame] = []
     for seen in observations:
         begun = estimator.begun

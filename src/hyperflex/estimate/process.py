@@ -86,7 +86,7 @@ class Disturbances:
         return np.concatenate([alike, np.diag(np.concatenate([np.repeat(0.1 * sizes, n), parameter_std]))])
 
 
-class Prediction(NamedTuple):
+class StatePrediction(NamedTuple):
     """The state x = (q, qd, parameters) at a later time.
 
     Attributes
@@ -141,7 +141,7 @@ class Process:
         """Return another process of the same rope, for other values of the parameters."""
         return Process(self.rope, self.parameters, self._motion, self._arm)
 
-    def predict(self, x: Array, t: float, until: float) -> Prediction:
+    def predict(self, x: Array, t: float, until: float) -> StatePrediction:
         """Return the state at `until`, s, that follows from x (N,) at time t.
 
         Raises
@@ -150,7 +150,7 @@ class Process:
             If the rope's motion cannot be computed.
         """
         x, rows = self.carry(x, np.eye(x.size), t, until)
-        return Prediction(x, rows.T, self.accelerations(x, until))
+        return StatePrediction(x, rows.T, self.accelerations(x, until))
 
     def carry(self, x: Array, rows: Array, t: float, until: float) -> tuple[Array, Array]:
         """Return the state at `until`, s, that follows from x (N,) at time t, and the changes of it.

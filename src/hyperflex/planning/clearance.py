@@ -1,4 +1,4 @@
-"""Clearance of a rope from the arm that throws it (the motor's shaft, and the arm up to its tip), and obstacles."""
+"""Clearance of a rope from the arm that moves it (the motor's shaft, and the arm up to its tip), and obstacles."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple

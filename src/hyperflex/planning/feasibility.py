@@ -19,7 +19,7 @@ from hyperflex.planning.problem import Problem
 
 
 @dataclass(frozen=True)
-class SwingModel:
+class SwingCoefficients:
     """Coefficients of the feasibility check.
 
     They were chosen by hand for the paper's cable: searches of two minutes found plans for all feasible targets of
@@ -63,7 +63,7 @@ class SwingModel:
     max_periods: float = 11.0
 
 
-SWING = SwingModel()
+SWING = SwingCoefficients()
 FACTOR = 1.05  # between changes that are tried as remedies
 RING, DIRECTIONS = 1.2, 72  # of the search for the nearest feasible target
 
@@ -80,7 +80,7 @@ class Feasibility:
         The same length for a wound rope and its hanging end; `available_turns` must be more.
     energy_ratio : float
         Energy of the tail at the strike, over the energy that lifts its centre of mass over the target; at least
-        ``SwingModel.energy_ratio``.
+        ``SwingCoefficients.energy_ratio``.
     holding_force : float
         Greatest pull that the wound rope can withstand, N: weight of the hanging end times e^(mu angle of contact).
     impossible : bool
@@ -147,7 +147,7 @@ def search_time(problem: Problem, peg: Peg) -> float:
     """Time, s, until the strike that a search allows by default.
 
     The strokes that swing the rope up from rest to the target and a stroke's gain beyond it, and
-    ``SwingModel.spare_periods``; at least the time of the set-up.
+    ``SwingCoefficients.spare_periods``; at least the time of the set-up.
     """
     gain = _gain(problem)
     strokes = (_Target(problem, peg).angle + gain) / (SWING.mean_gain * gain)

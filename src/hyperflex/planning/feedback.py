@@ -1,4 +1,4 @@
-"""A planned throw in closed loop: at each rest of the arm, the rest of the throw is planned again."""
+"""A planned cast in closed loop: at each rest of the arm, the rest of the cast is planned again."""
 
 import math
 import time
@@ -28,7 +28,7 @@ from hyperflex.planning.shooting import shoot
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 from hyperflex.status import Status
 
-SLOWLY = 0.3  # fraction of the motor's speed at which an aborted throw takes the arm down
+SLOWLY = 0.3  # fraction of the motor's speed at which an aborted cast takes the arm down
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,15 @@ class FollowOptions:
         Whether the rope moves on while a decision is made: one that takes longer than `decision_time` is not carried
         out then. By default the rope waits, as a simulated one does.
     min_probability : float
-        Fraction of the likely scenarios in which a throw must succeed before the last stroke and the last move; else it
+        Fraction of the likely scenarios in which a cast must succeed before the last stroke and the last move; else it
         is aborted.
     max_arm_error : float
-        Angle, rad, between arm and command at a rest, above which a throw is aborted.
+        Angle, rad, between arm and command at a rest, above which a cast is aborted.
     samples, likely : int
-        Scenarios that may be the true one, and how many of them, those that predict the observations best, a throw is
+        Scenarios that may be the true one, and how many of them, those that predict the observations best, a cast is
         tried in.
     min_gain : float
-        Increase of the mean score, about one per success, by which a changed throw must be better.
+        Increase of the mean score, about one per success, by which a changed cast must be better.
     blind_time : float
         Time before the expected strike, s, within which the rope is no longer observed.
     position_scale, speed_scale : float
@@ -100,7 +100,7 @@ class Decision:
     left : float
         Time until that move, as planned before the decision, s.
     before, after : float
-        Fraction of the likely scenarios in which the throw succeeds, before and after the decision.
+        Fraction of the likely scenarios in which the cast succeeds, before and after the decision.
     action : {"kept", "changed", "aborted", "late"}
         Late: the decision came too late and was not carried out.
     seconds : float
@@ -131,12 +131,15 @@ class FollowResult:
         Their motion.
     decisions : tuple of Decision
     options : FollowOptions
+    planned : str
+        Why the plan fails as it was planned; empty if it succeeds.
     """
 
     moves: Moves
     motion: Motion
     decisions: tuple[Decision, ...]
     options: FollowOptions
+    planned: str = ""
 
     @property
     def late(self) -> int:
@@ -145,14 +148,14 @@ class FollowResult:
 
     @property
     def completed(self) -> bool:
-        """Whether the throw was made to its end, not aborted."""
+        """Whether the cast was made to its end, not aborted."""
         return not (self.decisions and self.decisions[-1].action == "aborted")
 
     @property
     def message(self) -> str:
-        """Why the throw failed; empty if it did not."""
+        """Why the cast failed; empty if it did not. Without a decision, that of the plan."""
         if not self.decisions:
-            return ""
+            return self.planned
         last = self.decisions[-1]
         why = f"it succeeds in {100 * last.after:.0f} % of the likely scenarios"
         if abs(last.arm_error) > self.options.max_arm_error:
@@ -163,7 +166,10 @@ class FollowResult:
 
     @property
     def status(self) -> Status:
-        """SUCCESS: made to its end, and at the last observation it succeeds in most of the likely scenarios."""
+        """SUCCESS: made to its end, and at the last observation it succeeds in most of the likely scenarios.
+
+        Where nothing was observed: the plan succeeds.
+        """
         return Status.FAILED if self.message else Status.SUCCESS
 
     @property
@@ -183,12 +189,12 @@ def follow_plan(
     seed: int = 0,
     threads: int | None = None,
 ) -> FollowResult:
-    """Follow a planned throw; at each rest before the strike, plan the rest of it again from the observed state.
+    """Follow a planned cast; at each rest before the strike, plan the rest of it again from the observed state.
 
     Parameters
     ----------
     plan : CastPlan
-        With a throw, as it was planned or read by :func:`hyperflex.read_plan`.
+        With moves, as it was planned or read by :func:`hyperflex.read_plan`.
     source : StateSource
         Source of the rope's state, with as many links as the plan's rope.
     motor : Motor, optional
@@ -203,16 +209,16 @@ def follow_plan(
     Raises
     ------
     InvalidInput
-        If the plan is no cast or has no throw, or a number is out of range.
+        If the plan is no cast or has no moves, or a number is out of range.
 
     Notes
     -----
-    Sampled scenarios are ranked by how well they predict the observed states. In the best ones the rest of the throw is
+    Sampled scenarios are ranked by how well they predict the observed states. In the best ones the rest of the cast is
     tried as it is, and corrected so that the rope strikes in the planned state: :mod:`hyperflex.planning.shooting` with
     the remaining strokes and rests. Contact before the last observation is not noticed.
 
     A decision takes 0.3 to 0.9 s of processor time with 50 links. The default ``decision_time`` therefore suits only a
-    rope that waits: in real time give a second, which the rests of a throw must leave.
+    rope that waits: in real time give a second, which the rests of a cast must leave.
     """
     if not isinstance(plan, CastPlan):
         raise InvalidInput("only casts are followed", got=type(plan).__name__, allowed="a CastPlan")
@@ -235,7 +241,8 @@ def follow_plan(
             motor.set_motion(loop.motion(), decision.t)
         if decision.action == "aborted":
             break
-    return FollowResult(loop.moves, loop.motion(), tuple(decisions), chosen)
+    planned = plan.message if loop.goal else "the planned moves do not strike"
+    return FollowResult(loop.moves, loop.motion(), tuple(decisions), chosen, planned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +284,7 @@ class _Flight(NamedTuple):
 
 
 class _Loop:
-    """The throw as decided so far, the next move, and the delay of the strike so far, s.
+    """The cast as decided so far, the next move, and the delay of the strike so far, s.
 
     Scenarios are ranked by the sum of squared errors (of :func:`features`) in predicting each observed state from the
     one before. Delays of moves are not part of the prediction.
@@ -342,21 +349,21 @@ class _Loop:
         return [self.scenarios[m] for m in np.argsort(self.errors, kind="stable")[: self.options.likely]]
 
     def choose(self, goal: Goal, state: RopeState, first: int) -> tuple[float, float, str]:
-        """Plan the throw again from move `first` on; return its success probabilities before and after, and the action.
+        """Plan the cast again from move `first` on; return its success probabilities before and after, and the action.
 
         It may be aborted from one move before the last one that starts before the strike.
         """
-        scenarios, throws, starts = self.likely(), [self.moves], self.starts()
-        probability, value = self.probabilities(throws, state, scenarios)
+        scenarios, casts, starts = self.likely(), [self.moves], self.starts()
+        probability, value = self.probabilities(casts, state, scenarios)
         if first < self.last and probability[0] < 1.0:
-            throws.append(self.corrected(goal, scenarios[0].without_delays(), state, first))
-            probability, value = self.probabilities(throws, state, scenarios)
+            casts.append(self.corrected(goal, scenarios[0].without_delays(), state, first))
+            probability, value = self.probabilities(casts, state, scenarios)
         chosen = int(value[-1] > value[0] + self.options.min_gain)
         before, after = float(probability[0]), float(probability[chosen])
         begun = int((starts < goal.t + self.delay).sum())
         if after < self.options.min_probability and self.move >= begun - 1 and first <= self.last:
             return before, after, self.abort(first)
-        self.moves = throws[chosen]
+        self.moves = casts[chosen]
         self.delay += float(self.starts()[-1] - starts[-1])
         return before, after, "changed" if chosen else "kept"
 
@@ -367,19 +374,19 @@ class _Loop:
         return "aborted"
 
     def probabilities(
-        self, throws: Sequence[Moves], state: RopeState, scenarios: Sequence[Scenario]
+        self, casts: Sequence[Moves], state: RopeState, scenarios: Sequence[Scenario]
     ) -> tuple[Array, Array]:
-        """Return the fraction of the scenarios in which each throw succeeds, and its mean score (W,)."""
-        pairs = [(throw, scenario) for throw in throws for scenario in scenarios]
-        motions = [scenario.motion(throw, self.problem) for throw, scenario in pairs]
+        """Return the fraction of the scenarios in which each cast succeeds, and its mean score (W,)."""
+        pairs = [(cast, scenario) for cast in casts for scenario in scenarios]
+        motions = [scenario.motion(cast, self.problem) for cast, scenario in pairs]
         ropes, pegs = zip(*((scenario.rope, scenario.peg) for _, scenario in pairs), strict=True)
         found = winding_scores(self.problem, RolloutBatch.from_state(ropes, pegs, motions, state), self.budget)
         values = found.turns >= self.problem.criteria.turns, robust_values(found, self.problem)
-        probability, value = (each.reshape(len(throws), -1).mean(axis=1) for each in values)
+        probability, value = (each.reshape(len(casts), -1).mean(axis=1) for each in values)
         return probability, value
 
     def corrected(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> Moves:
-        """Return the throw with strokes and rests from move `first` on so that it comes nearer the goal in a scenario.
+        """Return the cast with strokes and rests from move `first` on so that it comes nearer the goal in a scenario.
 
         The last move stays, and a rest that is due now leaves time for the decision.
         """
@@ -397,21 +404,21 @@ class _Loop:
         begin, how = self._flights(goal, scenario, state, [self.moves])[0], (options.rounds, options.difference)
         return shoot(begin, scale, fly, *how, self.budget)[0].moves
 
-    def _flights(self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Moves]) -> list[_Flight]:
-        """Simulate throws (M) from a state, and compare them with the goal where they pass it nearest."""
+    def _flights(self, goal: Goal, scenario: Scenario, state: RopeState, casts: Sequence[Moves]) -> list[_Flight]:
+        """Simulate casts (M) from a state, and compare them with the goal where they pass it nearest."""
         arm, options = self.problem.arm, self.options
-        motions = [scenario.motion(throw, self.problem) for throw in throws]
-        batch = RolloutBatch.from_state([scenario.rope] * len(throws), [], motions, state)
+        motions = [scenario.motion(cast, self.problem) for cast in casts]
+        batch = RolloutBatch.from_state([scenario.rope] * len(casts), [], motions, state)
         t, q, qd = batch.fly(arm, goal.t - state.t + options.window, self.budget)
         near, found = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window), list[_Flight]()
-        for m, (throw, motion) in enumerate(zip(throws, batch.motions, strict=True)):
+        for m, (cast, motion) in enumerate(zip(casts, batch.motions, strict=True)):
             rows = features(scenario.rope, arm, motion, t[near], q[m, near], qd[m, near], options)
             rows = np.nan_to_num(rows, nan=1e3)
             way, behind = np.diff(rows, axis=0), goal.features - rows[:-1]
             part = np.clip((behind * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-300), 0.0, 1.0)
             away = behind - part[:, None] * way
             k = int((away**2).sum(axis=1).argmin())
-            found.append(_Flight(throw, float(t[near][k] + part[k] * (t[1] - t[0])), away[k]))
+            found.append(_Flight(cast, float(t[near][k] + part[k] * (t[1] - t[0])), away[k]))
         return found
 
 

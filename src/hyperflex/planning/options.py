@@ -6,7 +6,7 @@ Each field has its unit, range and reason in its metadata: ``help`` and ``unit``
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,9 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Obstacle, Peg, checked_obstacles
-from hyperflex.options import option
+from hyperflex.options import check, option
+
+MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 
 def checked_behind(pegs: object) -> tuple[Peg, ...]:
@@ -57,23 +59,22 @@ class MotorLimits:
     ([0.447, 0.85], [0.5, 0.294])
     """
 
-    speed: float = option(2.0 * math.pi / 0.73, "Greatest speed of the arm.", "rad/s")
-    acceleration: float = option(4.0 * math.pi / 0.73**2, "Greatest acceleration of the arm.", "rad/s^2")
-    torque: float = option(math.inf, "Greatest torque at the shaft.", "N m", shown="not limited")
+    speed: float = option(2.0 * math.pi / 0.73, "Greatest speed of the arm.", "rad/s", sign="positive")
+    acceleration: float = option(
+        4.0 * math.pi / 0.73**2, "Greatest acceleration of the arm.", "rad/s^2", sign="positive"
+    )
+    torque: float = option(
+        math.inf, "Greatest torque at the shaft.", "N m", sign="positive", infinite=True, shown="not limited"
+    )
     angles: tuple[float, float] = option((-math.pi, math.pi), "Least and greatest arm angle; 0 hangs down.", "rad")
 
     def __post_init__(self) -> None:
-        for each in fields(self)[:3]:
-            infinite, unit = each.name == "torque", each.metadata["unit"]
-            value = getattr(self, each.name)
-            value = checks.number(f"motor {each.name}", value, sign="positive", unit=unit, infinite=infinite)
-            object.__setattr__(self, each.name, value)
-        least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
-        checks.meant("motor angles", (least, greatest), "rad")
+        check(self, "motor")
+        least, greatest = self.angles
+        checks.meant("motor angles", self.angles, "rad")
         if greatest - least < 0.1:
             allowed = "(least, greatest), 0.1 rad apart"
             raise InvalidInput("motor angles leave no room to move", got=[least, greatest], allowed=allowed)
-        object.__setattr__(self, "angles", (least, greatest))
 
     def start_angle(self, side: int) -> float:
         """Return the arm angle at t = 0, rad: a quarter turn to `side` (-1: left), clipped to the motor's range."""
@@ -107,9 +108,9 @@ class WindCriteria:
     settle : float
         Time from the arm's stop, s, up to 10, after which the rope is watched for `watch`.
     watch : float
-        Time for which the rope must stay wound and hold, s.
+        Time for which the rope must stay wound and hold, s, at least MEAN_TIME: forces are averaged over it.
     max_slip : float
-        Greatest slip on the target in that time, m.
+        Greatest slip on the target in that time, and in a simulated tug, m.
     holding_force : float
         Pull that the wound rope must withstand, N, by a simulated tug.
     behind : sequence of Peg
@@ -123,23 +124,25 @@ class WindCriteria:
     """
 
     turns: float = option(1.25, "Least turns about the target, from the arm's tip to the rope's end.")
-    contact: float = option(0.0, "Least angle of the target that the rope must cover.", "rad", shown="none")
-    settle: float = option(1.0, "Time from the arm's stop after which the rope is watched.", "s")
-    watch: float = option(2.0, "Time for which the rope must stay wound and hold.", "s")
-    max_slip: float = option(5e-3, "Greatest slip on the target in that time.", "m")
-    holding_force: float = option(0.0, "Pull that the wound rope must withstand.", "N")
+    contact: float = option(
+        0.0, "Least angle of the target that the rope must cover.", "rad", sign="nonnegative", shown="none"
+    )
+    settle: float = option(1.0, "Time from the arm's stop after which the rope is watched.", "s", sign="nonnegative")
+    watch: float = option(2.0, "Time for which the rope must stay wound and hold.", "s", sign="positive")
+    max_slip: float = option(5e-3, "Greatest slip on the target in that time.", "m", sign="positive")
+    holding_force: float = option(0.0, "Pull that the wound rope must withstand.", "N", sign="nonnegative")
     behind: tuple[Peg, ...] = ()
 
     def __post_init__(self) -> None:
-        for each in fields(self)[:-1]:
-            sign: checks.Sign = "positive" if each.name in ("watch", "max_slip") else "nonnegative"
-            value = checks.number(each.name, getattr(self, each.name), sign=sign, unit=each.metadata["unit"])
-            object.__setattr__(self, each.name, value)
+        check(self, "")
         if not 0.5 < self.turns <= 20.0:
             allowed = "more than 0.5 turns, up to 20"
             raise InvalidInput("turns are not those of a wound rope", got=self.turns, allowed=allowed)
         if self.settle > 10.0:
             raise InvalidInput("settle is longer than a rope takes to come to rest", got=self.settle, allowed="<= 10 s")
+        if self.watch < MEAN_TIME:
+            allowed = f">= {MEAN_TIME:g} s, over which forces are averaged"
+            raise InvalidInput("watch is too short to measure a hold", got=self.watch, allowed=allowed)
         object.__setattr__(self, "behind", checked_behind(self.behind))
         if self.holding_force > 0.0:
             refuse_behind(self.behind, "a holding force")
@@ -268,37 +271,46 @@ class SearchOptions:
         Sampled scenarios in which a robust plan is verified.
     """
 
-    seed: int = option(0, "Seed of the search's random numbers.")
+    seed: int = option(0, "Seed of the search's random numbers.", sign="nonnegative")
     threads: int | None = option(None, "Threads that the search may use. [default: one a processor]")
     skip_feasibility: bool = option(False, "Search even if the feasibility check calls the target out of reach.")
     fallback: bool = option(False, "If the plan fails, plan for the nearest targets until one succeeds.")
-    progress: bool = False
+    progress: bool = option(False, "Show a progress bar.")
     start_from: Sequence[Any] = ()
     executor: Executor | None = None
     chunk_size: int | None = None
-    improve: float = 0.25
-    speeds: tuple[float, ...] = (1.0, 0.7, 0.5)
-    width: int = 12
-    siblings: int = 2
-    rests: int = 5
-    longest_rest: float = 0.6
-    stroke: float = 0.95
-    watched: float = 0.7
-    back: int = 3
-    pieces: int = 3
-    coarse: float = 2.0
-    deviations: tuple[float, float] = (0.005, 0.02)
-    batch: int = 8
-    finishes: int = 3
-    nearly: float = 0.8
-    members: int = 16
-    parents: int = 4
-    spread: float = 0.15
-    scenarios: int = 32
+    improve: float = option(0.25, "Time to improve a plan, over the time to find it.", sign="nonnegative")
+    speeds: tuple[float, ...] = option((1.0, 0.7, 0.5), "Speeds of strokes, over the motor's.", sign="positive")
+    width: int = option(12, "Swings from each side that are continued.", sign="positive")
+    siblings: int = option(2, "How many of them may differ in the last stroke alone.", sign="positive")
+    rests: int = option(5, "Rests tried after each stroke.", sign="positive")
+    longest_rest: float = option(0.6, "The longest rest, in periods of the rope's swing.", sign="nonnegative")
+    stroke: float = option(0.95, "Full stroke, in half turns.", sign="positive")
+    watched: float = option(0.7, "Periods after a stroke in which a strike is looked for.", sign="positive")
+    back: int = option(3, "Strokes before the first strike at which the next pass begins.", sign="positive")
+    pieces: int = option(3, "Pieces of each link in the checks with shorter links.", sign="positive")
+    coarse: float = option(
+        2.0, "Longest link in contact, in radii of the target and the rope.", sign="positive", infinite=True
+    )
+    deviations: tuple[float, float] = option(
+        (0.005, 0.02), "Usual and greatest deviation of shorter links.", sign="nonnegative", infinite=True
+    )
+    batch: int = option(8, "Swings tried in contact at once.", sign="positive")
+    finishes: int = option(3, "Last moves tried at once after the first.", sign="positive")
+    nearly: float = option(0.8, "Turns over those required from which moves are varied first.", sign="nonnegative")
+    members: int = option(16, "Varied moves of a generation.", sign="nonnegative")
+    parents: int = option(4, "Candidates that varied moves are made from.", sign="positive")
+    spread: float = option(0.15, "Greatest standard deviation of varied moves.", sign="nonnegative")
+    scenarios: int = option(32, "Sampled scenarios that verify a robust plan.", sign="positive")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", checks.count("seed", self.seed, least=0))
+        check(self, "")
         if self.threads is not None:
             object.__setattr__(self, "threads", checks.count("threads", self.threads, most=checks.MOST_THREADS))
-        for name in ("skip_feasibility", "fallback", "progress"):
-            object.__setattr__(self, name, checks.flag(name, getattr(self, name)))
+        near = tuple(checks.sequence("start_from", self.start_from, "a sequence of CastPlan"))
+        for each in near:
+            if getattr(each, "kind", None) != "cast":
+                raise InvalidInput("start_from holds something else", got=each, allowed="a sequence of CastPlan")
+        object.__setattr__(self, "start_from", near)
+        if max(self.speeds) > 1.0:
+            raise InvalidInput("speeds exceed the motor's", got=self.speeds, allowed="more than 0, up to 1")

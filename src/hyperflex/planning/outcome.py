@@ -15,6 +15,7 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import named, way_gaps
+from hyperflex.planning.options import MEAN_TIME, WindCriteria
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import (
     clearances,
@@ -33,7 +34,6 @@ from hyperflex.winding import TugTest, Winding
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 TOO_LONG = "the verification took longer than the time allowed for it"
-MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -291,17 +291,22 @@ class HoldingForce:
 
 @interruptible()
 def measure_holding_force(
-    run: Trajectory, peg: Peg, *, time_budget: float | Budget | None = None
+    run: Trajectory,
+    peg: Peg,
+    *,
+    max_slip: float = WindCriteria.max_slip,
+    time_budget: float | Budget | None = None,
 ) -> HoldingForce | None:
     """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated.
 
-    `time_budget`, s, is as of :func:`hyperflex.simulate`; SimulationError if it ends before.
+    The rope holds while it slips by less than `max_slip`, m. `time_budget`, s, is as of :func:`hyperflex.simulate`;
+    SimulationError if it ends before.
     """
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
-        tug = winding.tug_test(run, peg, time_budget=time_budget)
+        tug = winding.tug_test(run, peg, allowed=max_slip, time_budget=time_budget)
     except InvalidInput:
         return None
     except SimulationError as error:
@@ -311,15 +316,17 @@ def measure_holding_force(
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
 
 
-def require_holding_force(outcome: CastOutcome, peg: Peg, force: float, budget: Budget) -> CastOutcome:
+def require_holding_force(
+    outcome: CastOutcome, peg: Peg, force: float, budget: Budget, *, max_slip: float = WindCriteria.max_slip
+) -> CastOutcome:
     """Return the outcome, as a failure if a simulated tug shows that the rope withstands less than `force`, N.
 
-    A force of 0 requires no tug.
+    A force of 0 requires no tug; `max_slip`, m, is as of :func:`measure_holding_force`.
     """
     if force <= 0.0 or not outcome.success or outcome.run is None:
         return outcome
     try:
-        measured = measure_holding_force(outcome.run, peg, time_budget=budget)
+        measured = measure_holding_force(outcome.run, peg, max_slip=max_slip, time_budget=budget)
     except SimulationError:
         return replace(outcome, held=False, message=TOO_LONG, n_links=0)
     if measured is None:

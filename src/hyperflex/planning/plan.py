@@ -256,6 +256,12 @@ class CastPlan(Plan):
             return False
         return self.interrupted or any(not each.completed for each in self._outcomes())
 
+    @property
+    def refused_by_rule(self) -> bool:
+        """Whether no search was made because of a rule of thumb: geometry and the motor do not rule the target out."""
+        known = self.feasibility
+        return self.moves is None and not (self.seconds or known.feasible or known.impossible)
+
     def _outcomes(self) -> list[CastOutcome]:
         return [each for each in (self.outcome, self.finer_outcome) if each is not None]
 
@@ -267,10 +273,10 @@ class CastPlan(Plan):
 
     def measure_holding_force(self) -> HoldingForce | None:
         """Tug at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""
-        outcome = self.outcome
-        if outcome is None or self.run is None or not (outcome.wound and outcome.slip < self.problem.criteria.max_slip):
+        outcome, most = self.outcome, self.problem.criteria.max_slip
+        if outcome is None or self.run is None or not (outcome.wound and outcome.slip < most):
             return None
-        return measure_holding_force(self.run, self.target)
+        return measure_holding_force(self.run, self.target, max_slip=most)
 
     def notes(self) -> dict[str, str]:
         """Return notes for the head of the motor's file."""

@@ -16,7 +16,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope
-from hyperflex.options import option
+from hyperflex.options import check, option
 from hyperflex.planning.casting import CastRequest, plan_each
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
 from hyperflex.planning.plan import from_table, to_table
@@ -142,15 +142,18 @@ class TargetGrid:
         Of the targets, m, and their friction with the rope.
     """
 
-    cells: int = option(8, "Targets from the arm's pivot to as far as the rope comes.")
+    cells: int = option(8, "Cells of the grid, from the arm's pivot to as far as the rope comes.", sign="positive")
     x: npt.ArrayLike | None = None
     y: npt.ArrayLike | None = None
-    radius: float = option(0.03, "Radius of the targets.", "m")
-    mu: float = option(0.3, "Friction between rope and targets.")
+    radius: float = option(0.03, "Radius of the targets.", "m", sign="positive")
+    mu: float = option(0.3, "Coefficient of friction between rope and targets.", sign="nonnegative")
+
+    def __post_init__(self) -> None:
+        check(self, "grid")
 
     def places(self, problem: Problem) -> tuple[Array, Array]:
         """Return x (X,) and y (Y,) of the targets for a problem, m."""
-        (x0, y0), count = problem.arm.pivot, checks.count("cells", self.cells)
+        (x0, y0), count = problem.arm.pivot, self.cells
         steps = (np.arange(count) + 0.5) * (problem.arm.length + problem.rope.total_length) / count
         x = x0 + steps if self.x is None else _increasing("x", self.x)
         y = y0 + np.concatenate([-steps[::-1], steps]) if self.y is None else _increasing("y", self.y)

@@ -20,7 +20,7 @@ from hyperflex.planning.problem import Problem
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
 
-MOVES = 32  # sampled delays; a throw of more moves uses them again
+MOVES = 32  # sampled delays; a plan of more moves uses them again
 RELATIVE, TIMES = ("length", "mass", "friction", "mu"), ("lag", "timing")  # relative, and in seconds
 # Fitted properties that replace a factor. A motion shows friction over mass: with either fitted the mass is omitted.
 REPLACED_BY = {"length": ("length",), "mass": ("mass", "inertia", *DAMPING), "friction": DAMPING}
@@ -54,7 +54,9 @@ class Scenario:
         """Return the arm's motion when a motion of moves and rests is commanded."""
         spec = motion.spec
         if spec.get("kind") != "moves" or spec.get("delay", 0.0):
-            raise InvalidInput("motion is not made of moves", got=spec.get("kind", "pieces"), allowed="that of a Throw")
+            raise InvalidInput(
+                "motion is not made of moves", got=spec.get("kind", "pieces"), allowed="hyperflex.arm_moves(...)"
+            )
         rests, durations = (np.array(spec[name]) for name in ("rests", "durations"))
         rests = _delayed(rests, durations, np.resize(self.delays, rests.size))
         return lagged(
@@ -292,12 +294,12 @@ class Uncertainty:
         lag = self.lag * abs(float(rng.standard_normal()))
         delays = self.timing * rng.standard_normal(MOVES)
         rope = problem.rope if self.posterior is None else self.posterior.sample(rng)
-        thrown, known = problem.rope, rope if self.posterior is None else self.posterior.rope
-        if known.n_links != thrown.n_links or abs(known.total_length / thrown.total_length - 1.0) > OTHER:
-            got, required = (f"{each.n_links} links, {each.total_length:.3g} m" for each in (known, thrown))
+        planned, known = problem.rope, rope if self.posterior is None else self.posterior.rope
+        if known.n_links != planned.n_links or abs(known.total_length / planned.total_length - 1.0) > OTHER:
+            got, required = (f"{each.n_links} links, {each.total_length:.3g} m" for each in (known, planned))
             raise InvalidInput("posterior is of another rope", got=got, allowed=f"{required}, as cast")
-        if rope.radius != thrown.radius:  # which no recording shows
-            rope = rope.replace(radius=thrown.radius)
+        if rope.radius != planned.radius:  # which no recording shows
+            rope = rope.replace(radius=planned.radius)
         x, y = np.array([peg.x, peg.y]) + self.place * rng.standard_normal(2)
         target = replace(peg, x=float(x), y=float(y), mu=peg.mu * float(factors[3]))
         return Scenario(scaled_rope(rope, *factors[:3]), target, lag, delays)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from hyperflex import winding
-from hyperflex.planning import CastPlan, HoldingForce, WindCriteria
+from hyperflex.planning import CastPlan, HoldingForce
 from hyperflex.report.curves import speed_plot
 from hyperflex.report.maps import target_map
 from hyperflex.report.page import Picture, Section
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class CastReport(PlanReport[CastPlan]):
     """The report of a planned cast, and of a tug at the wound rope, if one was simulated.
 
-    For a plan without a throw it is a page with the reason and a map of the target.
+    For a plan without moves it is a page with the reason and a map of the target.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def tug_figure(held: HoldingForce) -> "Figure":
         pull.axhline(held.capstan_force, color=GREY, ls=":", label=capstan)
         pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, held.capstan_force, float(tension.max()))))
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
-        allowed = 1e3 * WindCriteria.max_slip
+        allowed = 1e3 * tug.allowed
         slip.plot(way, 1e3 * np.abs(tug.slip), color=RED)
         slip.axhline(allowed, color=GREY, ls="--", label=f"{allowed:g} mm: has slipped")
         slip.legend(loc="upper left")

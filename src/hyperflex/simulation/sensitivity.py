@@ -32,7 +32,7 @@ from hyperflex.trajectory import DERIVED, VARIABLES
 
 DIFFERENTIABLE = tuple(each.name for each in LINK_PROPERTIES if each.form)
 STATE_NAMES = ("q0", "qd0")
-# parts of a direction that the user makes himself: how often it is told
+# parts of a direction that a user gives
 PARTS = (*STATE_NAMES, *DIFFERENTIABLE, "tip_mass", "gravity", "arm_length", "breaks", "coef")
 # of a torque-driven arm, the chain's first link: its own names, and those of the links
 ARM_NAMES = {

@@ -50,7 +50,7 @@ def film_board(board: Board, video: PathLike, plane: PathLike, *, views: int = 1
     """
     import cv2
 
-    checks.instance("board", board, Board)
+    checks.instance("board", board, Board, "hyperflex.vision")
     count = checks.count("views", views, least=3)
     with VideoWriter(video, SIZE) as writer:
         for k, pose in enumerate(board_poses(board, count)):

@@ -1,0 +1,47 @@
+"""Options of the planners: no field is accepted unchecked."""
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.planning import MotorLimits, SearchOptions, TargetGrid, WindCriteria
+from hyperflex.planning.outcome import evaluate_cast
+from tests.planning.known import PEG, planned
+from tests.refusals import refuses
+
+UNCHECKED = {"executor", "chunk_size", "x", "y"}  # where they are used
+
+
+@pytest.mark.parametrize("kind", [MotorLimits, WindCriteria, SearchOptions, TargetGrid])
+def test_each_option_refuses_what_it_cannot_use(kind):
+    for name in {each.name for each in fields(kind)} - UNCHECKED:
+        refuses(name, kind, **{name: [3]})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("batch", 0), ("rests", -1), ("speeds", ()), ("speeds", (1.5,)), ("deviations", (0.1,)), ("width", 1.5)],
+)
+def test_a_search_refuses_options_that_it_cannot_end_with(name, value):
+    refuses(name, SearchOptions, **{name: value})
+
+
+def test_a_search_may_be_told_that_nothing_limits_it():
+    found = SearchOptions(deviations=(math.inf, math.inf), coarse=math.inf, members=0, speeds=np.array([1.0]))
+    assert (found.deviations, found.coarse, found.speeds) == ((math.inf, math.inf), math.inf, (1.0,))
+
+
+def test_a_watch_is_at_least_as_long_as_forces_are_averaged():
+    refuses("watch is too short", WindCriteria, watch=0.001)
+    plan, short = planned(), WindCriteria(settle=2.9, watch=0.1)
+    found = evaluate_cast(replace(plan.problem, criteria=short), PEG, plan.run, plan.motion.breaks[-1])
+    assert found.success
+    assert 0.0 < found.load_ratio < 1.0
+
+
+def test_an_executor_is_one_of_pythons():
+    given = planned().problem.rope, [hf.hold_arm(0.0)]
+    refuses("concurrent.futures.Executor", hf.simulate_batch, *given, arm=hf.Arm(), duration=1.0, executor=4)
