@@ -7,7 +7,12 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.identification.comparison import FittedModel, ModelComparison, compare_models
     from hyperflex.identification.declarations.score_tests import ScoreTest
-    from hyperflex.identification.experiment_design import Experiment, ExperimentDesign, Plan, design_experiment
+    from hyperflex.identification.experiment_design import (
+        Experiment,
+        ExperimentDesign,
+        ExperimentPlan,
+        design_experiment,
+    )
     from hyperflex.identification.findings import Finding, Grade, Kind, Severity, text
     from hyperflex.identification.measurements import check_motion, check_times
     from hyperflex.identification.model import lumped, perturbed

@@ -193,7 +193,7 @@ def spreads(parameters: Parameters, information: Information, want: Iterable[str
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class ExperimentPlan:
     """An experiment and the standard deviations that it would give.
 
     Attributes
@@ -224,7 +224,7 @@ class ExperimentDesign(Ranking):
 
     Attributes
     ----------
-    plans : tuple of Plan
+    plans : tuple of ExperimentPlan
         The best first, those that could not be simulated last.
     want : tuple of str
         Names of the wanted numbers.
@@ -234,13 +234,13 @@ class ExperimentDesign(Ranking):
         INTERRUPTED or OUT_OF_TIME where not all candidates were simulated.
     """
 
-    plans: tuple[Plan, ...]
+    plans: tuple[ExperimentPlan, ...]
     want: tuple[str, ...]
     recommendation: str
     ended: Status | None = None
 
     @property
-    def best(self) -> Plan | None:
+    def best(self) -> ExperimentPlan | None:
         """The plan with the smallest standard deviations; None if none determines the wanted numbers."""
         return next((plan for plan in self.plans[:1] if np.isfinite(plan.score)), None)
 
@@ -338,7 +338,7 @@ def design_experiment(
             raise InvalidInput("candidates are no experiments", got=candidates, allowed=allowed)
     parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
     todo = default_experiments(rope, arm) if candidates is None else list(candidates)
-    plans: list[Plan] = []
+    plans: list[ExperimentPlan] = []
     budget, varied = Budget.of(time_budget), candidates is not None
     with (
         stoppable() as stop,
@@ -359,18 +359,18 @@ def design_experiment(
 
 def _plan(
     rope: Rope, experiment: Experiment, want: Sequence[str], free: Sequence[str], arm: Arm | None, noise: float
-) -> Plan:
+) -> ExperimentPlan:
     """Return the plan of one candidate; errors of `want` pass through."""
     try:
         parameters, information = expected_information(rope, experiment, free, arm, noise)
     except HyperflexError as failure:
-        return Plan(experiment, {}, {}, str(failure))
+        return ExperimentPlan(experiment, {}, {}, str(failure))
     found = spreads(parameters, information, want).items()
     stds, parts = ({name: each[k] for name, each in found} for k in (0, 1))
-    return Plan(experiment, stds, parts, _scaled=bool(np.any(information.growing)))
+    return ExperimentPlan(experiment, stds, parts, _scaled=bool(np.any(information.growing)))
 
 
-def _recommendation(ranked: Sequence[Plan], want: Sequence[str], free: Sequence[str]) -> str:
+def _recommendation(ranked: Sequence[ExperimentPlan], want: Sequence[str], free: Sequence[str]) -> str:
     """Return which experiment to make or, where none determines the wanted numbers, why not and what would."""
     best, *others = ranked
     if best.reason:
