@@ -395,7 +395,7 @@ def outcome(case: Case) -> Outcome:
 def compared(found: hf.Identification, case: Case) -> list[Compared]:
     """Return each interval of what is called usable beside the truth; what is hardly known may be of any width."""
     usable = found.ratios | (found.values if found.grade is Grade.USABLE else {})
-    loose = (each.values["names"] for each in found.findings if each.kind is Kind.POORLY_DETERMINED)
+    loose = (each.values["parts"] for each in found.findings if each.kind is Kind.POORLY_DETERMINED)
     unknown = {name for names in loose for name in names}
     model_error = found.has(Kind.FRICTION_MODEL)
     every = []

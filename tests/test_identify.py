@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hyperflex import files, progress
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, identify, lumped, ratios
@@ -48,7 +49,7 @@ def held_out(plant: Plant, angles: Recording) -> HeldOut | None:
     window = Window(np.zeros(1), np.zeros((1, n)), np.ones((1, n)), np.zeros(2 * n), np.zeros((0, 2 * n)))
     information: Any = SimpleNamespace(total=np.zeros((x.size, x.size)), correlation=1.0)
     basis = Basis(plant, [window], Fit(x, [window.guess], [np.ones(n)]), information)
-    return predict(basis, measure(angles, plant.parameters.guess, None), FitOptions())
+    return predict(basis, measure(angles, plant.parameters.guess, None), FitOptions(), Budget())
 
 
 def swing(rope: Rope, duration: float = 8.0, rate: float = 100.0, noise: float = NOISE, seed: int = 1) -> Recording:

@@ -24,8 +24,7 @@ def told(found: hf.Identification) -> float:
 
 def named(found: hf.Identification, kind: str) -> float:
     """Return the value of what explains as much as the first finding."""
-    alike = [each for each in found.findings[0].values["alike"] if each.startswith(kind)]
-    return float(alike[0].partition("(")[2].rstrip(")"))
+    return float(found.findings[0].values["alike"][kind])
 
 
 def real_single(data_dir: Path, factor: float = 1.0, drift: float = 0.0) -> tuple[Array, Array, hf.Rope]:

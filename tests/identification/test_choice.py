@@ -16,6 +16,7 @@ from hyperflex.identification.comparison import FittedModel, candidates, criteri
 from hyperflex.identification.model import lumped
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.uncertainty import covariance
 from hyperflex.identification.uncertainty.noise import Piece, whiteness
 from hyperflex.model import Rope, recut
 from hyperflex.recording import Recording
@@ -223,6 +224,25 @@ def test_out_of_time_it_compares_what_is_done(monkeypatch):
     found = compare_models(swing(DOUBLE), GUESS, MODELS, time_budget=budget)
     assert found.status == "out of time"
     assert [model.name for model in found.models] == ["viscous"]
+
+
+def test_a_candidate_that_is_cut_early_leaves_the_others_as_they_are(monkeypatch):
+    """Nothing is known of its deviations, and it got to short windows only, which others do not take over."""
+    windows: list[object] = []
+
+    def first_is_cut(*arguments, **options):
+        windows.append(options["options"].window)
+        if len(windows) == 1:
+            options["progress"] = lambda _: options["time_budget"].cancel()
+        return identify(*arguments, **options)
+
+    monkeypatch.setattr(_choice, "identify", first_is_cut)
+    monkeypatch.setattr(covariance, "GRACE", 0.0)
+    found = compare_models(swing(DOUBLE), GUESS, MODELS)
+    assert windows == [None, None]
+    assert (found.status, found.preferred) == ("out of time", "viscous + stiffness")
+    assert (found["viscous"].bic, "before its standard deviations" in found["viscous"].reason) == (None, True)
+    assert "p <" not in next(line for line in str(found).splitlines() if line.startswith("  viscous "))
 
 
 def test_all_candidates_are_cut_alike(monkeypatch):

@@ -36,6 +36,7 @@ def test_the_papers_recording_with_gaps_and_outliers(seed):
     recording = hf.Recording(t, spoilt(rng, clean, 1.5))
     found = hf.identify(recording, guess, free, options=hf.FitOptions(train=np.inf, loss="cauchy", intervals=None))
     assert found.success
+    assert found.history[-1]["cost"] == found.basis.fit.cost  # of the start that won, not of the one before
     for name in ("inertia", "friction"):
         assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.std[name][0]
 
@@ -119,18 +120,25 @@ def test_a_state_that_is_caught_is_started_elsewhere():
 # ---- states are searched where several shapes look alike
 
 
-def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array]]:
-    """A double pendulum of which the tip shows: the plant, windows, the true x and states (simulated)."""
+SEEN = hf.RecordingSetup(arc_lengths=[0.16], origin=(0.0, 0.0))
+
+
+def tip(frames: int) -> tuple[hf.Rope, hf.Recording, hf.Trajectory]:
+    """A double pendulum of which the tip shows (simulated)."""
     rope = hf.Rope(length=[0.09, 0.07], mass=[0.1, 0.08], com=[0.05, 0.03], inertia=[1e-4, 4e-5], friction=[8e-5, 2e-5])
     t = np.arange(frames) / 100.0
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=[2.0, 1.2], tol=1e-9)
-    tip = run.joints[:, 2] + 5e-4 * np.random.default_rng(0).standard_normal((t.size, 2))
-    recording = hf.Recording(t, tip, kind="markers", noise=5e-4)
-    setup = hf.RecordingSetup(arc_lengths=[0.16], origin=(0.0, 0.0))
-    measured, places = checked_measurements(recording, rope, setup)
-    plant = build_plant(recording, rope, ["inertia", "friction"], places, setup)
+    places = run.joints[:, 2] + 5e-4 * np.random.default_rng(0).standard_normal((t.size, 2))
+    return rope, hf.Recording(t, places, kind="markers", noise=5e-4), run
+
+
+def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array]]:
+    """The plant, windows, the true x and states."""
+    rope, recording, run = tip(frames)
+    measured, places = checked_measurements(recording, rope, SEEN)
+    plant = build_plant(recording, rope, ["inertia", "friction"], places, SEEN)
     windows, _ = measured.windows(0.4)
-    states = [np.append(run.q[k], run.qd[k]) for k in np.searchsorted(t, [w.t[0] - 1e-9 for w in windows])]
+    states = [np.append(run.q[k], run.qd[k]) for k in np.searchsorted(run.t, [w.t[0] - 1e-9 for w in windows])]
     return plant, windows, plant.parameters.start, states
 
 
@@ -140,3 +148,21 @@ def test_a_window_that_was_taken_for_its_mirror_image_is_turned():
     found = search(plant).settled(windows, x, [wrong, *states[1:]], lambda _: None)
     np.testing.assert_allclose(found.states[0][:2], states[0][:2], atol=0.02)
     assert found.cost - found.prior_cost < 2.0 * sum(window.values for window in windows)
+
+
+@pytest.mark.parametrize("ended", ["interrupted", "out of time"])
+def test_what_ends_a_fit_of_the_windows_that_fit_leaves_all_windows(ended):
+    """At the first round, of a fit of some of them: the others do not fit yet."""
+    (rope, recording, _), budget = tip(160), Budget()
+
+    def end(_: object) -> None:
+        budget.cancel()
+        if ended == "interrupted":
+            raise KeyboardInterrupt
+
+    guess, how = rope.replace(inertia=3.0 * rope.inertia, friction=1e-3), hf.FitOptions(window=0.1, train=np.inf)
+    try:
+        found = hf.identify(recording, guess, setup=SEEN, options=how, time_budget=budget, progress=end)
+    except hf.Interrupted as stop:
+        found = stop.partial
+    assert (found.status, found.converged, found.residual_t.size) == (ended, False, 160)

@@ -8,10 +8,17 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
+from hyperflex.budget import Budget, OutOfTime
+from hyperflex.errors import InvalidInput
 from hyperflex.identification import Kind, Severity, pipeline, text
 from hyperflex.identification.declarations.evidence import swapped
+from hyperflex.identification.declarations.mistakes import ShortFit
 from hyperflex.identification.declarations.score_tests import ScoreTest
-from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.findings import Finding
+from hyperflex.identification.fit import Loss
+from hyperflex.identification.measurements import measure
+from hyperflex.identification.multi_start import search_delay
+from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.symptoms import _far, _of_prediction, score_findings
 from tests.faults.interrupting import left_by
 
@@ -102,6 +109,90 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     assert found.settings["length_std"] == 0.01
 
 
+def test_a_richer_fit_that_is_refused_leaves_the_first_one(monkeypatch):
+    """As for want of memory or of samples: nobody asked for it."""
+    stiff = PAIR.replace(stiffness=[0.0, 4e-3])
+    run = hf.simulate(stiff, duration=4.0, t_eval=T, q0=[0.8, 0.8])
+    recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
+    fit, tried = pipeline.multi_start, list[int]()
+
+    def once(plant, *asked, **how):
+        tried.append(len(plant.parameters))
+        if len(tried) > 1:
+            raise InvalidInput("too few samples")
+        return fit(plant, *asked, **how)
+
+    monkeypatch.setattr(pipeline, "multi_start", once)
+    found = hf.identify(recording, PAIR, options=hf.FitOptions(intervals=None))
+    assert tried == [4, 6]
+    assert (found.converged, found.ended, found.settings["free"]) == (True, None, ["inertia", "friction"])
+
+
+@pytest.mark.parametrize("ended", ["interrupted", "out of time"])
+def test_a_fit_that_converged_before_its_intervals_were_cut_may_be_used(ended):
+    budget = Budget()
+
+    def end(entry):
+        if "phase" in entry:
+            budget.cancel()
+            if ended == "interrupted":
+                raise KeyboardInterrupt
+
+    run = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8])
+    recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
+    how = hf.FitOptions(intervals="profile")
+    try:
+        found = hf.identify(recording, PAIR, ["friction"], options=how, time_budget=budget, progress=end)
+    except hf.Interrupted as stop:
+        found = stop.partial
+    assert (found.status, found.converged, found.grade) == (ended, True, "usable for ratios")
+    assert found.message.startswith(f"The fit has converged, but work ended early ({ended}).")
+    assert not found.has(Kind.NOT_CONVERGED)
+
+
+def test_what_comes_after_the_fit_keeps_to_its_time():
+    basis, budget = fitted(PAIR, ["friction"], intervals=None).basis, Budget()
+    recording = hf.Recording(T, hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8]).q)
+    measured = measure(recording, PAIR, None)
+    budget.cancel()
+    for work in (
+        lambda: predict(basis, measured, hf.FitOptions(), budget),
+        lambda: search_delay(basis.plant, measured, 0.5, Loss(), budget),
+        lambda: ShortFit(PAIR, ["friction"], hf.RecordingSetup(), Loss(), budget)(recording),
+    ):
+        with pytest.raises(OutOfTime):
+            work()
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "words"),
+    [
+        (
+            Kind.POORLY_DETERMINED,
+            {"parts": {"J/p1[0]": 0.243, "c/p1": 20.0}, "others": "ratios"},
+            "determined: J/p1[0] (± 24 %), c/p1 (± 1000 % and more). Their",
+        ),
+        (Kind.HELD_SCALE, {"moved": 0.0}, "No motion tests these. Use"),
+        (Kind.HELD_SCALE, {"moved": 0.03}, "these (1 % of a centre of mass moves ratios by up to 3 %). Use"),
+        (Kind.CHOSEN, {"usual": ["inertia"], "added": {}}, "shows it: none. Name"),
+        (
+            Kind.CHOSEN,
+            {"usual": ["inertia"], "added": {"drag": 0.12}},
+            "it: drag (12 % of the residuals' squares). Name",
+        ),
+        (Kind.NOT_CONVERGED, {"ended": ""}, "The fit has not converged. Values"),
+        (Kind.COMBINATION, {"count": 1, "names": ["mass"], "lost": []}, "not known either: none. Hold"),
+        (
+            Kind.DRIFT,
+            {"drift": 0.1, "moved": 0.1, "alike": {"'drag'": np.nan, "clock or lengths": 1.024}},
+            "these remove as much: 'drag', clock or lengths (1.02).",
+        ),
+    ],
+)
+def test_findings_hold_numbers_and_their_texts_words(kind, values, words):
+    assert words in text(Finding(kind, values=values, gain=0.1 * ("alike" in values)))
+
+
 def test_ratios_of_which_none_is_known_are_not_to_be_used():
     """Half a second of much noise: intervals hold the truth, and 0, and tell nothing."""
     q = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8]).q[:30]
@@ -152,7 +243,8 @@ def test_markers_swapped_in_two_intervals_are_told_with_both():
     recording = hf.Recording(t, places.reshape(t.size, -1), kind="markers")
     (found,) = swapped(recording, rope)
     assert (found.values["first"], found.values["second"]) == (1, 2)
-    assert found.values["times"] == ["from t = 1 to 1.98 s", "from t = 5 to 5.48 s"]
+    assert found.values["times"] == [[1.0, 1.98], [5.0, 5.48]]
+    assert "from t = 1 to 1.98, 5 to 5.48 s." in text(found)
 
 
 def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more():

@@ -20,6 +20,7 @@ from benchmarks.wrong_input import (
 )
 
 import hyperflex as hf
+from hyperflex.budget import Budget
 from hyperflex.identification import Kind
 from hyperflex.identification.declarations.mistakes import ShortFit
 from hyperflex.identification.fit import Loss
@@ -164,5 +165,5 @@ def test_a_recording_shorter_than_a_usual_window_is_looked_at_as_well():
     rod = hf.Rope([2.0], [0.1], friction=1e-3)
     t = np.linspace(0.0, 1.0, 101)
     swing = hf.Recording(t, hf.simulate(rod, duration=1.0, t_eval=t, q0=[0.8]).q)
-    left, _ = ShortFit(rod, ["friction"], hf.RecordingSetup(), Loss("squares"))(swing)
+    left, _ = ShortFit(rod, ["friction"], hf.RecordingSetup(), Loss("squares"), Budget())(swing)
     assert left < 1e-5

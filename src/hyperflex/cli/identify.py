@@ -82,8 +82,8 @@ def identify(
     that a free swing does not determine), or do not use, with the reason.
 
     Ctrl-C ends the fit; the best result so far is written, marked as interrupted. The exit code is 3 if the fit did not
-    converge, and 5 if its result must not be used, for example because a declaration is wrong. The rope is written in
-    either case, with the grade.
+    converge or the time was over, and 5 if its result must not be used, for example because a declaration is wrong. The
+    rope is written in either case, with the grade.
     """
     from hyperflex.identification import RecordingSetup
     from hyperflex.identification import identify as run

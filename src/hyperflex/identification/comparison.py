@@ -11,6 +11,7 @@ from hyperflex import checks, extras, files
 from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
+from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Loss
 from hyperflex.identification.model import scales
 from hyperflex.identification.options import FitOptions, RecordingSetup
@@ -247,7 +248,7 @@ class ModelComparison(Ranking):
                     for each, digits in zip(numbers, (1, 3, 3), strict=True)
                 )
                 white = f"{'yes' if model.whiteness >= CHANCE else 'no'} ({_chance(model.whiteness)})"
-                cells += [str(model.parameters), *shown, white]
+                cells += [str(model.parameters), *shown, "-" if np.isnan(model.whiteness) else white]
             rows.append((cells, f"failed: {model.reason}" if failed else model.reason))
         return self._text("Models compared", rows)
 
@@ -328,7 +329,8 @@ def compare_models(
             share = budget.share(1.0 / (len(todo) - number))
             try:
                 found = identify(recording, each.guess, each.free, setup=setup, options=options, time_budget=share)
-                options = replace(options, window=found.settings["window"])  # the same for all
+                if found.converged:  # in windows of the usual length, not in shorter ones that come first
+                    options = replace(options, window=found.settings["window"])  # the same for all
                 done.append(replace(each, identification=found))
             except HyperflexError as failure:
                 done.append(replace(each, reason=str(failure)))
@@ -337,7 +339,7 @@ def compare_models(
     if stop.received and not fits:
         raise Interrupted
     late = any(one.ended is Status.OUT_OF_TIME for one in fits)
-    bases = [one.basis for one in fits if one.converged]
+    bases = [one.basis for one in fits if one.converged and not one.has(Kind.NOT_ESTIMATED)]
     scores = dict(zip(map(id, bases), criteria(bases) if bases else [], strict=True))
     fitted = tuple(_with_evidence(one, scores) for one in done)
     unit = fits[-1].unit if fits else "rad"
@@ -349,6 +351,9 @@ def _with_evidence(model: FittedModel, scores: Mapping[int, float | None]) -> Fi
     found = model.identification
     if found is None:
         return model
+    model = replace(model, fit_rms=found.residual_rms_all, held_out=found.held_out)
+    if found.has(Kind.NOT_ESTIMATED):
+        return replace(model, reason="it ended before its standard deviations were found")
     bic, information = scores.get(id(found.basis)), found.basis.information
     reason = "" if bic is not None else "it was fitted to other samples than the rest, so its BIC is not comparable"
     parameters = information.known.shape[1]
@@ -358,8 +363,6 @@ def _with_evidence(model: FittedModel, scores: Mapping[int, float | None]) -> Fi
         parameters=parameters,
         unknowns=parameters + sum(window.unknowns for window in found.basis.windows),
         bic=bic,
-        fit_rms=found.residual_rms_all,
-        held_out=found.held_out,
         whiteness=information.whiteness,
     )
 

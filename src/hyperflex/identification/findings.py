@@ -26,8 +26,9 @@ class Severity(IntEnum):
 class Kind(StrEnum):
     """Kind of a finding, and its text: what was seen | what it means and what to do.
 
-    In a text {x:%} is a part in per cent, {x:m} a length, {x:deg} an angle, {x:list} a list of names. Of findings of
-    one severity plain evidence comes first, then causes, then symptoms.
+    In a text {x:%} is a part in per cent, {x:m} a length, {x:deg} an angle, {x:list} a list of names, numbers or times
+    from one to another, {x:each (%)} a table of names and parts, {x:? words} words where x is not empty or 0. Of
+    findings of one severity plain evidence comes first, then causes, then symptoms.
     """
 
     text: str
@@ -41,8 +42,8 @@ class Kind(StrEnum):
     # What the recording or the rope shows by itself
     MARKERS_SWAPPED = (
         "markers swapped for a time",
-        """Markers {first} and {second} are swapped {times:list}. | In these times the distances fit the other order.
-        Swap the two back there.""",
+        """Markers {first} and {second} are swapped from t = {times:list} s. | In these times the distances fit the
+        other order. Swap the two back there.""",
     )
     PICTURE_SCALE = (
         "different scales along x and y",
@@ -225,8 +226,13 @@ class Kind(StrEnum):
     )
     NOT_CONVERGED = (
         "fit not converged",
-        """The fit is {how}. | Values, ratios and deviations are those of its last step, not what the data show. Give a
-        better guess, shorter windows, fewer free parameters, or more time.""",
+        """The fit has not converged{ended:? ({ended})}. | Values, ratios and deviations are those of its last step,
+        not what the data show. Give a better guess, shorter windows, fewer free parameters, or more time.""",
+    )
+    NOT_FINISHED = (
+        "work not finished",
+        """The fit has converged, but work ended early ({ended}). | Other starts, tests, intervals or predictions may be
+        missing. Allow more time.""",
     )
     POOR_FIT = (
         "poor fit",
@@ -289,7 +295,7 @@ class Kind(StrEnum):
     )
     POORLY_DETERMINED = (
         "poorly determined values",
-        """Poorly determined: {labels:list}. | Their standard deviations are large; all other {others} are known
+        """Poorly determined: {parts:each (± %)}. | Their standard deviations are large; all other {others} are known
         better. Record longer or larger swings, or hold what you know otherwise.""",
     )
     LONE_START = (
@@ -338,7 +344,8 @@ class Kind(StrEnum):
     HELD_SCALE = (
         "proportional to held masses",
         """Masses, inertias and frictions are proportional to the held masses and centres of mass. | No motion tests
-        these{sensitivity}. Use ratios alone, or weigh the links and find where each balances.""",
+        these{moved:? (1 % of a centre of mass moves ratios by up to {moved:%})}. Use ratios alone, or weigh the links
+        and find where each balances.""",
     )
     COMMON_FACTOR = (
         "unknown common factor",
@@ -364,8 +371,8 @@ class Kind(StrEnum):
     COMBINATION = (
         "unknown combination",
         """{count} combination(s) of {names:list} cannot be known. | They act alike in this motion; the values shown are
-        one choice of many. {ratios} Hold what you can measure otherwise, such as 'mass' and 'com', or record another
-        motion.""",
+        one choice of many. Ratios that are not known either: {lost:list}. Hold what you can measure otherwise, such as
+        'mass' and 'com', or record another motion.""",
     )
     NO_EFFECT = (
         "no effect in this motion",
@@ -384,8 +391,8 @@ class Kind(StrEnum):
     )
     CHOSEN = (
         "free by default",
-        """Free by default: {usual:list}. | Added because the recording shows it: {added:list}. Name what is free to
-        choose otherwise.""",
+        """Free by default: {usual:list}. | Added because the recording shows it: {added:each (% of the residuals'
+        squares)}. Name what is free to choose otherwise.""",
     )
     HELD_VALUES = (
         "held values",
@@ -464,7 +471,12 @@ class _Formatter(string.Formatter):
             return f"{np.degrees(value):.3g} degrees"
         if spec in ("m", "rad"):
             return f"{1e3 * value:.3g} mm" if spec == "m" and abs(value) < 1.0 else f"{value:.3g} {spec}"
+        if spec.startswith("?"):
+            return spec[1:] if value else ""
+        if spec.startswith("each"):
+            value, spec = [name + spec[4:].replace("%", percent(part)) for name, part in value.items()], "list"
         if spec == "list":
+            value = [" to ".join(f"{end:.4g}" for end in each) if isinstance(each, list) else each for each in value]
             shown = [f"{each:.4g}" if isinstance(each, float) else str(each) for each in value]
             more = f" and {len(shown) - NAMES} more" if len(shown) > NAMES else ""
             return (", ".join(shown[:NAMES]) or "none") + more
@@ -490,9 +502,10 @@ def text(finding: Finding) -> str:
 
 def _others(finding: Finding) -> str:
     """Return what had to be free as well, and what explains as much."""
-    along, alike = finding.values.get("freed_with", ()), finding.values.get("alike", ())
+    along, alike = finding.values.get("freed_with", ()), finding.values.get("alike", {})
     words = f" with {', '.join(along)} free as well" if along else ""
-    return words + (f"; these remove as much: {', '.join(alike)}" if alike else "")
+    others = ", ".join(f"{name} ({value:.3g})" if np.isfinite(value) else name for name, value in alike.items())
+    return words + (f"; these remove as much: {others}" if alike else "")
 
 
 def report(grade: Grade, findings: Sequence[Finding], *, full: bool = False) -> str:

@@ -7,7 +7,7 @@ the parameters: cost linear in the number of windows. Derivatives are exact, tho
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Any, Literal, get_args
 
@@ -153,7 +153,7 @@ def with_entries(report: Report, entries: dict[str, Any]) -> Report:
     return lambda entry: report(entry | entries)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Fit:
     """State of a fit: x (P,), one state (2n,) a window, and the residuals (m C,) of each window."""
 
@@ -164,7 +164,7 @@ class Fit:
     prior_cost: float = 0.0  # sum of squares of the residuals of the states' prior, and of a target
     converged: bool = False
     status: Status | None = None  # why it ended early; None if it did not
-    history: list[dict[str, float]] = field(default_factory=list)
+    history: tuple[dict[str, float], ...] = ()
 
     @property
     def cost(self) -> float:
@@ -263,35 +263,31 @@ def fit(
     ------
     Interrupted
         By Ctrl-C, with the best so far.
-    OutOfTime
-        If the time was over before it began.
     InvalidInput
         When the guess cannot be simulated.
     """
     budget, problem = budget or Budget(), _Problem(plant, windows, target, states_only)
-    budget.check()
     best = problem.evaluated(x, states, loss or Loss())
     if best is None:
         raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
     least = min(1e-4, ENOUGH / sum(window.values for window in windows)) if enough is None else enough
-    damping, stalled = DAMPING, 0
+    damping, stalled, converged, history = DAMPING, 0, False, list[dict[str, float]]()
     with stoppable() as stop:
         for number in range(rounds):
             budget.check()
-            best.loss = best.loss.scaled(best.residuals)
+            best = replace(best, loss=best.loss.scaled(best.residuals))
             before, linear = best.cost, problem.linear(best)
             promised = problem.predicted_decrease(best, linear)
             best, damping, free = problem.improved(best, linear, damping)
             gain = (before - best.cost) / before if before > 0.0 else 0.0
-            best.history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
+            history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
             if report is not None:
-                report(best.history[-1])
+                report(history[-1])
             stalled = stalled + 1 if gain < least else 0
-            best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
-            if best.converged or stalled == STALLS:
+            converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
+            if converged or stalled == STALLS:
                 break
-    best.status = stop.status
-    return stop.deliver(best)
+    return stop.deliver(replace(best, converged=converged, status=stop.status, history=tuple(history)))
 
 
 def fit_state(
@@ -399,7 +395,6 @@ class _Problem:
             states = [state + move for state, move in zip(at.states, moves, strict=False)]  # a target has none
             tried = self.evaluated(at.x if self.states_only else at.x + shared, states, at.loss)
             if tried is not None and tried.cost <= at.cost:
-                tried.history = at.history
                 free = damping <= 1.0 and any(each.known for each in linear)  # else its gain says nothing
                 return tried, max(0.1 * damping, LEAST_DAMPING), free
             damping = max(10.0 * damping, 1e-6)

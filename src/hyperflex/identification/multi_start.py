@@ -15,7 +15,7 @@ import numpy as np
 from hyperflex import memory
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
-from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.fit import (
     HARDLY,
     POOR,
@@ -61,7 +61,7 @@ CLEARLY = 0.8
 COPIES = 4
 
 
-@dataclass
+@dataclass(frozen=True)
 class Fitted:
     """A fit with its windows and the settings that it used."""
 
@@ -82,9 +82,9 @@ def multi_start(
 ) -> Fitted:
     """Fit windows of `length`, s, shorter ones first; if the fit is bad, also from other starts.
 
-    Out of time it returns the best so far, whose `status` says so. Raises Interrupted by Ctrl-C, with the best so far;
-    InvalidInput, before the work, for more derivatives than there is memory for; IdentificationError, where nothing has
-    been fitted before the time is over or no window can be simulated.
+    Out of time, or after Ctrl-C, it returns the best so far, whose `status` says so, or raises what ended it where
+    nothing has been fitted. Raises InvalidInput, before the work, for more derivatives than there is memory for;
+    IdentificationError, where no window can be simulated.
     """
     links, count = plant.parameters.guess.n_links, len(plant.parameters)
     values = measured.channels.data.size // measured.step(length)
@@ -95,20 +95,13 @@ def multi_start(
     )
     ambiguous = bool(measured.sides) and any(window.others for window in measured.windows(length)[0])
     search = MultiStart(plant, measured, loss or Loss(), budget or Budget(), report, ambiguous)
-    done: list[Fitted] = []
+    best: Fitted | None = None
     with stoppable() as stop:
-        for each in search.stages(length, usual):
-            done.append(each)
-            if each.fit.status is not None:
-                break
-        else:
-            search.try_other_starts(done, length)
-    if not done:
+        for each in search.fits(length, usual):
+            best = each
+    if best is None:
         raise stop.error or OutOfTime
-    best = done[-1]
-    best.fit.status = best.fit.status or stop.status
-    best.fit.history[:] = [entry for each in done for entry in each.fit.history]
-    return best
+    return replace(best, fit=replace(best.fit, status=best.fit.status or stop.status))
 
 
 @dataclass(frozen=True)
@@ -123,8 +116,12 @@ class MultiStart:
     ambiguous: bool
 
     def fit(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report, **how: Any) -> Fit:
-        """Fit all windows from one start."""
-        return fit(self.plant, windows, x, states, loss=self.loss, budget=self.budget, report=report, **how)
+        """Fit all windows from one start; what Ctrl-C leaves of it has the status INTERRUPTED."""
+        try:
+            return fit(self.plant, windows, x, states, loss=self.loss, budget=self.budget, report=report, **how)
+        except Interrupted as stop:
+            found: Fit = stop.partial
+            return found
 
     def is_bad(self, windows: Sequence[Window], found: Fit) -> bool:
         """Whether values cost twice what known noise does, or a fit leaves a large part of the motion."""
@@ -132,11 +129,12 @@ class MultiStart:
             return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
         return not found.converged or part_left(windows, found.residuals) > POOR
 
-    def stages(self, length: float, usual: float) -> Iterator[Fitted]:
-        """Yield fits of shorter windows, then of those of `length`, s; the last one if it was ended early.
+    def fits(self, length: float, usual: float) -> Iterator[Fitted]:
+        """Yield fits of shorter windows, of those of `length`, s, and the best so far from each other start.
 
         Short windows come first, but where states have several guesses, which too few samples do not tell apart. Then
-        the `usual` length is doubled until the required one is reached.
+        the `usual` length is doubled until the required one is reached. Only a fit of windows of `length` counts as
+        converged, and one that was ended early is the last.
         """
         channels, x = self.measured.channels, self.plant.parameters.start
         lengths = [length]
@@ -145,6 +143,7 @@ class MultiStart:
         if not self.ambiguous and lengths[0] / FIRST >= FEWEST_SAMPLES * float(np.median(np.diff(channels.t))):
             lengths.insert(0, lengths[0] / FIRST)
         known: dict[float, Array] = {}
+        starts, history = list[Array](), tuple[dict[str, float], ...]()
         for number, part in enumerate(lengths):
             windows, dropped = self.measured.windows(part)
             if part < length:
@@ -161,30 +160,31 @@ class MultiStart:
                     found = self.settled(usable, x, states, heard)
                 else:
                     found = self.fit(usable, x, states, heard, enough=HARDLY)
-            if found is None and usable:
-                found = stop.partial
             if found is None:
                 raise stop.error or OutOfTime
-            found.status = found.status or stop.status
-            found.history[:] = [entry | stage for entry in found.history]
+            history += tuple(entry | stage for entry in found.history)
+            converged, status = found.converged and part == length, found.status or stop.status
+            found = replace(found, converged=converged, status=status, history=history)
+            starts.append(x)
             x, known = found.x, {window.t[0]: state for window, state in zip(usable, found.states, strict=True)}
             left_out, step = dropped + len(windows) - len(usable), self.measured.step(part)
             settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
-            yield Fitted(found, usable, settings)
+            best = Fitted(found, usable, settings)
+            yield best
+            if status is not None:
+                return
+        yield from self.other_starts(best, starts)
 
-    def try_other_starts(self, done: list[Fitted], length: float) -> None:
-        """Put better fits from other starts in place of the last one, as long as it is bad.
+    def other_starts(self, best: Fitted, starts: Sequence[Array]) -> Iterator[Fitted]:
+        """Yield the best fit so far after each of other `starts`, as long as it is bad.
 
-        Starts are the guess, and what shorter windows came to. States are fitted to each start first, window after
-        window, so that no start is lost by a bad guess of states.
+        States are fitted to each start first, window after window, so that no start is lost by a bad guess of states.
         """
-        best = done[-1]
-        starts = [self.plant.parameters.start, *(each.fit.x for each in done[:-1])]
-        costs = [best.fit.cost]
+        costs, length = [best.fit.cost], best.settings["window"]
         for number, x in enumerate(starts):
             if not self.is_bad(best.windows, best.fit):
                 break
-            entry = {"phase": "start", "start": number, "window": length, "stage": 0, "stages": 1}
+            entry: dict[str, Any] = {"phase": "start", "start": number, "window": length, "stage": 0, "stages": 1}
             every, states = dict.fromkeys(range(len(best.windows)), np.inf), list(best.fit.states)
             if len(self.search_states(best.windows, x, states, every, self.loss)) < len(every):
                 continue
@@ -193,14 +193,15 @@ class MultiStart:
             except InvalidInput:
                 continue
             costs.append(tried.cost)
-            if tried.cost < best.fit.cost:
-                tried.history[:], best.fit = best.fit.history, tried
+            found = replace(best.fit, status=tried.status)
+            if tried.cost < found.cost:
+                history = tuple(each | entry for each in tried.history)
+                found = replace(tried, history=found.history + history)
+            agree = sum(cost <= ALIKE * found.cost for cost in costs)
+            best = replace(best, fit=found, settings=best.settings | {"starts": len(costs), "starts_agree": agree})
+            yield best
             if tried.status is not None:
-                best.fit.status = tried.status
                 break
-        if len(costs) > 1:
-            agree = sum(cost <= ALIKE * best.fit.cost for cost in costs)
-            best.settings |= {"starts": len(costs), "starts_agree": agree}
 
     def settled(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report) -> Fit:
         """Fit all windows, again from other states of those that fit badly, as long as that gains.
@@ -208,28 +209,35 @@ class MultiStart:
         Where shapes look alike, a window whose shape was taken for its mirror image would spoil x in a fit of all
         windows, and with a wrong x the mirror image may fit better: so x is fitted to the windows that fit first.
         """
-        begun = x, states
-        for _ in range(TURNS * self.ambiguous):
-            values, least = self._costs(windows, x, states)
-            fitting = np.flatnonzero((values <= least) & np.isfinite(values)).tolist()
-            if not self._enough([windows[k] for k in fitting]):
-                break
-            seen, known = [windows[k] for k in fitting], [states[k] for k in fitting]
-            some = self.fit(seen, x, known, report, enough=HARDLY, rounds=SHORT)
-            x, states = some.x, list(states)
-            for k, state in zip(fitting, some.states, strict=True):
-                states[k] = state
-            values, least = self._costs(windows, x, states)
-            amiss = {
-                k: values[k] * windows[k].values + windows[k].prior_cost(states[k])
-                for k in np.flatnonzero(values > min(least, AMISS)).tolist()
-            }
-            if not self.search_states(windows, x, states, amiss, self.loss, thorough=True):
-                break
+        begun, status = (x, states), None
+        with stoppable() as stop:
+            for _ in range(TURNS * self.ambiguous):
+                values, least = self._costs(windows, x, states)
+                fitting = np.flatnonzero((values <= least) & np.isfinite(values)).tolist()
+                if not self._enough([windows[k] for k in fitting]):
+                    break
+                seen, known = [windows[k] for k in fitting], [states[k] for k in fitting]
+                some = self.fit(seen, x, known, report, enough=HARDLY, rounds=SHORT)
+                x, states = some.x, list(states)
+                for k, state in zip(fitting, some.states, strict=True):
+                    states[k] = state
+                status = some.status
+                if status is not None:
+                    break
+                values, least = self._costs(windows, x, states)
+                amiss = {
+                    k: values[k] * windows[k].values + windows[k].prior_cost(states[k])
+                    for k in np.flatnonzero(values > min(least, AMISS)).tolist()
+                }
+                if not self.search_states(windows, x, states, amiss, self.loss, thorough=True):
+                    break
+        status = stop.status or status
+        how: dict[str, Any] = {} if status is None else {"rounds": 0}  # what there is, of all windows
         try:
-            best = self.fit(windows, x, states, report)
+            best = self.fit(windows, x, states, report, **how)
         except InvalidInput:
-            best = self.fit(windows, *begun, report)
+            best = self.fit(windows, *begun, report, **how)
+        best = replace(best, status=status or best.status)
         with stoppable() as stop:
             while best.status is None:
                 loss, states = best.loss, list(best.states)
@@ -241,11 +249,10 @@ class MultiStart:
                     break
                 again = self.fit(windows, best.x, states, report)
                 if again.cost >= best.cost:
+                    best = replace(best, status=again.status)
                     break
-                again.history[:0] = best.history
-                best = again
-        best.status = best.status or stop.status
-        return best
+                best = replace(again, history=best.history + again.history)
+        return replace(best, status=best.status or stop.status)
 
     def _costs(self, windows: Sequence[Window], x: Array, states: list[Array]) -> tuple[Array, float]:
         """Return the mean square of each window's values (W,), inf without a rollout, and the most of one that fits."""
@@ -365,7 +372,7 @@ def nearest_turn(state: Array, guess: Array) -> Array:
     return np.append(state[:n] + 2.0 * np.pi * np.round((guess[:n] - state[:n]) / (2.0 * np.pi)), state[n:])
 
 
-def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss) -> float:
+def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss, budget: Budget) -> float:
     """Return the delay, s, that a fit starts from: of least cost on a grid within `length` (s), or 0.0 if hardly less.
 
     A grid, since the cost has a minimum for each swing. `plant` is without torque, its delay free.
@@ -374,6 +381,7 @@ def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss
     windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
 
     def cost(delay: float) -> float:
+        budget.check()
         x, total = with_delay(plant, delay).parameters.start, 0.0
         for window in windows:
             found = fit_state(plant, x, window, window.guess, loss=loss, rounds=DELAY_ROUNDS)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.budget import Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
-from hyperflex.errors import IdentificationError, Interrupted
+from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.declarations.evidence import evidence
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
@@ -179,17 +179,18 @@ def message(entry: dict[str, Any]) -> str:
     return f"{about}{stage}: round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %"
 
 
-@dataclass
+@dataclass(frozen=True)
 class Trial:
     """A fit with what was free in it: of noise alone (`plain`), and with all that its deviations count.
 
-    Then the settings that it used, its score tests, and how its windows agree.
+    Then the settings that it used, why fit or tests ended early, its score tests, and how its windows agree.
     """
 
     free: list[str]
     plain: Basis
     basis: Basis
     settings: dict[str, Any]
+    ended: Status | None = None
     tests: tuple[ScoreTest, ...] = ()
     scores: Scores | None = None
     scatter: tuple[Scatter, ...] = ()
@@ -197,7 +198,7 @@ class Trial:
     @property
     def complete(self) -> bool:
         """Whether it converged, and was not ended early."""
-        return self.plain.fit.converged and self.plain.fit.status is None
+        return self.plain.fit.converged and self.ended is None
 
 
 def first_choice(guess: Rope) -> list[str]:
@@ -240,7 +241,7 @@ class _Case:
                 f"The time budget was over before anything was fitted to {self.seen.channels.t.size} samples. "
                 "Allow more (time_budget=...), give a part of the recording, or check its unit and its noise."
             ) from None
-        done, stds = trial.plain.fit, self.options.scale_std
+        stds = self.options.scale_std
         ranges: dict[str, Interval] | None = None
         held_out: HeldOut | None = None
         remarks, found, doubts = list[Finding](), list[Finding](), list[Finding]()
@@ -249,28 +250,31 @@ class _Case:
             return symptoms(trial.basis, trial.tests, trial.scatter, held_out, self._settings(trial, began))
 
         if trial.tests:
-            trial.basis = with_model_error(trial.plain, trial.tests, stds)
+            trial = replace(trial, basis=with_model_error(trial.plain, trial.tests, stds))
         with stoppable() as stop:
-            if done.status is None:
+            if trial.ended is None:
                 if trial.tests:
                     self.budget.check()
-                    trial.tests = (*trial.tests, *link_test(trial.plain, trial.tests))
-                    trial.scatter, covariance = scatter_test(trial.plain, trial.scores)
-                    scatter = covariance if trial.scatter else None
-                    trial.basis = with_model_error(trial.plain, trial.tests, stds, scatter)
+                    tests = (*trial.tests, *link_test(trial.plain, trial.tests))
+                    scatter, covariance = scatter_test(trial.plain, trial.scores)
+                    basis = with_model_error(trial.plain, tests, stds, covariance if scatter else None)
+                    trial = replace(trial, basis=basis, tests=tests, scatter=scatter)
                 ranges = self._intervals(trial, remarks)
+                self.budget.check()
                 if self.rest is not None:
-                    held_out = predict(trial.basis, self.rest, self.options)
+                    held_out = predict(trial.basis, self.rest, self.options, self.budget)
                 with deferred():
                     found = shown()
                 doubts = self._mistakes(trial, found)
-        done.status = done.status or stop.status
+        trial = replace(trial, ended=trial.ended or stop.status)
         with deferred():
-            if done.status is not None:
+            if trial.ended is not None:
                 found = shown()
+                if trial.plain.fit.converged:
+                    found.insert(0, Finding(Kind.NOT_FINISHED, Severity.LIMIT, {"ended": trial.ended}))
                 ranges = stop.partial if isinstance(stop.partial, dict) else ranges or self._intervals(trial, remarks)
             findings = [*chosen, *found, *doubts, *remarks]
-            return _result(trial.basis, held_out, self._settings(trial, began), ranges, trial.tests, findings)
+            return _result(trial, held_out, self._settings(trial, began), ranges, findings)
 
     def choose(self) -> tuple[Trial, list[Finding]]:
         """Return the fit with parameters chosen one by one, and the choice as a finding.
@@ -278,7 +282,7 @@ class _Case:
         What the score tests of a fit require is freed as well, as long as that makes a fit that converges: of what
         explains the same, to EQUAL, the first of ALLOWED. An interrupted fit is the last.
         """
-        trial, added = self.fit(first_choice(self.guess)), list[str]()
+        trial, added = self.fit(first_choice(self.guess)), dict[str, float]()
         usual = trial.free
         for _ in range(MOST):
             mistaken = [each.gain for each in trial.tests if each.significant and each.name in (DRIFT, ANGLES)]
@@ -289,13 +293,13 @@ class _Case:
             equals = [each for each in required if each.gain > required[0].gain - TESTING.equal]
             chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
             richer: Trial | None = None
-            with stoppable() as stop:
+            with stoppable() as stop, suppress(InvalidInput, IdentificationError):
                 richer = self.fit(_with_word(trial.free, chosen.name))
             if richer is None or not richer.complete:  # what has converged and was tested is worth more
-                trial.plain.fit.status = stop.status if richer is None else richer.plain.fit.status
+                trial = replace(trial, ended=stop.status if richer is None else richer.ended)
                 break
             trial = richer
-            added.append(f"{chosen.name} ({100.0 * chosen.gain:.3g} % of the residuals' squares)")
+            added[chosen.name] = chosen.gain
         return trial, [Finding(Kind.CHOSEN, Severity.NOTE, {"usual": usual, "added": added})]
 
     def _required(self, test: ScoreTest, free: Sequence[str]) -> bool:
@@ -311,23 +315,23 @@ class _Case:
         usual = usual_length(shape, self.guess)
         delay = {}
         if "delay" in free:
-            delay["delay_from"] = search_delay(replace(plant, torque=False), self.untorqued, usual, loss)
+            delay["delay_from"] = search_delay(replace(plant, torque=False), self.untorqued, usual, loss, self.budget)
             plant = with_delay(plant, delay["delay_from"])
         wanted = usual if self.options.window is None else self.options.window
         length = min(wanted, 1.001 * self.seen.channels.duration)
         found = multi_start(plant, self.seen, length, usual, loss=loss, budget=self.budget, report=self.report)
         windows, done = found.windows, found.fit
-        basis = Basis(plant, windows, done, fit_information(plant, windows, done))
-        trial = Trial(list(free), basis, basis, found.settings | delay)
+        information, ended = fit_information(plant, windows, done)
+        basis = Basis(plant, windows, done, information)
+        trial = Trial(list(free), basis, basis, found.settings | delay, ended)
         with stoppable() as stop:
             if trial.complete:
                 angles = self.recording.kind == "angles"
-                found_tests = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
-                trial.tests, trial.scores = found_tests
-                tests = (*trial.tests, *drift_test(basis, trial.scores, trial.tests))
-                trial.tests = tuple(sorted(tests, key=lambda each: -each.gain))
-        done.status = done.status or stop.status
-        return trial
+                tests, scores = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
+                trial = replace(trial, tests=tests, scores=scores)
+                tests = (*tests, *drift_test(basis, scores, tests))
+                trial = replace(trial, tests=tuple(sorted(tests, key=lambda each: -each.gain)))
+        return replace(trial, ended=ended or stop.status)
 
     def _settings(self, trial: Trial, began: float) -> dict[str, Any]:
         """Return what was fitted and how."""
@@ -345,7 +349,7 @@ class _Case:
             "free": trial.free,
             "loss": self.options.loss,
             "base": "fixed" if setup.motion is None else moved,
-            "noise": "not declared" if self.recording.noise is None else "declared",
+            "noise_declared": self.recording.noise is not None,
         }
         if isinstance(basis.plant.sensor, Markers):
             settings["arc_lengths"] = basis.plant.sensor.arc_lengths.tolist()
@@ -355,7 +359,7 @@ class _Case:
 
     def _mistakes(self, trial: Trial, found: list[Finding]) -> list[Finding]:
         """Return what seems wrong in the declaration of the recording, as far as it and short fits show."""
-        short = ShortFit(self.guess, trial.free, self.setup, Loss(self.options.loss))
+        short = ShortFit(self.guess, trial.free, self.setup, Loss(self.options.loss), self.budget)
         said = spring_or_angles(self.recording, short)
         wrong = (
             any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
@@ -388,14 +392,14 @@ def _with_word(free: Sequence[str], word: str) -> list[str]:
 
 
 def _result(
-    basis: Basis,
+    trial: Trial,
     held_out: HeldOut | None,
     settings: dict[str, Any],
     intervals: dict[str, Interval] | None,
-    tests: tuple[ScoreTest, ...],
     findings: list[Finding],
 ) -> Identification:
     """Return the result of a fit. Intervals of the ratios join those of the parameters."""
+    basis = trial.basis
     plant, information, found = basis.plant, basis.information, basis.fit
     parameters = plant.parameters
     x = parameters.rounded(found.x)
@@ -417,7 +421,7 @@ def _result(
         ratio_model_std=ratio_spread(parameters, information, model=True),
         intervals=intervals or {},
         findings=(),
-        score_tests=tests,
+        score_tests=trial.tests,
         residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
         residual_t=np.concatenate([w.t for w in basis.windows]),
         residuals=residuals,
@@ -428,9 +432,9 @@ def _result(
         singular_values=information.singular,
         settings=settings,
         converged=found.converged,
-        ended=found.status,
+        ended=trial.ended,
         unit="rad" if isinstance(plant.sensor, Angles) else "m",
-        history=tuple(found.history),
+        history=found.history,
         torque_residuals=torque,
         _basis=basis,
     )

@@ -6,6 +6,7 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.identification.fit import Loss, Window, fit_state, linearise, residuals_of
 from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
@@ -85,7 +86,7 @@ class HeldOut:
         return self.starts[np.isinf(self.window_rms).any(axis=1)]
 
 
-def predict(basis: Basis, measured: Measurements, options: FitOptions) -> HeldOut | None:
+def predict(basis: Basis, measured: Measurements, options: FitOptions, budget: Budget) -> HeldOut | None:
     """Predict the measurements piece by piece, without force or torque; None if too short for one prediction.
 
     The first prediction starts ``options.lead`` after the first sample, each next one ``options.ahead`` later, its
@@ -100,6 +101,7 @@ def predict(basis: Basis, measured: Measurements, options: FitOptions) -> HeldOu
     size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), float(np.finfo(float).eps))
     predictions = []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
+        budget.check()
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
         seen = data[before]

@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification.declarations.score_tests import ScoreTest
-from hyperflex.identification.findings import Finding, Grade, Kind, grade, report, text
+from hyperflex.identification.findings import Finding, Grade, Kind, Severity, grade, report, text
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
@@ -67,8 +67,8 @@ class Identification:
         Of the scaled information, largest first.
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
-        time of the residuals (samples), seconds taken; ``free``, loss, base, and where given `arc_lengths`, `origin`
-        and the delay that the fit started from (s).
+        time of the residuals (samples), seconds taken; ``free``, loss, base, ``noise_declared``, and where
+        given `arc_lengths`, `origin` and the delay that the fit started from (s).
     converged : bool
         Whether the fit converged.
     ended : Status or None
@@ -77,7 +77,8 @@ class Identification:
     unit : str
         ``rad`` or ``m``.
     history : tuple of dict
-        Round by round: window length, stage (of how many stages), round, cost, gain, damping.
+        Round by round: window length, stage (of how many stages), round, cost, gain, damping; `start` where it is
+        another start's.
     torque_residuals : (m,) N m, or None
         Measured less fitted motor torque; NaN in gaps.
     _basis : Basis or None
@@ -136,7 +137,10 @@ class Identification:
     @property
     def message(self) -> str:
         """Why it is no success, and what to do; empty on success."""
-        return "" if self.success else text(self.findings[0])
+        if self.success:
+            return ""
+        why = (each for each in self.findings if each.severity is Severity.WRONG or each.kind is Kind.NOT_FINISHED)
+        return text(next(why, self.findings[0]))
 
     @property
     def identifiable(self) -> bool:

@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.identification.declarations.evidence import hangs_upwards, unlike_lengths
 from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, SCALES, as_free
 from hyperflex.identification.declarations.score_tests import TESTING, Scatter, ScoreTest
-from hyperflex.identification.findings import Finding, Kind, Severity, percent
+from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, lumped
 from hyperflex.identification.prediction import HeldOut
@@ -66,7 +66,7 @@ def symptoms(
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
     wrong = any(each.severity is Severity.WRONG for each in found)
     found += [replace(each, severity=Severity.WRONG if wrong else each.severity) for each in unlike_lengths(rope)]
-    if settings["noise"] == "declared":
+    if settings["noise_declared"]:
         found += _of_noise(basis, tests)
     return [*found, *_limits(basis, tests, scatter, settings), *_identifiable(basis)]
 
@@ -78,8 +78,8 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     residuals that are not white as far as that, too.
     """
     fit, sensor = basis.fit, basis.plant.sensor
-    if fit.status is not None or not fit.converged:
-        yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"how": fit.status or "not converged"})
+    if not fit.converged:
+        yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"ended": fit.status or ""})
     rms, spread, noise = _sizes(basis)
     allowed = excused = np.maximum(WHITE_POOR * spread, NOISY * noise)
     white = basis.information.whiteness >= CHANCE
@@ -179,9 +179,8 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     nothing = bool(masses) and min(masses) > LOOSE
     found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LOOSE})] * nothing
     if loose:
-        labels = [f"{label} (± {percent(part)})" for label, part in loose.items()]
         others = "values" if information.unknown.shape[1] == 0 else "ratios"
-        found.append(Finding(Kind.POORLY_DETERMINED, values={"labels": labels, "names": list(loose), "others": others}))
+        found.append(Finding(Kind.POORLY_DETERMINED, values={"parts": loose, "others": others}))
     return not nothing, found
 
 
@@ -234,9 +233,7 @@ def _limits(
     elif basis.plant.motor is not None:
         yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
     else:
-        moves = _com_sensitivity(basis, tests)
-        words = f" (1 % of a centre of mass moves ratios by up to {percent(moves)})" if moves > 0.0 else ""
-        yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"sensitivity": words})
+        yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"moved": _com_sensitivity(basis, tests)})
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
         yield Finding(Kind.UNDETECTABLE, Severity.LIMIT)
     part, name = law_error(basis, tests)
@@ -254,7 +251,7 @@ def _limits(
     elif information.freedom < 2.0:  # of which Student's distribution has no variance
         yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom})
     chance = chdtrc(information.freedom, information.freedom * information.variance)  # of so large a variance
-    if settings["noise"] == "declared" and chance < CHANCE:
+    if settings["noise_declared"] and chance < CHANCE:
         yield Finding(Kind.NOISE_UNDERSTATED, Severity.LIMIT, {"times": float(np.sqrt(information.variance))})
 
 
@@ -275,8 +272,7 @@ def _identifiable(basis: Basis) -> Iterator[Finding]:
         if (count := unknown.shape[1] - int(idle.sum())) > 0:
             names = dict.fromkeys(p.name for p, there in zip(parameters.all, touched, strict=True) if there)
             lost = [name for name, std in ratio_spread(parameters, information).items() if np.isinf(std).any()]
-            words = f"Not even known: {', '.join(lost)}." if lost else "The ratios over p1 are known."
-            values = {"count": count, "names": list(names), "ratios": words, "common": common is not None}
+            values = {"count": count, "names": list(names), "lost": lost, "common": common is not None}
             yield Finding(Kind.COMBINATION, Severity.LIMIT if common is None else Severity.NOTE, values)
         if idle.any():
             yield Finding(Kind.NO_EFFECT, Severity.LIMIT, {"names": np.array(parameters.labels)[idle].tolist()})
@@ -337,16 +333,17 @@ def score_findings(tests: Sequence[ScoreTest], *, odd: bool, known: bool, wrong:
 def finding(test: ScoreTest, severity: Severity, tests: Sequence[ScoreTest] = ()) -> Finding:
     """Return a test as a finding, with which others of `tests` explain as much."""
     alike = [each for each in tests if each.significant and each is not test and each.gain > test.gain - TESTING.equal]
-    others = {"freed_with": as_free(test.freed_with), "alike": [_label(each) for each in alike]}
+    others = {"freed_with": as_free(test.freed_with), "alike": dict(map(_value, alike))}
     values = test.quantity.values(test.name, test.values) | {"moved": test.moved}
     return Finding(test.quantity.kind, severity, values | others, test.gain)
 
 
-def _label(test: ScoreTest) -> str:
-    """Return what a test is about, and its value."""
-    name = f"'{test.name}'" if test.quantity.kind in (Kind.HELD, Kind.RESISTANCE) else str(test.quantity.kind)
+def _value(test: ScoreTest) -> tuple[str, float]:
+    """Return what a test is about, and its value; NaN for several."""
+    named = test.quantity.kind in (Kind.HELD, Kind.RESISTANCE, Kind.UNEVEN_RESISTANCE)
+    name = f"'{test.name}'" if named else str(test.quantity.kind)
     values = test.quantity.values(test.name, test.values).values()
-    return next((f"{name} ({each:.3g})" for each in values if isinstance(each, float)), name)
+    return name, next((each for each in values if isinstance(each, float)), np.nan)
 
 
 def _causes(tests: Sequence[ScoreTest]) -> list[ScoreTest]:

@@ -77,8 +77,7 @@ def swapped(recording: Recording, rope: Rope) -> list[Finding]:
         there = (fits > EVIDENT.swapped) & (off(neighbours_swapped(rope.n_links + 1, k)) < EVIDENT.uneven)
         if there.sum() >= EVIDENT.many:
             before = np.cumsum(fits <= EVIDENT.swapped)[there]  # frames in order, which part one interval from the next
-            parts = [recording.t[there][before == count][[0, -1]] for count in np.unique(before)]
-            times = [f"from t = {begin:.4g} to {end:.4g} s" for begin, end in parts]
+            times = [recording.t[there][before == count][[0, -1]].tolist() for count in np.unique(before)]
             return [Finding(Kind.MARKERS_SWAPPED, Severity.WRONG, {"first": k, "second": k + 1, "times": times})]
     return []
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.declarations.evidence import neighbours_swapped
@@ -127,9 +128,11 @@ class ShortFit:
     free: Sequence[str]
     setup: RecordingSetup
     loss: Loss
+    budget: Budget
 
     def __call__(self, recording: Recording, more: Sequence[str] = ()) -> tuple[float, list[float]]:
         """Return the residual, rms, as a part of the motion (inf: nothing fits), and values of `more`, also free."""
+        self.budget.check()
         words = [word for word in self.free if FREE_PROPERTIES[base(word)].owner != "arm"]
         try:
             measured, places = checked_measurements(recording, self.rope, self.setup)
@@ -144,7 +147,7 @@ class ShortFit:
     def _left(self, plant: Plant, measured: Measurements, x: Array) -> tuple[float, Array]:
         usual, fitted = usual_length(measured.shape, self.rope), None
         if "delay" in plant.parameters.names:
-            plant = with_delay(plant, search_delay(plant, measured, usual, self.loss))
+            plant = with_delay(plant, search_delay(plant, measured, usual, self.loss, self.budget))
             x = plant.parameters.start
         for length in (usual / SHORT_FIT.shorter, usual):
             windows, _ = measured.windows(length)

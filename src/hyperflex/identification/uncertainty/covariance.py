@@ -15,6 +15,7 @@ from hyperflex.identification.model import Mask, Parameter, Parameters, Plant, i
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
 from hyperflex.interruption import stoppable
 from hyperflex.model import RESISTANCES, Rope
+from hyperflex.status import Status
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
@@ -118,17 +119,17 @@ def not_estimated(plant: Plant, fit: Fit) -> Information:
     return Information(fit.x, widths, np.zeros(total), none[:, :0], one, none, 1.0, none, estimated=False)
 
 
-def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> Information:
-    """Return the information of the windows; of a fit that ended early what can be computed within GRACE."""
+def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> tuple[Information, Status | None]:
+    """Return the information of the windows, and why fit or information ended early; then it is of GRACE at most."""
     known = not_estimated(plant, found)
     with stoppable() as stop:
         if found.status is None:
             known = estimate_covariance(plant, windows, found)
-    found.status = found.status or stop.status
-    if found.status is not None:
+    ended = found.status or stop.status
+    if ended is not None:
         with stoppable():
             known = estimate_covariance(plant, windows, found, Budget(GRACE))
-    return known
+    return known, ended
 
 
 def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budget: Budget | None = None) -> Information:

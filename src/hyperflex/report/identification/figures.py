@@ -258,7 +258,7 @@ def history_figure(found: Identification) -> Figure:
     with new_figure(_WIDTH, 2.4) as figure:
         axis: Any = figure.subplots()
         first, place = 0, {"transform": axis.get_xaxis_transform(), "va": "bottom"}
-        for _, entries in groupby(found.history, key=lambda entry: entry["stage"]):
+        for _, entries in groupby(found.history, key=lambda entry: (entry["stage"], entry.get("start"))):
             cost, lengths = np.array([(entry["cost"], entry["window"]) for entry in entries]).T
             rounds = first + np.arange(cost.size)
             axis.plot(rounds, cost / max(float(cost.min()), 1e-300), "o-", ms=3.5, color=BLUE)
