@@ -306,6 +306,7 @@ def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace, kn
     assert np.isfinite(found.std["friction"]).all() == known
     assert bool(found.intervals) == known
     assert found.has(Kind.NOT_ESTIMATED) != known
+    assert (found.grade == "do not use") != known
 
 
 def test_an_interrupt_while_files_are_put_in_place_leaves_no_part(tmp_path, monkeypatch):

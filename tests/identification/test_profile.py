@@ -333,9 +333,7 @@ def test_fits_that_do_not_converge_are_no_points_of_a_profile(found, monkeypatch
     """Their squares are too large, and the interval would be too short."""
 
     def unfinished(*given, **options):
-        done = fit(*given, **options)
-        done.converged = options["target"] is None
-        return done
+        return replace(fit(*given, **options), converged=options["target"] is None)
 
     monkeypatch.setattr(_profile, "fit", unfinished)
     for name in ("c/p1[4]", "friction:shared"):

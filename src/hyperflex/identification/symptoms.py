@@ -260,7 +260,7 @@ def _identifiable(basis: Basis) -> Iterator[Finding]:
     parameters, information = basis.plant.parameters, basis.information
     unknown, x = information.unknown, information.x
     if not information.estimated:
-        yield Finding(Kind.NOT_ESTIMATED, Severity.LIMIT)
+        yield Finding(Kind.NOT_ESTIMATED, Severity.WRONG)
         return
     if unknown.shape[1] == 0:
         yield Finding(Kind.IDENTIFIABLE, Severity.NOTE)
