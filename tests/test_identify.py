@@ -216,6 +216,7 @@ def test_dry_friction_stiffness_tip_mass_and_a_tilted_camera():
     }
     within(result.values, result.std, truth)
     assert result.values["gravity_angle"].shape == ()
+    np.testing.assert_array_equal(result.rope.gravity, guess.gravity)  # the camera's turn is not the rope's
 
 
 def test_what_is_not_there_goes_to_zero_or_stays_within_its_uncertainty(free_swing):

@@ -2,7 +2,9 @@
 
 import contextlib
 import dataclasses
+import html
 import io
+import json
 import math
 import signal
 from dataclasses import replace
@@ -13,6 +15,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import files, planning
 from hyperflex.errors import Interrupted
+from hyperflex.identification import Grade
 from hyperflex.interruption import _USUAL
 from hyperflex.planning import NOT_PLANNED, FallbackTarget, SuccessProbability, Uncertainty
 from hyperflex.planning.outcome import TOO_LONG
@@ -284,6 +287,20 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(hype
     for words in (f"x = {x:.4g} m", "no cast was planned for it", f"in reach with {told['remedies'][0]}"):
         assert words in plain(out)
         assert words in page
+
+
+@EACH
+def test_a_rope_that_must_not_be_used_is_planned_with_a_warning(hyperflex, given, ready, tmp_path, command):
+    ready(command)
+    words = given(command, "--json")
+    table = {"grade": Grade.DO_NOT_USE.value, "message": "The clock is wrong."}
+    files.write_toml(tmp_path / "rope.toml", files.read_toml(tmp_path / "rope.toml") | {"identification": table})
+    code, out, err = hyperflex(*words)
+    told = "the identification of this rope is graded 'do not use'. The clock is wrong."
+    assert code == 0
+    assert told in err
+    assert told in json.loads(out)["warnings"][0]
+    assert told in html.unescape((tmp_path / "out" / "report.html").read_text("utf-8"))
 
 
 def test_a_plan_for_the_nearest_target_is_written(hyperflex, given, ready, tmp_path):

@@ -142,7 +142,15 @@ def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search():
         lambda: hf.plan_whip(CABLE, arm, TipTarget(0.3, -2.05), conditions=hf.Conditions(obstacles=[floor])),
         lambda: hf.plan_insert(CABLE, arm, slot, conditions=hf.Conditions(obstacles=[floor])),
     ):
-        with pytest.raises(InvalidInput, match="the rope begins in an obstacle"):
+        with pytest.raises(InvalidInput, match=r"the rope begins in an obstacle.* Move the ground at \(0, -1\) m;"):
+            plan()
+    turned = CABLE.replace(gravity=(0.17, -9.81))
+    for plan in (
+        lambda: hf.plan_cast(turned, arm, PEG),
+        lambda: hf.plan_whip(turned, arm, TipTarget(0.3, -2.05)),
+        lambda: hf.plan_insert(turned, arm, slot),
+    ):
+        with pytest.raises(InvalidInput, match=r"gravity along -y; the rope has \(0.17, -9.81\) m/s\^2"):
             plan()
     with pytest.raises(InvalidInput, match="obstacles holds something else"):
         hf.Conditions(obstacles=post)

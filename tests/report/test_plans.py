@@ -1,6 +1,7 @@
 """Reports of plans: what a reader must find on the page, in the film and in the figures."""
 
 import html
+import math
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from hyperflex.report import CastReport, InsertReport, WhipReport
 from hyperflex.report import plan as plan_report
 from hyperflex.report.cast import tug_figure
 from hyperflex.report.maps import target_map
+from hyperflex.report.units import length
 from tests.planning.known import PEG, late, planned, stopped, unreachable
 from tests.planning.known_insert import far_insert, planned_insert
 from tests.planning.known_whip import far_whip, planned_whip
@@ -184,6 +186,17 @@ def test_warnings(monkeypatch):
         assert "Give --torque to plan for a weaker motor" in " ".join(report.story)
     weight = rope.total_mass * 9.81 * arm.length
     assert f"weight at the arm makes {weight:.2g} N m" in WhipReport(whip).warning
+
+
+def test_figures_of_the_tip_come_with_their_doubts():
+    whip, insert = replace(planned_whip(), position_std=0.056), replace(planned_insert(), position_std=math.nan)
+    doubts = f"({length(whip.finer_outcome.miss, 2)} with links of half the length; ± 56 mm if friction"
+    report = WhipReport(whip)
+    assert f" off {doubts}" in report.verdict
+    assert any(f"at its peak {doubts}" in words for _, words in report.tiles)
+    clear = f"({length(insert.finer_outcome.wall_clearance, 2)} with 2.5 times the links), in simulation."
+    assert InsertReport(insert).verdict.endswith(clear)
+    assert " off, in simulation." in WhipReport(replace(whip, finer_outcome=None, position_std=math.nan)).verdict
 
 
 def test_a_success_probability_says_what_it_omits():

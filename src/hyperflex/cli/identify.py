@@ -1,5 +1,6 @@
 """``hyperflex identify``: a recording and a first guess in, an identified rope and its report out."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,6 +138,7 @@ def _drive(path: Path | None) -> dict[str, Any]:
 
 def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
     """Yield the grade, the fit, tables of parameters and ratios; `whole` is where the whole tables are."""
+    from hyperflex.identification import Kind, text
     from hyperflex.report import TextTable, parameters_table, ratios_table, readable_unit
 
     unit = readable_unit(found.unit, found.residual_rms)
@@ -144,7 +146,11 @@ def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
     if (held := found.held_out) is not None:
         worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
         rows.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))
+    if "gravity_angle" in found.values:
+        turn = math.degrees(found.values["gravity_angle"])
+        rows.append(("camera's turn", f"{turn:.3g} degrees; the rope's file keeps the gravity of the guess"))
     yield from found.report().splitlines()
+    yield from (text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"])
     yield Rows("Fit", rows)
     for table in filter(None, (parameters_table(found, None), ratios_table(found))):
         first = [row[0] for row in table.rows]

@@ -11,6 +11,7 @@ import typer
 
 from hyperflex import files, interruption, progress
 from hyperflex.interruption import stoppable
+from hyperflex.status import Status
 
 if TYPE_CHECKING:
     from hyperflex.report import TextTable
@@ -19,7 +20,7 @@ _T = TypeVar("_T")
 # exit codes; interrupted: 128 and the number of the signal
 FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE = 1, 2, 3, 4, 5
 _VALUE = r"=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|-?[\w.]+)"  # of an argument, as errors advise it
-_mode = {"json": False}
+_mode: dict[str, Any] = {"json": False, "warnings": []}
 
 
 class Rows(NamedTuple):
@@ -40,7 +41,12 @@ def json_only(enabled: bool) -> None:
 
 def as_json() -> bool:
     """Return whether the command prints JSON."""
-    return _mode["json"]
+    return bool(_mode["json"])
+
+
+def warned() -> list[str]:
+    """Return the warnings of the command that runs."""
+    return list(_mode["warnings"])
 
 
 def print_json(result: Mapping[str, Any], *, one_line: bool = False) -> None:
@@ -59,17 +65,23 @@ def complain(message: str, kind: str, code: int) -> int:
     """Print an error on standard error, and as a JSON object with ``--json``; return its exit code."""
     note(message)
     if as_json():
-        print_json({"error": message, "type": kind}, one_line=True)
+        print_json(_whole({"error": message, "type": kind}, Status.FAILED), one_line=True)
     return code
+
+
+def _whole(result: Mapping[str, Any], status: Status) -> dict[str, Any]:
+    """Return a result with what each has in JSON: success, status and warnings; its own status has precedence."""
+    more = {"warnings": warned()} if warned() else {}
+    return {"success": status is Status.SUCCESS, "status": status, **result, **more}
 
 
 def warner() -> Callable[..., None]:
     """Return a ``warnings.showwarning`` that prints each warning once on standard error."""
-    printed: set[str] = set()
+    printed = _mode["warnings"] = []
 
     def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
         if str(message) not in printed:
-            printed.add(str(message))
+            printed.append(str(message))
             note(str(message))
 
     return show_warning
@@ -107,7 +119,7 @@ def show(
     if not as_json():
         print_blocks(*blocks)
     elif not interrupted:
-        print_json(result, one_line=one_line)
+        print_json(_whole(result, Status.FAILED if code else Status.SUCCESS), one_line=one_line)
     if interrupted:
         code = interrupt(result, interrupted)
     if code:
@@ -118,7 +130,8 @@ def interrupt(result: Mapping[str, Any], message: str) -> int:
     """Report an interruption, with what there is of a result as JSON; return the exit code."""
     note(message)
     if as_json():
-        print_json({**result, "error": "interrupted", "type": "Interrupted", "message": message}, one_line=True)
+        told = {**result, "error": "interrupted", "type": "Interrupted", "message": message}
+        print_json(_whole(told, Status.INTERRUPTED), one_line=True)
     return 128 + interruption.number()
 
 

@@ -16,7 +16,7 @@ from hyperflex.cli import output
 from hyperflex.cli.command import Given, OutFolder, positive
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput, located
-from hyperflex.model import PLAN, PLANNING, Arm, Obstacle, Peg, Rope, Setup, check_tables, obstacles_of
+from hyperflex.model import PLAN, PLANNING, Arm, Obstacle, Peg, Rope, Setup, check_tables, obstacles_of, warn_of_grade
 from hyperflex.options import options_of
 from hyperflex.planning import (
     Conditions,
@@ -128,6 +128,8 @@ class Source:
             checks.keys(f"the table [{name}]", tables[name], [each.name for each in fields(kind)])
         if self.rope is not None:
             content["rope"] = Rope.from_toml(self.rope).table()
+        elif self.setup is not None:
+            warn_of_grade(self.setup, content)
         if "rope" not in content:
             also = aim.missing(content.get(aim.name, {})) if aim else ""
             fix = "Give --rope FILE, or a set-up file with a table [rope]"
@@ -240,7 +242,7 @@ class Task(Source):
             if plan.outcome is not None and not plan.interrupted:
                 measured, values = measure()
                 report, result = report_of(plan, measured), result | values
-            written |= report.add_page(self.out, progress=progress)
+            written |= report.add_page(self.out, progress=progress, remarks=output.warned())
         stopped = f"Interrupted; the best plan so far is in {written['page'].parent}. {report.verdict}"
         output.show(
             {**result, "files": written},

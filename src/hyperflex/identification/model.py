@@ -194,7 +194,7 @@ class Parameters:
         for k, parameter in enumerate(self.all):
             if parameter.kind.owner == "motion":
                 found.append((k, {parameter.name: np.array([parameter.derivative(x[k])])}))
-            elif parameter.kind.owner in ("link", "rope"):
+            elif parameter.kind.owner in ("link", "rope", "view"):
                 changed = self._changed(np.where(np.arange(x.size) == k, x + 1j * TINY, x))
                 found.append((k, {name: np.atleast_1d(each.imag) / TINY for name, each in changed.items()}))
         return found

@@ -404,6 +404,8 @@ def _result(
     parameters = plant.parameters
     x = parameters.rounded(found.x)
     rope, slopes, residuals = parameters.rope(x), parameters.derivatives(x), residuals_of(basis.windows, found)
+    # a camera that is not level is none of the rope's properties
+    rope = rope.replace(gravity=parameters.guess.gravity * parameters.single("gravity_scale", x, held=1.0))
     torque = None
     if plant.motor is not None:
         residuals, torque = residuals[:, :-1], residuals[:, -1]

@@ -32,7 +32,8 @@ class Identification:
     Attributes
     ----------
     rope : Rope
-        The guess with the free parameters at their fitted values.
+        The guess with the free parameters at their fitted values. Its gravity keeps the direction of the guess:
+        `gravity_angle`, the turn of the camera, is in `values` alone.
     values, std : dict of str to ndarray
         By the names in ``free``, SI units: per-link properties (n,), others single. The standard deviation is 0 where
         a link's value was held, and inf where it is not identifiable.

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 from hyperflex.checks import Sign
 
-Owner = Literal["link", "rope", "motion", "camera", "marker", "encoder", "arm"]
+Owner = Literal["link", "rope", "motion", "camera", "view", "marker", "encoder", "arm"]
 Form = Literal["log", "linear", "nonnegative"]
 Cut = Literal["shared", "alike", "joint", "bending", "limit", "stays"]
 
@@ -32,8 +32,8 @@ class Property:
         In :class:`hyperflex.core.chain.articulated_body.Chain`; of a resistance also the word for it in the names of
         candidate models.
     owner : str
-        Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, each
-        ``marker``, the ``encoder`` of the angles or the ``arm``.
+        Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, its
+        ``view`` (camera or encoder that is not level), each ``marker``, the ``encoder`` of the angles or the ``arm``.
     sign : str
         What values are allowed, see :mod:`hyperflex.checks`.
     default : float or None
@@ -84,7 +84,7 @@ _TABLE = (
     Property("drag", "air drag", "kg/m^2", "drag", power=1, cut="alike", symbol="d", ratio="1/m^3", least=1e-9),
     Property("max_bend", "joint limit", "rad", "max_bend", sign="positive", default=math.inf, form=None, cut="limit"),
     Property("tip_mass", "mass at the tip", "kg", "tip_mass", owner="rope", power=1),
-    Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", owner="rope", form="linear"),
+    Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", owner="view", form="linear"),
     Property(
         "gravity_scale",
         "gravity over what it was taken to be (a wrong clock or lengths)",

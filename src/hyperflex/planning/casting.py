@@ -79,9 +79,6 @@ class CastRequest:
         # Refuses, before any search, what cannot touch a peg
         Setup(self.rope, arm=self.arm, pegs=problem.beside(target))
         cuts(self.rope, (target, *self.criteria.behind), arm=self.arm)  # or not be wound round it
-        if self.rope.gravity[0] != 0.0 or self.rope.gravity[1] > 0.0:
-            fix = "Rotate the axes: y up"
-            raise InvalidInput("casts are planned with gravity along -y", got=self.rope.gravity, fix=fix)
         check_start(problem)
         limited = self.conditions.time_limit is not None
         return (problem if limited else replace(problem, time=search_time(problem, target))), touch

@@ -22,6 +22,7 @@ from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.planning.clearance import (
     clear_samples,
+    named,
     sampled_clearance,
     sampled_obstacle_gaps,
     samples_clear_of_arm,
@@ -177,12 +178,20 @@ def free_sides(problem: Problem, pegs: Sequence[Obstacle]) -> list[int]:
 
 
 def check_start(problem: Problem) -> None:
-    """Raise InvalidInput if the rope begins in an obstacle, or a peg that it must run behind, on all sides."""
+    """Raise InvalidInput if gravity does not point along -y, or if the rope begins in an obstacle on all sides.
+
+    Pegs that it must run behind are obstacles then, too.
+    """
+    gx, gy = problem.rope.gravity
+    if gx != 0.0 or gy > 0.0:
+        fix = "Rotate the axes until y points up, and give the rope gravity = [0, -9.81]"
+        raise InvalidInput(f"plans need gravity along -y; the rope has ({gx:.4g}, {gy:.4g}) m/s^2", fix=fix)
     behind, obstacles = problem.criteria.behind, problem.obstacles
     some_pegs, both = "a peg that it is to run behind", "an obstacle or a peg that it is to run behind"
     for what, some in (("an obstacle", obstacles), (some_pegs, behind), (both, (*behind, *obstacles))):
         if not free_sides(problem, some):
-            fix = "Move it; the rope hangs from the arm, which points to one side"
+            hit = [each for each in some if len(free_sides(problem, (each,))) < len(free_sides(problem, ()))]
+            fix = f"Move {' or '.join(map(named, hit))}; the rope hangs from the arm, which points to one side"
             raise InvalidInput(f"the rope begins in {what}, whatever the arm's side", fix=fix)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
@@ -136,13 +136,17 @@ class PlanReport(ABC, Generic[PlanT]):
                 plan.to_netcdf(stage / names["run"])
             return {kind: Path(directory) / name for kind, name in names.items() if (stage / name).exists()}
 
-    def add_page(self, directory: str | Path, *, progress: Progress = silent) -> dict[str, Path]:
-        """Draw the figures, and write the page with them and the run. See :meth:`write`."""
+    def add_page(
+        self, directory: str | Path, *, progress: Progress = silent, remarks: Sequence[str] = ()
+    ) -> dict[str, Path]:
+        """Draw the figures; write the page with them, the run and `remarks` on the plan. See :meth:`write`."""
         progress("drawing")
         shown = self.pictures()
         with whole_folder(directory) as stage:
             written = write_pictures(stage, shown) | {"page": "report.html"}
-            write_page(stage / "report.html", self.title, self.texts.text("lead"), "simulated", self._sections(shown))
+            write_page(
+                stage / "report.html", self.title, self.texts.text("lead"), "simulated", self._sections(shown, remarks)
+            )
         return {kind: Path(directory) / name for kind, name in written.items()}
 
     def pictures(self) -> dict[str, Picture | Film]:
@@ -161,11 +165,11 @@ class PlanReport(ABC, Generic[PlanT]):
         """Return arguments of :func:`hyperflex.report.player_html`."""
         return {"title": f"planned {self.noun}, simulated", "speed": self.film_speed, "overlay": self.overlay()}
 
-    def _sections(self, shown: Mapping[str, Picture | Film]) -> list[Section]:
+    def _sections(self, shown: Mapping[str, Picture | Film], remarks: Sequence[str]) -> list[Section]:
         plan, texts, verdict = self.plan, self.texts, (self.plan.success, self.verdict)
         notes = texts.paragraphs("search")
         sections: list[Section] = [
-            Section("In short", verdict=verdict, text=self.advice, tiles=self.tiles, notes=notes)
+            Section("In short", verdict=verdict, text=(*remarks, *self.advice), tiles=self.tiles, notes=notes)
         ]
         sections += self.without_run() if plan.run is None else ()
         if self.story:

@@ -96,7 +96,7 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
         return 1.0
     if owner in ("camera", "arm"):
         return None
-    if owner == "motion" or each.name == "gravity_angle":
+    if owner in ("motion", "view"):
         return float(found.settings.get(f"{each.name}_from", 0.0))
     own = np.asarray(found.settings["arc_lengths"] if owner == "marker" else np.atleast_1d(getattr(guess, each.name)))
     return float(np.mean({"shared": own, "inner": own[1:]}.get(each.law, own[each.place or 0])))
