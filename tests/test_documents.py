@@ -5,6 +5,7 @@ import importlib
 import os
 import pkgutil
 import re
+import shlex
 import subprocess
 import sys
 import warnings
@@ -13,8 +14,10 @@ from inspect import signature
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
 import hyperflex
+from hyperflex.cli.app import app
 from hyperflex.core import status
 from hyperflex.model import Arm, Setup
 from hyperflex.model.obstacles import KINDS
@@ -64,6 +67,23 @@ def test_examples_in_docstrings(name):
         warnings.simplefilter("ignore", DeprecationWarning)  # of doctest itself, under numba's wrappers
         result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
     assert result.failed == 0
+
+
+def commands(page: Path) -> list[str]:
+    """Return the commands that a page shows, in its blocks and with options in its lines."""
+    text = page.read_text("utf-8").replace("\\\n", " ")
+    blocks = "\n".join(re.findall(r"^```\w*\n(.*?)^```", text, re.M | re.S))
+    return re.findall(r"^(?:\$ )?hyperflex (\w.*)", blocks, re.M) + re.findall(r"`hyperflex (\w[^`]* [^`]*)`", text)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=named)
+def test_commands_of_a_page_have_options_that_exist(page):
+    group = get_command(app)
+    for words in commands(page):
+        name, *given = shlex.split(words.removesuffix("..."), comments=True)
+        command = group.get_command(None, name)
+        parser = command.make_parser(command.context_class(command))
+        assert parser.parse_args(given)[1] == [], words  # refuses an option that does not exist
 
 
 def test_equations_that_the_code_names_are_in_the_models_page():

@@ -290,6 +290,7 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(hype
 
 
 @EACH
+@pytest.mark.filterwarnings("default:.*graded 'do not use'")
 def test_a_rope_that_must_not_be_used_is_planned_with_a_warning(hyperflex, given, ready, tmp_path, command):
     ready(command)
     words = given(command, "--json")

@@ -73,7 +73,8 @@ def test_errors_are_one_line_or_one_json_object_and_leave_nothing(
     code, out, err = hyperflex(*words)
     assert (code, out, message in err, err.count("\n")) == (2, "", True, 1)
     code, result = hyperflex_json(*words)
-    assert (code, set(result), message.removeprefix("hyperflex: ") in result["error"]) == (2, {"error", "type"}, True)
+    assert (code, message.removeprefix("hyperflex: ") in result["error"]) == (2, True)
+    assert {name: result[name] for name in ("success", "status")} == {"success": False, "status": "failed"}
     assert ((tmp_path / "cast.toml").read_bytes(), files(tmp_path)) == (before, left)
 
 
@@ -99,6 +100,13 @@ def test_ctrl_c_keeps_what_was_simulated_under_a_name_that_says_so(
         assert (kept.status, kept.t.size) == ("interrupted", samples)
 
 
+def test_the_end_of_the_time_keeps_what_was_simulated(hyperflex_json, setup, tmp_path):
+    code, result = hyperflex_json(*CALL, "--duration", 3e4, "--time-budget", 0.3)
+    assert (code, result["success"], result["status"]) == (3, False, "out of time")
+    kept = hf.read_trajectory(tmp_path / "cast-interrupted.nc")
+    assert (kept.status, kept.t[-1] > 0.0, (tmp_path / "cast.nc").exists()) == ("out of time", True, False)
+
+
 def test_ctrl_c_after_the_run_says_that_it_is_written(hyperflex_json, setup, tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -109,6 +117,7 @@ def test_ctrl_c_after_the_run_says_that_it_is_written(hyperflex_json, setup, tmp
     assert ((tmp_path / "cast.nc").exists(), "cast.nc" in result["message"]) == (True, True)
 
 
+@pytest.mark.filterwarnings("ignore:.*near the peg")
 def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json, setup):
     """One peg that the rope hangs over, with what it holds on demand, and one that it never meets."""
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=8, radius=0.003, friction=1e-4)

@@ -13,6 +13,7 @@ import hyperflex as hf
 from hyperflex.cli import doctor, init
 
 
+@pytest.mark.filterwarnings("ignore:.*near the peg")
 def test_init_writes_a_set_up_that_runs(hyperflex, tmp_path):
     out = tmp_path / "cast.toml"
     given = ("--length", 1.5, "--mass", 0.08, "--links", 5, "--peg", 0.8, -0.6, 0.03, "--motion", "move")
@@ -28,6 +29,7 @@ def test_init_writes_a_set_up_that_runs(hyperflex, tmp_path):
     assert all("# " in line or line.startswith("kind") for line in commented)
 
 
+@pytest.mark.filterwarnings("ignore:.*near the peg")
 @pytest.mark.parametrize("motion", init.MOTIONS)
 def test_what_stands_in_comments_can_be_used_as_it_is(hyperflex, motion, tmp_path):
     out = tmp_path / "setup.toml"
@@ -41,6 +43,17 @@ def test_what_stands_in_comments_can_be_used_as_it_is(hyperflex, motion, tmp_pat
     assert (setup.motion is None) == (motion == "hold")
     moved = hf.simulate(setup.replace(pegs=(), rope=setup.rope.replace(drag=0.0)), duration=1.0)
     assert abs(moved.tip - moved.tip[0]).max() > 0.01
+
+
+@pytest.mark.filterwarnings("default:.* the peg at")
+def test_pegs_that_do_not_suit_links_and_arm_are_reported(hyperflex, tmp_path):
+    setup = tmp_path / "setup.toml"
+    simulate = ("simulate", setup, "-o", tmp_path / "a.nc", "--duration", 0.01)
+    for command in (("init", setup, "--peg", 0, 0, 0.03), simulate):
+        code, _, err = hyperflex(*command)
+        assert code == 0, err
+        assert "links of 100 mm near the peg at (0, 0) m, of 30 mm radius" in err
+        assert "the arm turns through the peg at (0, 0) m" in err
 
 
 def test_init_leaves_a_file_alone(refused, tmp_path):

@@ -112,6 +112,12 @@ def test_a_throw_that_went_wrong_once_keeps_the_goals(number, duration, limit):
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
+def test_a_whole_set_up_is_not_cut():
+    setup = hf.Setup(hf.Rope.uniform(length=1.0, mass=0.1, n_links=4), duration=0.1, pegs=[hf.Peg(0.5, -0.5, 0.03)])
+    with pytest.raises(hf.InvalidInput, match="a whole set-up is not cut"):
+        hf.simulate(setup, refine=True)
+
+
 def test_nothing_passes_a_peg_at_fifty_metres_a_second():
     """A rod on a long radius sweeps past at 50 m/s at its end, on a peg as thin as a pencil; it stops there."""
     peg = hf.Peg(0.9, 0.0, 0.004, 0.3)

@@ -9,8 +9,9 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import deferred
+from hyperflex.status import Status
 
 if TYPE_CHECKING:
     from hyperflex.model import Peg, Setup
@@ -39,7 +40,8 @@ def simulate(
     For each round peg it reports the rope's turns at the end, the angle that it covers, and how far it slipped in the
     last 2 s.
 
-    After Ctrl-C, the part that has been simulated is in a separate file, such as cast-interrupted.nc.
+    After Ctrl-C, or when the time is over (exit code 3), the part that has been simulated is in a separate file, such
+    as cast-interrupted.nc.
     """
     from hyperflex.model import Setup
     from hyperflex.simulation import file_size
@@ -53,16 +55,22 @@ def simulate(
         fix = "Leave out --horizon, or the obstacles"
         raise InvalidInput("--horizon is of a run in free flight", got=f"{len(simulated.pegs)} obstacles", fix=fix)
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
-    found, stopped = output.run(lambda: run(simulated, duration=duration, time_budget=time_budget, progress=True))
-    kept = output.partial_path(out) if stopped else out
-    if not found.t.size:
+    how: dict[str, Any] = {"duration": duration, "time_budget": time_budget, "progress": True, "throw": False}
+    found, _ = output.run(lambda: run(simulated, **how))
+    stopped, late = (found.status == each for each in (Status.INTERRUPTED, Status.OUT_OF_TIME))
+    if not (found.success or stopped or (late and found.t.size)):
+        raise SimulationError(found.message, status=found.status, time=found.state.t)
+    kept = out if found.success else output.partial_path(out)
+    if stopped and not found.t.size:
         raise KeyboardInterrupt
     with deferred():  # what has taken long is written first
         files.rescued(found.to_netcdf, kept)
-    if stopped:
+    if not found.success:
         part = {"output": kept, "status": found.status, "samples": found.t.size, "end_s": found.state.t}
-        message = f"Interrupted at t = {found.state.t:.6g} s; the part that was simulated is in {kept}."
-        output.show(part, interrupted=message)
+        why = "Interrupted" if stopped else "The time budget was over"
+        text = f"{why} at t = {found.state.t:.6g} s; the part that was simulated is in {kept}."
+        more = {} if stopped else {"message": found.message}
+        output.show(part | more, text, interrupted=text if stopped else "", code=output.NOT_CONVERGED)
     result: dict[str, Any] = {
         "output": out,
         "status": found.status,
@@ -112,7 +120,8 @@ def _winding(peg: dict[str, Any]) -> str:
         return f"{turns}; the rope does not touch it at the end"
     slip = peg["slip_m"]
     on = f"slipped {1e3 * abs(slip):.1f} mm" if np.isfinite(slip) else "came to lie on it, or let go,"
-    text = f"{turns}, {np.degrees(peg['covered_rad']):.0f} degrees covered, {on} in the last {_WATCH:g} s"
+    covered = f"{np.degrees(peg['covered_rad']):.0f} degrees covered" if peg["covered_rad"] else "touched at one point"
+    text = f"{turns}, {covered}, {on} in the last {_WATCH:g} s"
     if "hold_N" not in peg:
         return text
     return f"{text}; holds {'' if peg['tug_slipped'] else 'at least '}{peg['hold_N']:.2g} N"

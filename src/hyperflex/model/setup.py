@@ -1,6 +1,7 @@
 """A simulation set-up: rope, arm, motion, obstacles, start, and its TOML file."""
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacle_tables, obstacles_of, packed
+from hyperflex.model.refine import COARSE, FINE, may_touch
 from hyperflex.model.rope import Rope, table_keys
 from hyperflex.motion import Motion, from_spec, hold_arm, motion_keys, to_spec, torque_profile
 from hyperflex.options import option
@@ -273,7 +275,11 @@ class Setup:
 
         The tables of a planner, ``[target]``, ``[slot]``, ``[limits]`` and ``[plan]``, are ignored.
         """
-        content = {key: value for key, value in files.loads_toml(text, name).items() if key not in PLANNING}
+        return cls._of(files.loads_toml(text, name), name, folder)
+
+    @classmethod
+    def _of(cls, tables: Mapping[str, Any], name: str, folder: Path | None) -> "Setup":
+        content = {key: value for key, value in tables.items() if key not in PLANNING}
         check_tables(name, content)
         with located(name, files.toml_words):
             content["rope"] = Rope.from_table(content["rope"])
@@ -298,7 +304,27 @@ class Setup:
         FileProblem, InvalidInput
             If the file cannot be read or does not describe a set-up.
         """
-        return cls.loads(files.read_text(path, "TOML file"), str(path), Path(path).parent)
+        content = files.read_toml(path)
+        setup = cls._of(content, str(path), Path(path).parent)
+        if PLAN not in content:  # whose rope was cut, and whose arm is clear
+            warn_of_pegs(str(path), setup)
+        return setup
+
+
+def warn_of_pegs(name: str, setup: Setup) -> None:
+    """Warn (UserWarning) of pegs for which the links of a rope are too long, or through which its arm turns."""
+    rope, arm = setup.rope, setup.arm
+    driven = arm is not None and (setup.motion is not None or setup.torque_driven)
+    for peg in setup.round_pegs:
+        axis, where = peg.radius + rope.radius, f"the peg at ({peg.x:.4g}, {peg.y:.4g}) m"
+        longest = rope.length[may_touch(rope, peg, arm)].max(initial=0.0)
+        if longest > COARSE * axis:
+            size, radius, enough = (f"{1e3 * each:.3g} mm" for each in (longest, peg.radius, FINE * axis))
+            text = f"links of {size} near {where}, of {radius} radius, hold less than a smooth rope"
+            warnings.warn(f"{name}: {text}. Give links of up to {enough}.", UserWarning, stacklevel=3)
+        if driven and arm is not None and math.dist(arm.pivot, (peg.x, peg.y)) < arm.length + peg.radius:
+            text = f"the arm turns through {where}, which only the rope touches"
+            warnings.warn(f"{name}: {text}. Move it, if that is not meant.", UserWarning, stacklevel=3)
 
 
 def check_tables(name: str, content: Mapping[str, Any], more: Sequence[str] = ()) -> None:

@@ -36,13 +36,20 @@ IN_MEMORY, IN_FILE = (11, 15), (5.5, 7.5)
 MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
 
 
-def setup_of(rope: Rope | Setup, fields: Mapping[str, Any], *, refine: bool = False) -> tuple[Setup, Pieces | None]:
+def setup_of(
+    rope: Rope | Setup, fields: Mapping[str, Any], *, refine: bool | None = False
+) -> tuple[Setup, Pieces | None]:
     """Return the set-up of a rope and of the fields that are not None; or a set-up with these fields replaced.
 
-    With `refine` a rope is cut where its pegs need it; the second value is then the number of pieces of each link.
+    Unless `refine` is False a rope is cut where its pegs need it; the second value is then the number of pieces of each
+    link. A set-up is not cut; True is refused.
     """
     given = {name: value for name, value in fields.items() if value is not None}
+    refine = refine if refine is None else checks.flag("refine", refine)
     if isinstance(rope, Setup):
+        if refine:
+            fix = "Cut its rope before: refine_rope(setup.rope, setup.pegs, arm=setup.arm)"
+            raise InvalidInput("a whole set-up is not cut", got="refine=True", fix=fix)
         return rope.replace(**given) if given else rope, None
     if not isinstance(rope, Rope):
         raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope or a whole Setup")
@@ -53,7 +60,7 @@ def setup_of(rope: Rope | Setup, fields: Mapping[str, Any], *, refine: bool = Fa
         fix = "A motion defines where the arm begins; without one the arm rests at 0"
         raise InvalidInput("no torque drives the arm that these begin", got=names, allowed="with torque=...", fix=fix)
     pieces, pegs = None, checked_obstacles(given.get("pegs", ()))
-    if pegs and refine:
+    if pegs and refine is not False:
         arm = given.get("arm")
         pieces = cuts(rope, pegs, arm=arm)
         rope = refine_rope(rope, pegs, arm=arm)
@@ -215,7 +222,7 @@ def simulate(
     t_eval: ArrayLike | None = None,
     state: State | None = None,
     until: Event | None = None,
-    refine: bool = True,
+    refine: bool | None = None,
     throw: bool = True,
     time_budget: float | Budget | None = None,
     progress: bool = False,
@@ -240,9 +247,10 @@ def simulate(
         after the duration if it does not; ``trajectory.event`` names it. The last sample is the event then, located to
         some 1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that begins
         and ends within such a step can be missed. Not with pegs, nor where a joint is at its limit.
-    refine : bool
+    refine : bool, optional
         Cut links that may touch a peg to what a wound rope needs (:func:`hyperflex.refine_rope`; ``q0``, ``qd0`` and
-        `state` may then be those of either rope). The trajectory's rope is the finer one. A whole set-up is not cut.
+        `state` may then be those of either rope). The trajectory's rope is the finer one. By default a rope is cut; a
+        whole set-up cannot be.
     throw : bool
         Raise an error if the run fails; False returns the part of the run that is valid, with its ``status`` and
         ``message``, also after Ctrl-C.
@@ -288,7 +296,7 @@ def simulate(
     if state is not None and (names := [name for name in STARTS if setup.get(name) is not None]):
         fix = "dataclasses.replace(state, q=...) changes a state"
         raise InvalidInput("the start is given twice, by arguments and by a state", got=names, fix=fix)
-    full, pieces = setup_of(rope, given, refine=checks.flag("refine", refine))
+    full, pieces = setup_of(rope, given, refine=refine)
     if isinstance(state, State) and pieces is not None and np.shape(state.q) == pieces.shape and (pieces > 1).any():
         state = replace(state, q=per_piece(state.q, pieces), qd=per_piece(state.qd, pieces), checkpoint={})
     begin = 0.0 if state is None else checks.number("state t", checks.instance("state", state, State).t, unit="s")

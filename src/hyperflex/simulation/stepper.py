@@ -192,7 +192,7 @@ class Stepper:
         rope: Rope | Setup,
         *,
         command: str = "acceleration",
-        refine: bool = True,
+        refine: bool | None = None,
         **setup: Unpack[SetupFields],
     ) -> None:
         self.command = checks.choice("command", command, tuple(COMMANDS))
