@@ -309,6 +309,7 @@ def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, pend
     monkeypatch.setattr(output, "spinner", hit_at_frame_8)
     code, text, err = hyperflex(*pendulum, "--preview", "seen.mp4", "--json")
     assert (code, "after 8 frames" in err, json.loads(text)["output"]) == (130, True, "angles-interrupted.nc")
+    assert json.loads(text)["preview"] is None
     assert len(hf.read_recording("angles-interrupted.nc").t) == 8
     assert read_netcdf("angles-interrupted.nc").attributes["interrupted"] == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["angles-interrupted.nc", "pendulum.mp4"]

@@ -91,6 +91,19 @@ def test_what_is_estimated_of_the_plane_is_in_all_places(swing, tmp_path, camera
     np.testing.assert_array_equal(kept["arc_lengths"], ARCS)
 
 
+def test_a_marker_that_is_seldom_seen_is_named(swing, tmp_path):
+    tips = facing().project(tracked(swing, facing()).recording.data[:, -2:])
+    with VideoReader(swing) as reader, VideoWriter(tmp_path / "hidden.mp4", reader.image_size) as writer:
+        for k, frame in enumerate(reader):
+            (u, v), image = tips[k].astype(int), frame.image.copy()
+            if k >= 9:
+                image[v - 15 : v + 15, u - 15 : u + 15] = image[0, 0]
+            writer.write(image, frame.time)
+    found = tracked(tmp_path / "hidden.mp4", facing())
+    np.testing.assert_array_equal(found.seen_each, [1.0] * 7 + [0.3])
+    assert "the marker at 2 m was seen in only 30 % of the frames: check its arc length" in found.notes
+
+
 def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back(tmp_path):
     """Threads wait for each other at small matrices: two of them on two busy cores take ten times as long as one."""
 

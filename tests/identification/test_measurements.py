@@ -66,6 +66,16 @@ def test_a_known_first_joint_counts_as_a_marker_and_folded_links_are_among_the_s
     assert min(off) < 1e-3
 
 
+@pytest.mark.parametrize(("rows", "part"), [(slice(70), "fitted"), (slice(60, None), "held out")])
+def test_a_marker_without_a_value_in_a_part_is_named(rows, part):
+    t = np.arange(91) / 30.0
+    places = simulate(CABLE, duration=t[-1], t_eval=t, q0=np.full(12, 0.8)).joints[:, [4, 8, 12]].reshape(t.size, -1)
+    places[rows, 2:4] = np.nan
+    recording, setup = Recording(t, places, kind="markers"), RecordingSetup(arc_lengths=[1.0 / 3.0, 2.0 / 3.0, 1.0])
+    with pytest.raises(InvalidInput, match=f"the marker at 0.666667 m has no value in the part {part}"):
+        identify(recording, CABLE, setup=setup, options=FitOptions(train=2.2, lead=0.1, ahead=0.3))
+
+
 def test_where_a_marker_sits_can_be_found():
     t = np.arange(91) / 30.0
     run = simulate(CABLE, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)

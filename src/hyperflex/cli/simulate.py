@@ -69,8 +69,8 @@ def simulate(
         part = {"output": kept, "status": found.status, "samples": found.t.size, "end_s": found.state.t}
         why = "Interrupted" if stopped else "The time budget was over"
         text = f"{why} at t = {found.state.t:.6g} s; the part that was simulated is in {kept}."
-        more = {} if stopped else {"message": found.message}
-        output.show(part | more, text, interrupted=text if stopped else "", code=output.NOT_CONVERGED)
+        why_late = {} if stopped else {"message": found.message}
+        output.show(part | why_late, text, interrupted=text if stopped else "", code=output.NOT_CONVERGED)
     result: dict[str, Any] = {
         "output": out,
         "status": found.status,

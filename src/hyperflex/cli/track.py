@@ -172,9 +172,15 @@ def track(
             tracker = markers.task(_images_since(video, since)).tracker()
             found, stopped = output.run(lambda: track_video(video, tracker, **follow))
     kept = output.partial_path(out) if stopped else out
-    result = {"output": kept, "preview": preview, "frames": found.frames, "duration_s": found.recording.duration}
+    result = {
+        "output": kept,
+        "preview": None if stopped else preview,
+        "frames": found.frames,
+        "duration_s": found.recording.duration,
+    }
     result |= {"seen": found.seen}
     if not bar:
+        result |= {"seen_each": found.seen_each}
         result |= {"found_at_s": found.found_at, "markers": len(found.arc_lengths), "arc_lengths": found.arc_lengths}
         result |= _estimated(tracker.estimator.measurement_noise.value, found.parameters, found.changes)
     files.rescued(found.to_netcdf, kept)

@@ -19,6 +19,7 @@ from hyperflex.recording import Recording
 from hyperflex.vision import Camera, Frame, Image, VideoReader, follow_video
 
 ROUNDING = 1.05  # factor by which a time may exceed the frame interval: both are rounded
+SELDOM = 0.5  # part of the frames: a marker that is seen in fewer is reported
 UNDETERMINED = 0.9  # of a parameter's prior standard deviation: if more remains, the video does not determine it
 
 
@@ -59,6 +60,11 @@ class VideoTrack:
     notes: tuple[str, ...]
     changes: tuple[Change, ...] = ()
     interrupted: bool = False
+
+    @property
+    def seen_each(self) -> Array:
+        """Part of the frames in the recording in which each marker was seen (K,)."""
+        return np.asarray(np.isfinite(self.recording.data[:, ::2]).mean(axis=0))
 
     def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
         """Write the recording to NetCDF-4, with the estimates and the arc lengths of its markers as attributes.
@@ -183,6 +189,11 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         f"the marker at {arc:g} m was never seen: check its arc length, or omit it from arc_lengths; "
         f"it is not in the file, whose markers are those at {','.join(f'{each:g}' for each in arcs[kept])} m"
         for arc in arcs[~kept]
+    ]
+    notes += [
+        f"the marker at {arc:g} m was seen in only {100.0 * part:.2g} % of the frames: check its arc length"
+        for arc, part in zip(arcs, seen.mean(axis=0), strict=True)
+        if 0.0 < part < SELDOM
     ]
     rope = {name: each for name, each in estimates.items() if name.startswith(("length", "arc[")) and prior[name]}
     if rope:

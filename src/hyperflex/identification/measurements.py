@@ -350,14 +350,24 @@ def build_plant(
     return Plant(parameters, Markers(arc_lengths, place), motion, arm, torque=torque)
 
 
-def split(measured: Measurements, options: FitOptions) -> tuple[Measurements, Measurements | None]:
-    """Return the part to fit and the part held out."""
+def split(
+    measured: Measurements, options: FitOptions, arc_lengths: npt.ArrayLike | None
+) -> tuple[Measurements, Measurements | None]:
+    """Return the part to fit and the part held out; a marker without values in one is named by its arc length."""
     t, time = measured.channels.t, options.train
     if time is None:
         time = float(t[0] + TRAIN * measured.channels.duration)
         time = time if t[-1] - time >= options.lead + options.ahead else np.inf
     if time <= t[0]:
         raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {t[0]:g} s")
+    for rows, part in ((t < time, "fitted"), (t >= time, "held out")):
+        empty = np.isnan(measured.channels.data[rows]).all(axis=0)
+        if arc_lengths is not None and rows.sum() > 1 and empty.any():
+            arc = float(np.ravel(arc_lengths)[int(np.argmax(empty)) // 2])
+            what = f"the marker at {arc:g} m has no value in the part {part}"
+            raise InvalidInput(
+                what, fix=f"Omit it, from arc_lengths as well, or let train end elsewhere than at {time:.4g} s"
+            )
     rest = measured.between(time, np.inf) if (t >= time).sum() > 1 else None
     return (measured if time > t[-1] else measured.between(-np.inf, time)), rest
 

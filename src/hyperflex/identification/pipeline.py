@@ -144,11 +144,11 @@ def identify(
     setup = checks.instance("setup", RecordingSetup() if setup is None else setup, RecordingSetup)
     options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
     measured, places = checked_measurements(recording, rope_guess, setup)
-    fitted, rest = split(measured, options)
+    fitted, rest = split(measured, options, setup.arc_lengths)
     check_excitation(fitted.channels, fitted.shape, rope_guess, moved=setup.motion is not None)
     seen = fitted
     if setup.torque is not None:
-        seen = split(with_torque(measured, setup.torque, setup.torque_noise), options)[0]
+        seen = split(with_torque(measured, setup.torque, setup.torque_noise), options, setup.arc_lengths)[0]
     with rounds_shown(progress) as report:
         case = _Case(recording, rope_guess, setup, options, seen, fitted, rest, places, budget, report)
         result = case.solve(free)
