@@ -1,6 +1,7 @@
 """``hyperflex plot``, ``view`` and ``play``: a saved run as picture, film, page or table, a live page; refusals."""
 
 import webbrowser
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.play import PlayServer
+from hyperflex.status import Status
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,19 @@ def test_the_suffix_says_what_is_written(hyperflex_json, run_file, tmp_path, nam
     code, told = hyperflex_json("plot", run_file, "-o", tmp_path / name, *short)
     assert (code, told["bytes"], told["start_s"], told["end_s"]) == (0, (tmp_path / name).stat().st_size, 0.0, 1.0)
     assert (tmp_path / name).read_bytes().startswith(begins)
+
+
+@pytest.mark.parametrize("name", ["a.html", "a.png"])
+def test_what_shows_an_interrupted_run_says_so(hyperflex_json, run_file, tmp_path, monkeypatch, name):
+    replace(hf.read_trajectory(run_file), status=Status.INTERRUPTED).to_netcdf(tmp_path / "part.nc")
+    titles: list[str] = []
+    to_html, plot = hf.Trajectory.to_html, hf.Trajectory.plot
+    monkeypatch.setattr(hf.Trajectory, "plot", lambda run, **how: titles.append(how["title"]) or plot(run, **how))
+    monkeypatch.setattr(
+        hf.Trajectory, "to_html", lambda run, out, **how: titles.append(how["title"]) or to_html(run, out, **how)
+    )
+    code, told = hyperflex_json("plot", tmp_path / "part.nc", "-o", tmp_path / name, "--title", "A throw")
+    assert (code, told["run_status"], titles) == (0, "interrupted", ["A throw (interrupted)"])
 
 
 def test_the_course_is_another_picture(hyperflex, run_file, tmp_path):
@@ -80,7 +95,9 @@ def test_view_writes_the_page_and_opens_it(hyperflex, hyperflex_json, run_file, 
             "--end 9 is no part of the run. Allowed: times from 0 to 1 s",
         ),
         (("plot", "cast.nc", "-o", "a.gif", "--width", "2"), "width"),
-        (("plot", "cast.nc", "-o", "a.csv", "--start", "0.5"), "--start and --end do not apply to a table"),
+        (("plot", "cast.nc", "-o", "a.csv", "--start", "0.5"), "a .csv does not show the options: got '--start'"),
+        (("plot", "cast.nc", "-o", "a.png", "--speed", 2, "--width", 9), "got '--speed --width'"),
+        (("plot", "cast.nc", "-o", "a.html", "--kind", "course"), "got '--kind'"),
         (("plot", "cast.nc", "--end", "1"), "See hyperflex plot --help."),
         (("plot", "a.toml", "-o", "a.html"), "hyperflex simulate a.toml -o a.nc"),
         (("view", "a.toml"), "hyperflex simulate a.toml -o a.nc"),

@@ -426,6 +426,7 @@ def test_ctrl_c_while_drawing_leaves_the_plan(
         ("whip", ("--angle-tolerance", 15, "--direction", 0), "If these are degrees, give 0.2618"),
         ("whip", ("--least-speed", 0), "--least-speed"),
         ("insert", ("--width", "0.004"), "slot width is too narrow"),
+        ("whip", ("--angle-tolerance", "0.3"), "--angle-tolerance has no direction: got 0.3"),
         ("insert", ("--depth", 0), "slot depth has the wrong sign"),
         ("insert", ("--direction", 90), "more than a turn"),
         *((command, ("--speed", 0), "motor speed") for command in MADE),

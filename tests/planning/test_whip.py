@@ -379,7 +379,8 @@ def test_impact_is_what_turns_the_rope():
     ("point", "max_bend", "words"),
     [
         ((-0.101, -0.6), np.inf, "lies on the peg from the start"),
-        ((0.0, -0.5), np.inf, "link 4 touches the peg first, at"),  # it swings into it with its middle
+        ((0.0, -0.5), np.inf, "link 3 touches the peg first, at"),  # it swings into it with its middle
+        ((0.34, -0.996), np.inf, "the tip touches the peg already at"),
         ((0.9, 0.9), np.inf, "does not touch the peg"),
         ((2.5, 2.5), 0.3, "does not touch the peg"),  # a joint at its limit loses energy as a blow does
     ],

@@ -179,7 +179,7 @@ def test_warnings(monkeypatch):
     assert WhipReport(short).warning == f"With links of half the length {message}."
     assert WhipReport(replace(short, message="it misses")).warning == ""
     early = SimpleNamespace(success=False, message="link 29 touches the peg first")
-    assert "not struck by the tip: link 29" in WhipReport(whip, early).verdict
+    assert "not struck by the tip at its peak: link 29" in WhipReport(whip, early).verdict
     monkeypatch.setattr(plan_report, "GREAT_TORQUE", 0.0)
     rope, arm = whip.problem.rope, whip.problem.arm
     for report in (CastReport(plan), WhipReport(whip), InsertReport(planned_insert())):

@@ -11,8 +11,16 @@ import typer
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import stoppable
 
-_SUFFIXES = (".png", ".gif", ".mp4", ".html", ".csv")
+_FILM = ("start", "end", "title", "speed", "width")
+_OPTIONS = {  # that apply, by what is written
+    ".png": ("start", "end", "title", "kind"),
+    ".gif": _FILM,
+    ".mp4": _FILM,
+    ".html": ("start", "end", "title", "speed"),
+    ".csv": (),
+}
 Run = Annotated[
     Path, typer.Argument(help="NetCDF file of a run, such as simulate, cast and whip write.", metavar="RUN.nc")
 ]
@@ -26,12 +34,15 @@ def plot(
     run: Run,
     out: Annotated[Path, typer.Option("--output", "-o", help="File to write: .png, .gif, .mp4, .html or .csv.")],
     kind: Annotated[
-        str, typer.Option(help="What a .png shows: strobe (many instants in one) or course (curves over time).")
-    ] = "strobe",
+        str | None,
+        typer.Option(help="What a .png shows: strobe (many instants) or course (curves over time). [default: strobe]"),
+    ] = None,
     start: Start = None,
     end: End = None,
-    speed: Annotated[float, typer.Option(help="Simulated seconds in a second of a film.")] = 1.0,
-    width: Annotated[int, typer.Option(help="Width of a film, pixels.")] = 640,
+    speed: Annotated[
+        float | None, typer.Option(help="Simulated seconds in a second of a film or page. [default: 1.0]")
+    ] = None,
+    width: Annotated[int | None, typer.Option(help="Width of a film, pixels. [default: 640]")] = None,
     title: Title = None,
 ) -> None:
     """Draw a saved run as a picture, film, page or table.
@@ -42,27 +53,30 @@ def plot(
     from hyperflex.report import save_png
 
     suffix = out.suffix.lower()
-    if suffix not in _SUFFIXES:
+    if suffix not in _OPTIONS:
         raise InvalidInput(
-            "the output has the wrong suffix", got=str(out), allowed=", ".join(_SUFFIXES), fix="Change -o"
+            "the output has the wrong suffix", got=str(out), allowed=", ".join(_OPTIONS), fix="Change -o"
         )
-    if suffix == ".csv" and not (start is None and end is None):
-        raise InvalidInput("--start and --end do not apply to a table", allowed="all samples", fix="Omit them")
+    every = {"start": start, "end": end, "title": title, "kind": kind, "speed": speed, "width": width}
+    options: dict[str, Any] = {name: value for name, value in every.items() if value is not None}
+    if idle := [f"--{name}" for name in options if name not in _OPTIONS[suffix]]:
+        raise InvalidInput(f"a {suffix} does not show the options", got=" ".join(idle), fix="Omit them")
     check_destination(out, suffix, [run])
     shown = _read(run, "plot")
-    named = run.name if kind == "course" else f"{run.name}, simulated"  # the drawing of a course contains that word
-    options: dict[str, Any] = {"start": start, "end": end, "title": named if title is None else title}
+    # the drawing of a course contains "simulated"
+    options["title"] = _title(run, shown, title, "" if kind == "course" else ", simulated")
     if suffix == ".png":
-        save_png(shown.plot(kind, **options), out)
+        save_png(shown.plot(**options), out)
     elif suffix == ".html":
-        shown.to_html(out, speed=speed, **options)
+        shown.to_html(out, **options)
     elif suffix == ".csv":
         shown.to_csv(out)
     else:
         with output.spinner() as progress:
             options["progress"] = lambda done, frames: progress(f"frame {done} of {frames}")
-            shown.animate(out, speed=speed, width=width, **options)
-    result = {"output": out, "bytes": out.stat().st_size, "run": run, "start_s": shown.t[0], "end_s": shown.t[-1]}
+            shown.animate(out, **options)
+    result = {"output": out, "bytes": out.stat().st_size, "run": run, "run_status": shown.status}
+    result |= {"start_s": shown.t[0], "end_s": shown.t[-1]}
     output.show(result, output.rows(repr(shown), result))
 
 
@@ -84,11 +98,16 @@ def view(
     check_destination(out, ".html", [run])
     shown = _read(run, "view")
     page = Path(tempfile.mkdtemp(prefix="hyperflex-")) / f"{run.stem}.html" if out is None else out
-    shown.to_html(page, start=start, end=end, title=f"{run.name}, simulated" if title is None else title)
+    shown.to_html(page, start=start, end=end, title=_title(run, shown, title, ", simulated"))
     opened = not no_open and webbrowser.open(page.resolve().as_uri())
-    result = {"output": page, "bytes": page.stat().st_size, "opened": opened, "run": run}
+    result = {"output": page, "bytes": page.stat().st_size, "opened": opened, "run": run, "run_status": shown.status}
     found = [] if opened or no_open else [("no browser was found", "open the file with any browser")]
     output.show(result, output.rows(repr(shown), result, *found))
+
+
+def _title(run: Path, shown: Any, given: str | None, what: str) -> str:
+    """Return the title of what shows a run; of one that did not come to its end with how it ended."""
+    return (f"{run.name}{what}" if given is None else given) + ("" if shown.success else f" ({shown.status})")
 
 
 def _read(run: Path, command: str) -> Any:
@@ -143,4 +162,5 @@ def play(
         if not no_open:
             with contextlib.suppress(webbrowser.Error):
                 webbrowser.open(server.address)
-        server.wait()
+        with stoppable():  # Ctrl-C is the way to end it
+            server.wait()

@@ -86,6 +86,9 @@ class TipTarget:
 
     def __post_init__(self) -> None:
         if self.direction is None:
+            if self.angle_tolerance not in (TipTarget.angle_tolerance, np.pi):
+                fix = "Give the direction as well, or leave it out"
+                raise InvalidInput("angle_tolerance has no direction", got=self.angle_tolerance, fix=fix)
             object.__setattr__(self, "direction", 0.0)
             object.__setattr__(self, "angle_tolerance", float(np.pi))
         check_options(self, "target")
@@ -310,7 +313,7 @@ class Impact:
     energy : float
         Energy lost in the impact while the rope is on the peg, J.
     link : int
-        First link in contact, counted from the motor; -1 if none is.
+        First link in contact, counted from the motor, from 0 on; -1 if none is.
     message : str
         Why there is no impact of the tip, and impulse and energy are 0: the rope does not touch the peg, or lies on it
         before, or touches it first elsewhere. Empty if there is one.
@@ -385,8 +388,10 @@ def simulate_impact(
     first, links = int(touched[0]), gap.argmin(axis=1)
     begin, link = float(t[first]), int(links[first])
     beyond = float(rope.length[link:].sum() - along[first, link])
-    if begin < near - WINDOW or beyond > max(rope.length[-1], 2.0 * radius) + 1e-9:
-        where = f"link {link + 1} touches the peg first, at {begin:.2f} s and {1e2 * beyond:.0f} cm from the tip"
+    tip = beyond <= max(rope.length[-1], 2.0 * radius) + 1e-9
+    if begin < near - WINDOW or not tip:
+        where = f"link {link} touches the peg first, at {begin:.2f} s and {1e2 * beyond:.0f} cm from the tip"
+        where = f"the tip touches the peg already at {begin:.2f} s" if tip else where
         return Impact(begin, link=link, message=f"{where}; the tip was expected at {near:.2f} s")
     rows = touched[touched <= first + round(duration / step)]
     lost = np.diff(np.asarray(run.contact_loss), prepend=0.0)[rows]  # elsewhere: joints at their limits
