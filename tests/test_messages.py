@@ -2,6 +2,7 @@
 
 import pytest
 
+from hyperflex import checks
 from hyperflex.errors import InvalidInput, located
 
 
@@ -13,6 +14,9 @@ def test_a_message_is_joined_of_its_parts():
     assert str(InvalidInput("two", allowed="x.", fix="Do so.")) == "two. Allowed: x. Do so."  # no double full stop
     with pytest.raises(InvalidInput, match=r"^rope\.toml: two: got 1\. Allowed: one\.$"), located("rope.toml"):
         raise InvalidInput("two", got=1, allowed="one")
+    assert str(InvalidInput("two", allowed="x0, y0, ..")) == "two. Allowed: x0, y0, .."
+    with pytest.raises(InvalidInput, match="Perhaps 'tol' is meant"):
+        checks.keys("a set-up", ["tolerance"], ["tol", "torque"])
     long = str(InvalidInput("name " * 9000, got="a" * 9000, allowed="b" * 9000, fix="c" * 9000 + " and look"))
     assert len(long) < 2000
     assert long.endswith("c and look.")

@@ -34,7 +34,7 @@ class InvalidInput(HyperflexError, ValueError):
             parts.append(f"Allowed: {_bounded(allowed)}")
         if fix:
             parts.append(_bounded(fix))
-        super().__init__(" ".join(part if part.endswith("?") else f"{part.rstrip('.')}." for part in parts))
+        super().__init__(" ".join(part if part.endswith(("?", "..")) else f"{part.rstrip('.')}." for part in parts))
 
 
 @contextmanager

@@ -139,6 +139,13 @@ def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json,
     assert "does not touch it at the end" in said
 
 
+def test_the_default_duration_is_reported(hyperflex, setup):
+    setup.rope.to_toml("rope.toml")
+    _, _, err = hyperflex("simulate", "rope.toml", "-o", "a.nc")
+    assert "no duration is given, so 10 s are simulated" in err
+    assert "no duration" not in hyperflex(*CALL)[2]
+
+
 def test_a_set_up_in_which_nothing_moves_says_so(hyperflex, setup):
     assert "at rest" not in hyperflex(*CALL)[1]
     setup.rope.to_toml("rope.toml")

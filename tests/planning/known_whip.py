@@ -24,8 +24,8 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     peak = verify_whip(problem, TipTarget(0.0, 0.0, 0.0, 1.0), MOVES.motion(problem.limits), NEAR)
     assert peak is not None
     place = peak.place + ([0.0004, 0.0003] if meets else [0.018, 0.024])
-    direction = None if any_direction else float(np.arctan2(*peak.velocity[::-1])) + 0.1
-    target = TipTarget(*place, direction=direction, least_speed=0.9 * peak.speed, angle_tolerance=0.3)
+    way = {"direction": float(np.arctan2(*peak.velocity[::-1])) + 0.1, "angle_tolerance": 0.3}
+    target = TipTarget(*place, least_speed=0.9 * peak.speed, **({} if any_direction else way))
     aim = Aim(MOVES, 1.0, peak.t, residuals=np.zeros(2), place=place, std=0.004)
     found = WhipTask(problem, target).verify(aim, Budget(math.inf))
     known = TipFeasibility(float(np.hypot(*place)), 0.01, "")

@@ -23,7 +23,7 @@ _WATCH = 2.0  # s, over which a rope's slip on a peg is measured
 def simulate(
     setup: Annotated[Path, typer.Argument(help="TOML file with rope, arm, motion and duration.")],
     out: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write, .nc.")],
-    duration: Annotated[float | None, typer.Option(help="Simulated time, s, in place of the file's.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated time, s. [default: the file's, else 10]")] = None,
     horizon: Annotated[
         float | None,
         typer.Option(help="Also report the time until an error of tol grows beyond this, m (about 20 runs)."),
@@ -51,6 +51,8 @@ def simulate(
     if horizon is not None:
         checks.number("--horizon", horizon, sign="positive", unit="m")
     simulated = Setup.from_toml(setup)
+    if duration is None and "duration" not in files.read_toml(setup):
+        output.note(f"no duration is given, so {simulated.duration:g} s are simulated; give --duration for another")
     if horizon is not None and simulated.pegs:
         fix = "Leave out --horizon, or the obstacles"
         raise InvalidInput("--horizon is of a run in free flight", got=f"{len(simulated.pegs)} obstacles", fix=fix)

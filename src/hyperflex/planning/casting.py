@@ -87,7 +87,9 @@ class CastRequest:
     def plan(self, target: Peg, near: Sequence[CastPlan] = ()) -> CastPlan:
         """Plan a cast round a target; the moves of plans `near` are tried first."""
         if not isinstance(target, Peg):
-            raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
+            raise InvalidInput(
+                "target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius), or a list of them"
+            )
         if target.turns:
             raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
         budget = Budget.of(self.time_budget, threads=self.options.threads)
@@ -279,9 +281,9 @@ def plan_cast(
     Budget.of(time_budget)
     chosen = criteria or WindCriteria(), conditions or Conditions(), uncertainty, time_budget
     request = CastRequest(rope, arm, limits or MotorLimits(), *chosen, options or SearchOptions(), on_plan)
-    if isinstance(target, Peg | str) or not isinstance(target, Sequence):
-        return request.plan(target)
-    return _plan_list(request, [checks.instance("target", each, Peg) for each in target])
+    if isinstance(target, Sequence) and all(isinstance(each, Peg) for each in target):
+        return _plan_list(request, list(target))
+    return request.plan(target)  # type: ignore[arg-type] # refuses what is not a peg
 
 
 @interruptible(list)

@@ -110,7 +110,14 @@ class Plan(ABC):
 
     def notes(self) -> dict[str, str]:
         """Return notes for the head of the motor's file."""
-        return {} if self.success else {"fails" if self.refuted else "not verified": self.message}
+        problem, motion = self.problem, self.required(self.motion, "motion")
+        failure = {} if self.success else {"fails" if self.refuted else "not verified": self.message}
+        return failure | {
+            "target": f"x {self.target.x:g} m, y {self.target.y:g} m",
+            "rope": f"{problem.rope.total_length:.4g} m, {problem.rope.total_mass:.4g} kg",
+            "arm": f"{problem.arm.length:g} m, begins at {motion.angle(0.0):.4f} rad",
+            "start": "the rope swings, by q0 and qd0 of the plan" if problem.q0 else "the rope hangs at rest",
+        }
 
     @property
     def success(self) -> bool:
@@ -280,13 +287,8 @@ class CastPlan(Plan):
 
     def notes(self) -> dict[str, str]:
         """Return notes for the head of the motor's file."""
-        peg, rope, motion = self.target, self.problem.rope, self.required(self.motion, "motion")
-        return super().notes() | {
-            "target": f"x {peg.x:g} m, y {peg.y:g} m, radius {peg.radius:g} m, mu {peg.mu:g}",
-            "rope": f"{rope.total_length:.4g} m, {rope.total_mass:.4g} kg",
-            "arm": f"{self.problem.arm.length:g} m, begins at {motion.angle(0.0):.4f} rad",
-            "start": "the rope swings, by q0 and qd0 of the plan" if self.problem.q0 else "the rope hangs at rest",
-        }
+        known = super().notes()
+        return known | {"target": f"{known['target']}, radius {self.target.radius:g} m, mu {self.target.mu:g}"}
 
     def summary(self) -> dict[str, Any]:
         """Return the plan in figures, for JSON; see :meth:`Plan.summary`."""
