@@ -136,6 +136,11 @@ def test_play_opens_the_page_with_a_set_up(hyperflex, hyperflex_json, tmp_path, 
     assert (code, opened) == (0, [told["address"]])
     assert (server.address, server.runner.session.rope) == (told["address"], rope)
     assert server.folder.path == tmp_path.resolve()
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PlayServer, "wait", interrupted)
     code, _, err = hyperflex("play", "--no-open", "--folder", tmp_path)
-    assert (code, len(opened)) == (0, 1)
+    assert (code, len(opened)) == (0, 1)  # Ctrl-C is the way to end it
     assert "It shows the paper's cable (rope, 2 m, 125 g, 50 links); hyperflex play SETUP.toml shows another" in err

@@ -228,6 +228,11 @@ def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
     assert not {"not verified", "fails"} & set(notes)
     assert notes["target"] == f"x {PEG.x:g} m, y {PEG.y:g} m, radius 0.04 m, mu 0.3"
     assert notes["arm"] == "0.105 m, begins at -1.5708 rad"
+    plan = planned_whip()
+    plan.to_csv(tmp_path / "motion.csv")
+    notes = files.read_table(tmp_path / "motion.csv").notes
+    assert notes["target"] == f"x {plan.target.x:g} m, y {plan.target.y:g} m"
+    assert {"rope", "arm", "start"} <= set(notes)
 
 
 @pytest.mark.parametrize("made", [unreachable, far_whip])

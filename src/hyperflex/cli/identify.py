@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _ROWS, _OF_EACH = 24, 5  # most rows of a table in the terminal, and of one ratio
 _FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report.html"}
-_WRITTEN = {"rope": "rope and figures", "figures": "numbers", "page": "all results on one page"}
+_WRITTEN = {"rope": "rope", "figures": "numbers", "page": "all results on one page"}
 
 
 @dataclass(frozen=True, kw_only=True)
