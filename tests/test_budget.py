@@ -65,9 +65,14 @@ def test_seconds_are_checked(wrong):
         Budget.of(wrong)
 
 
-def test_a_budget_is_handed_down_as_it_is():
-    budget = Budget(3.0)
-    assert Budget.of(budget) is budget
+def test_a_budget_that_is_given_is_spent_and_its_part_begins_now_with_threads_of_its_own():
+    clock = Clock()
+    whole = Budget(10.0, threads=3, clock=clock)
+    clock.t += 4.0
+    part = Budget.of(whole, threads=2)
+    assert (part.elapsed, part.remaining, part.threads, Budget.of(whole).threads) == (0.0, 6.0, 2, 3)
+    whole.cancel()
+    assert part.expired
     assert Budget.of(None).remaining == math.inf
 
 
@@ -76,7 +81,9 @@ def test_progress_is_reported_to_the_bar_of_the_block(capsys):
     budget = Budget(10.0)
     with budget.progress(False, "planning"):
         budget.share(0.5).report(1.0)  # nobody watches
+    early = budget.share(0.5)  # made before the bar
     budget._report = seen.append
-    budget.share(0.5).report(3.0)
-    assert seen == [3.0]
+    early.report(3.0)
+    budget.share(0.5).report(4.0)
+    assert seen == [3.0, 4.0]
     assert capsys.readouterr().err == ""

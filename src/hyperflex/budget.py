@@ -59,7 +59,7 @@ class Budget:
 
     @classmethod
     def of(cls, given: "float | Budget | None", name: str = "time_budget", *, threads: int | None = None) -> "Budget":
-        """Return the budget of an argument: seconds, None for no limit, or a budget, which is returned as it is.
+        """Return a budget of an argument, from now on: seconds, None for no limit, or a budget, of which it is a part.
 
         Raises
         ------
@@ -67,7 +67,9 @@ class Budget:
             If the seconds are not positive; `name` is the argument's name in the message.
         """
         if isinstance(given, Budget):
-            return given
+            part = given.limit(given.remaining)
+            part.threads = threads or given.threads
+            return part
         seconds = math.inf if given is None else checks.number(name, given, sign="positive", unit="s", infinite=True)
         return cls(seconds, threads=threads)
 
@@ -92,7 +94,7 @@ class Budget:
     def limit(self, seconds: float) -> "Budget":
         """Return a budget for a part: at most `seconds`, s, from now on, and never more than remains to the whole."""
         part = Budget(seconds, threads=self.threads, clock=self._clock)
-        part._parent, part._report = self, self._report
+        part._parent = self
         return part
 
     def share(self, fraction: float) -> "Budget":
@@ -110,14 +112,12 @@ class Budget:
             raise OutOfTime
 
     def report(self, done: float | None = None, text: str | None = None) -> None:
-        """Show how much is done, by default the time elapsed of the whole, s, and what is being done."""
+        """Show how much is done of the part whose progress is shown, by default its time, s, and what is being done."""
         if self._report is not None:
-            done = self._whole.elapsed if done is None else done
+            done = self.elapsed if done is None else done
             self._report(done) if text is None else self._report(done, text)
-
-    @property
-    def _whole(self) -> "Budget":
-        return self if self._parent is None else self._parent._whole
+        elif self._parent is not None:
+            self._parent.report(done, text)
 
     @contextmanager
     def progress(self, enabled: bool, text: str, total: float | None = None, unit: str = "s") -> Iterator[Any]:

@@ -9,7 +9,9 @@ import inspect
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import fields
 from types import MappingProxyType
 from typing import Any, Literal, ParamSpec, TypeVar
@@ -22,6 +24,7 @@ from hyperflex.errors import InvalidInput
 Array = npt.NDArray[np.float64]
 Sign = Literal["any", "positive", "nonnegative"]
 T = TypeVar("T")
+_derived = ContextVar("_derived", default=False)
 _P = ParamSpec("_P")
 
 MOST_THREADS = 1024
@@ -67,13 +70,23 @@ def meant(name: str, value: npt.ArrayLike, unit: str, *, most: float | None = No
     limit, smaller, factor = _SLIPS[unit]
     flat = np.ravel(value)
     largest = float(flat[np.abs(flat).argmax()]) if flat.size else 0.0
-    if abs(largest) > (most or limit):
+    if abs(largest) > (most or limit) and not _derived.get():
         level, frame = 2, sys._getframe(1)
         while frame.f_back and frame.f_globals.get("__name__", "").startswith("hyperflex."):
             level, frame = level + 1, frame.f_back
         likely = f"{largest:.6g} {smaller} are {factor * largest:.4g}"
         text = f"{name} is {largest:.6g} {unit}: is it meant in {smaller}? Give it in {unit}; {likely}."
         warnings.warn(text, UserWarning, stacklevel=level)
+
+
+@contextmanager
+def derived() -> Iterator[None]:
+    """Do not ask in a block, or in the function that is decorated, what is meant: its values are no user's."""
+    token = _derived.set(True)
+    try:
+        yield
+    finally:
+        _derived.reset(token)
 
 
 def count(name: str, value: object, *, least: int = 1, most: int | None = None) -> int:

@@ -3,7 +3,8 @@
 import os
 import signal
 import time
-from concurrent.futures import ProcessPoolExecutor
+import warnings
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -16,18 +17,21 @@ from hyperflex.model import recut
 from hyperflex.planning import (
     CastPlan,
     Conditions,
+    MotorLimits,
     Moves,
     Problem,
     SearchOptions,
     TargetGrid,
     WindCriteria,
     build_reach_map,
+    casting,
     estimate_success_probability,
     plan_cast,
     read_plan,
     read_reach_map,
     verify_cast,
 )
+from hyperflex.planning.casting import CastRequest, plan_each
 from hyperflex.planning.ensemble import SPARE, margin, repeatable
 from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
 from hyperflex.planning.swings import DELAY, Strike
@@ -36,6 +40,7 @@ from tests.planning.known import planned
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, radius=0.002, friction=2e-4)
 ARM, PEG = hf.Arm(length=0.15), hf.Peg(-0.5, -0.7, 0.03)
+FAR = hf.Peg(-1.3, -0.55, 0.03)  # out of reach
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 
 
@@ -106,10 +111,85 @@ def test_ctrl_c_leaves_the_best_plan():
     assert plan.interrupted
 
 
+def test_ctrl_c_before_anything_was_found_is_told_from_the_end_of_the_time():
+    looks = []
+
+    def clock():
+        looks.append(1)
+        if len(looks) == 40:
+            os.kill(os.getpid(), signal.SIGINT)
+        return time.monotonic()
+
+    with pytest.raises(Interrupted) as caught:
+        plan_cast(CABLE, hf.Arm(length=0.105), hf.Peg(1.0, 0.3, 0.03), time_budget=Budget(60.0, threads=1, clock=clock))
+    plan = caught.value.partial
+    assert (plan.moves, plan.message) == (None, "interrupted before a plan was found")
+
+
+def test_an_interrupted_plan_of_a_worker_is_filed_under_its_own_target():
+    def interrupt(plan):
+        raise KeyboardInterrupt
+
+    with ThreadPoolExecutor(1) as pool:
+        options = SearchOptions(executor=pool, chunk_size=2, threads=1)
+        given = MotorLimits(), WindCriteria(), Conditions(), None, 60.0, options, interrupt
+        plans, stop = plan_each(CastRequest(CORD, ARM, *given), [FAR, PEG])
+    assert stop.received
+    assert {number: plan.target for number, plan in plans.items()} == {1: PEG}
+
+
+def test_targets_and_fallbacks_share_a_budget_that_is_given():
+    slippery = [hf.Peg(x, -0.7, 0.03, 0.02) for x in (-0.5, 0.5)]
+    plans = plan_cast(CORD, ARM, slippery, time_budget=processor(2.0))
+    assert all(plan.runs and 0.5 < plan.seconds < 1.5 for plan in plans)
+
+
+def test_a_fallback_that_fails_is_none():
+    """No place for so thick a peg has twice the rope that is needed, so that all are planned for."""
+    plan = plan_cast(
+        CORD, ARM, hf.Peg(-1.3, -0.55, 0.06), time_budget=1e-9, options=SearchOptions(fallback=True, threads=1)
+    )
+    assert plan.message.startswith("out of reach")
+    assert plan.fallback is None
+
+
+def test_ctrl_c_as_a_search_for_a_fallback_begins_leaves_the_failed_plan(monkeypatch):
+    def begun(problem, peg, *given):
+        if peg != FAR:
+            raise KeyboardInterrupt
+        return WindTask(problem, peg, *given)
+
+    monkeypatch.setattr(casting, "WindTask", begun)
+    with pytest.raises(Interrupted) as caught:
+        plan_cast(CORD, ARM, FAR, options=SearchOptions(fallback=True))
+    plan = caught.value.partial
+    assert plan.message.startswith("out of reach")
+    assert (plan.interrupted, plan.fallback.plan) == (True, None)
+
+
+def test_a_search_without_a_strike_counts_its_runs():
+    options = SearchOptions(threads=1)
+    slow, target = MotorLimits(speed=2.0), hf.Peg(-0.8, -1.0, 0.04)
+    plan = plan_cast(CABLE, hf.Arm(length=0.105), target, slow, time_budget=processor(1.0), options=options)
+    assert plan.runs > 0
+    assert plan.message == "no moves were found that strike it"
+
+
+def test_places_and_ropes_that_the_planner_tries_are_not_asked_about():
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        wrong = hf.Peg(-800.0, -1000.0, 40.0)
+        assert len(seen) == 2
+        assert not plan_cast(CORD, ARM, wrong).success
+    assert len(seen) == 2
+
+
 def test_no_time_is_stated():
     plan = plan_cast(CORD, ARM, PEG, time_budget=1e-9)
     assert not plan.success
     assert "time budget" in plan.message
+    assert "friction" not in plan.message
+    assert "(mu 0)" in plan_cast(CORD, ARM, replace(PEG, mu=0.0), time_budget=1e-9).message
 
 
 @pytest.mark.parametrize(
@@ -128,8 +208,7 @@ def test_targets_out_of_reach_are_reported_before_a_search(target, message):
 
 
 def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned():
-    far = hf.Peg(-1.3, -0.55, 0.03)
-    plan = plan_cast(CORD, ARM, far, time_budget=processor(60.0), options=SearchOptions(fallback=True))
+    plan = plan_cast(CORD, ARM, FAR, time_budget=processor(60.0), options=SearchOptions(fallback=True))
     assert plan.message.startswith("out of reach")
     assert plan.remedies
     assert plan.fallback.plan.success
@@ -218,6 +297,7 @@ def test_runs_that_disagree_leave_the_cast_to_chance():
     outcome = replace(planned().outcome, spare_clearance=0.1)
     assert repeatable(outcome, outcome).success
     assert not repeatable(outcome, replace(outcome, touch_time=outcome.touch_time + 0.1)).success
+    assert not repeatable(outcome, replace(outcome, turns=-outcome.turns)).success
     assert not repeatable(replace(outcome, spare_clearance=8e-3), replace(outcome, spare_clearance=1e-3)).success
 
 

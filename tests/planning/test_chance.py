@@ -11,6 +11,7 @@ from scipy.stats import binomtest
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
+from hyperflex.model import recut
 from hyperflex.planning import Problem, SearchOptions, SuccessProbability, Uncertainty, estimate_success_probability
 from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_scores
 from tests.planning.known import PEG, WINDS, planned, problem, simulated_strikes
@@ -64,6 +65,12 @@ def test_without_samples_nothing_is_known():
     assert np.isnan(none.estimate)
     assert none.interval == (0.0, 1.0)
     assert str(none) == "not estimated, no time was left"
+
+
+def test_links_that_are_long_for_the_peg_are_cut_in_scenarios():
+    """Links of 0.1 m, three of which meet round a peg of 42.5 mm: as they are, they do not wind."""
+    long = replace(CAST_SETUP, rope=recut(CAST_SETUP.rope, 20))
+    assert estimate_success_probability(long, PEG, WINDS, NONE, samples=1).successes == 1
 
 
 def test_an_executor_counts_the_same_samples():

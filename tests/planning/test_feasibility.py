@@ -61,6 +61,21 @@ def test_what_is_out_of_reach_is_told_why(peg, told):
     assert told in known.message
 
 
+def test_a_short_time_is_told():
+    short = replace(CAST_SETUP, time=0.1)
+    assert "0.1 s are too short a time" in check_feasibility(short, at(0.9, 0.46)).message
+    assert any("s to strike" in each for each in find_remedies(short, at(0.9, 0.46)))
+
+
+def test_what_widens_a_swing_is_the_way_of_the_arms_tip_aside():
+    """Of a quarter turn from hanging on half as much as of half a turn about it; the way up adds nothing."""
+    angles = [(-np.pi / 2, np.pi / 2), (0.0, np.pi), (0.0, np.pi / 2), (-np.pi, 0.0)]
+    some = [replace(CAST_SETUP, limits=MotorLimits(100.0, 1e4, angles=each)) for each in angles]
+    usual, *narrow = (check_feasibility(each, at(1.28, 0.67)).energy_ratio for each in some)
+    assert narrow == pytest.approx([narrow[0]] * 3, rel=1e-3)
+    assert narrow[0] < 0.6 * usual
+
+
 def test_a_slow_motor_is_told_from_little_energy():
     slow = replace(CAST_SETUP, limits=MotorLimits(speed=0.5, acceleration=5.0))
     assert check_feasibility(CAST_SETUP, at(0.9, 0.46)).feasible

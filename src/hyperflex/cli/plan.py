@@ -243,7 +243,8 @@ class Task(Source):
                 measured, values = measure()
                 report, result = report_of(plan, measured), result | values
             written |= report.add_page(self.out, progress=progress, remarks=output.warned())
-        stopped = f"Interrupted; the best plan so far is in {written['page'].parent}. {report.verdict}"
+        kept = "the page" if plan.moves is None else "the best plan so far"
+        stopped = f"Interrupted; {kept} is in {written['page'].parent}. {report.verdict}"
         output.show(
             {**result, "files": written},
             Rows(f"{report.name.capitalize()} (simulated)", report.tiles),

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -83,6 +83,7 @@ class CastRequest:
         limited = self.conditions.time_limit is not None
         return (problem if limited else replace(problem, time=search_time(problem, target))), touch
 
+    @checks.derived()
     @interruptible(CastPlan)
     def plan(self, target: Peg, near: Sequence[CastPlan] = ()) -> CastPlan:
         """Plan a cast round a target; the moves of plans `near` are tried first."""
@@ -92,7 +93,8 @@ class CastRequest:
             )
         if target.turns:
             raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
-        budget = Budget.of(self.time_budget, threads=self.options.threads)
+        own = self.share(len(MARGINS) if self.options.fallback else 1)
+        budget = Budget.of(own.time_budget, threads=self.options.threads)
         problem, touch = self.checked_problem(target)
         known = check_feasibility(problem, target)
         start = [one.moves for one in (*near, *self.options.start_from) if one.moves is not None]
@@ -114,17 +116,22 @@ class CastRequest:
         plan = stop.partial if isinstance(stop.partial, CastPlan) else plan
         return _delivered(replace(plan, interrupted=stop.received or plan.interrupted))
 
-    def plan_chunk(self, chunk: Sequence[tuple[int, Peg, list[CastPlan]]]) -> list[CastPlan]:
-        """Plan for numbered targets, each from the moves of plans near by; for an executor."""
-        return [self.plan(target, near) for _, target, near in chunk]
+    def share(self, parts: int) -> "CastRequest":
+        """Return the request with one of so many equal parts of a given budget; seconds are those of each target."""
+        given = self.time_budget
+        return replace(self, time_budget=given.share(1.0 / parts)) if isinstance(given, Budget) else self
+
+    def plan_chunk(self, chunk: "Sequence[_Work]") -> list[CastPlan]:
+        """Plan for some targets; for an executor."""
+        return [self.share(each.left).plan(each.target, each.near) for each in chunk]
 
     def _search(self, task: WindTask, known: Feasibility, budget: Budget) -> CastPlan:
         """Search for moves, verify them, and estimate their success probability."""
         robust = self.uncertainty is not None
         search = budget.share(ROBUST) if robust and math.isfinite(budget.remaining) else budget
 
-        def found() -> CastPlan:
-            return _plan(task, known, planner, budget)
+        def found(interrupted: bool = False) -> CastPlan:
+            return _plan(task, known, planner, budget, interrupted)
 
         improve = math.inf if robust else self.options.improve
         planner = Planner(task, search, improve, lambda: bool(self.on_plan and self.on_plan(found())))
@@ -135,7 +142,7 @@ class CastRequest:
                 given = task.problem, task.peg, plan.moves, self.uncertainty
                 chance = estimate_success_probability(*given, time_budget=budget, options=self.options)
                 plan = replace(plan, success_probability=chance)
-        return replace(found(), interrupted=True) if stop.received else plan
+        return found(interrupted=True) if stop.received else plan
 
     def _plan_fallback(self, plan: CastPlan) -> CastPlan:
         """Plan for the nearest targets until a plan succeeds, first with the moves found; return the failed plan.
@@ -148,18 +155,29 @@ class CastRequest:
             found = _expected(plan, number)
             if found is None or found.target in tried:
                 continue
-            found = replace(found, failed_plans=len(tried))
+            found, near = replace(found, failed_plans=len(tried)), None
+            plan = replace(plan, fallback=found)
             if number == len(MARGINS) - 1:
-                return replace(plan, fallback=found)
+                return plan
             with stoppable() as stop:
-                near = alone.plan(found.target, [plan])
-            near = stop.partial if stop.received and isinstance(stop.partial, CastPlan) else near
-            if near.success:
+                near = alone.share(len(MARGINS) - 1 - number).plan(found.target, [plan])
+            near = stop.partial if isinstance(stop.partial, CastPlan) else near
+            succeeds = near is not None and near.success
+            if succeeds:
                 plan = replace(plan, fallback=replace(found, plan=near))
-            if stop.received or near.success:
+            if stop.received or succeeds:
                 return stop.deliver(plan)
             tried.append(found.target)
-        return plan
+        return replace(plan, fallback=None)
+
+
+class _Work(NamedTuple):
+    """One of many targets: its number, how many are left to be planned, and plans for targets near by."""
+
+    number: int
+    left: int
+    target: Peg
+    near: list[CastPlan]
 
 
 @overload
@@ -300,35 +318,43 @@ def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, C
         if all(_distance(each, targets[other]) > NEAR * request.rope.total_length for other in alone):
             alone.append(k)
     work = replace(request, options=replace(request.options, executor=None, progress=False)).plan_chunk
-    plans, todo = dict[int, CastPlan](), list[tuple[int, Peg, list[CastPlan]]]()
+    plans, todo = dict[int, CastPlan](), list[_Work]()
     progress = request.options.progress
     with stoppable() as stop, progress_bar(0, len(targets), progress, "planning", "targets") as report:
 
         def done(low: int, found: list[CastPlan]) -> None:
-            plans.update(zip((number for number, *_ in todo[low:]), found, strict=False))
+            plans.update(zip((each.number for each in todo[low:]), found, strict=False))
             if report is not None:
                 report(len(plans))
 
         for chosen in (alone, [number for number in range(len(targets)) if number not in alone]):
             known = [plans[number] for number in alone if number in plans and plans[number].success]
-            todo = [(k, targets[k], _nearest(targets[k], known, request.rope)) for k in chosen]
+            left = range(len(targets) - len(plans), 0, -1)
+            near = [_nearest(targets[k], known, request.rope) for k in chosen]
+            todo = [_Work(k, rest, targets[k], some) for k, rest, some in zip(chosen, left, near, strict=False)]
             refuse_lost(run_chunks(work, todo, executor, size if executor else 1, done), "targets")
     if isinstance(stop.partial, CastPlan):  # of the one that was planned in this process
-        plans[next(number for number, *_ in todo if number not in plans)] = stop.partial
+        own = [each.number for each in todo if each.number not in plans and each.target == stop.partial.target]
+        if own:
+            plans[own[0]] = stop.partial
     return plans, stop
 
 
-def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget) -> CastPlan:
+def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget, interrupted: bool) -> CastPlan:
     """Return the plan so far; if nothing was verified, with the best rollout."""
-    begun, moves, outcome, finer, margin = bool(task.runs), None, None, None, 0.0
-    message = "no moves were found that strike it" if begun else "the time budget was over before the search began"
+    moves, outcome, finer, margin = None, None, None, 0.0
+    ended = "interrupted" if interrupted else "the time budget was over"
+    missing = interrupted or not task.runs
+    message = f"{ended} before a plan was found" if missing else "no moves were found that strike it"
     if (best := planner.best) is not None:
         moves, message, outcome, finer = best.candidate.moves, best.message, best.outcome, best.finer_outcome
         margin = 0.0 if message else best.margin
     elif planner.rolled:
         moves, good = planner.rolled[0].moves, planner.rolled[0].good
-        message = "no time was left to verify the best moves" if good else "the best moves do not wind the rope"
-    found = moves, outcome, finer, message, task.runs, budget.elapsed
+        message = f"{ended} before the best moves were verified" if good else "the best moves do not wind the rope"
+    if message and task.peg.mu == 0.0:
+        message += "; few ropes stay wound without friction (mu 0)"
+    found = moves, outcome, finer, message, task.runs, budget.elapsed, interrupted
     return CastPlan(task.problem, task.peg, known, *found, margin=margin)
 
 

@@ -14,13 +14,13 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, Peg
+from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Rope, divided
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import SearchOptions, WindCriteria
 from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast
 from hyperflex.planning.planner import Candidate, Verified
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import RolloutBatch, winding_scores
+from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_scores
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 COUNTED = 8  # samples of an estimate that are simulated at once
@@ -90,12 +90,14 @@ def verify_members(problem: Problem, finer: Problem, peg: Peg, one: Candidate, b
 def repeatable(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
     """Return the outcome with shorter links, as failed if both do not agree on what a real rope does.
 
-    That is so if the rope touches the target at another time, or passes arm, shaft or obstacle with little to spare and
-    less than the difference of both runs.
+    That is so if the rope winds the other way, touches the target at another time, or passes arm, shaft or obstacle
+    with little to spare and less than the difference of both runs.
     """
     if not finer.success:
         return finer
     delay, given, now = finer.touch_time - first.touch_time, first.spare_clearance, finer.spare_clearance
+    if first.turns * finer.turns < 0.0:
+        return replace(finer, message="it winds the other way: the swing is left to chance")
     if abs(delay) > SPARE.delay:
         how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
         return replace(finer, message=f"it {how}, {SPARE.delay:g} allowed: the swing is left to chance")
@@ -188,7 +190,23 @@ def estimate_success_probability(
     options = options or SearchOptions()
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, problem, peg, seed=[STREAM, options.seed])
-    return count_successes(_Estimate(problem, moves), scenarios, time_budget, options)
+    estimate = _Estimate(problem, moves, pieces_in_contact(problem, peg, options.coarse))
+    return count_successes(estimate, scenarios, time_budget, options)
+
+
+def pieces_in_contact(problem: Problem, peg: Peg, coarse: float) -> int:
+    """Return into how many pieces links are cut, so that the longest has so many radii of target and rope at most."""
+    return max(1, math.ceil(float(problem.rope.length.max()) / (coarse * (peg.radius + problem.rope.radius))))
+
+
+def scenario_scores(
+    problem: Problem, moves: Moves, scenarios: Sequence[Scenario], ropes: Sequence[Rope], pieces: int, budget: Budget
+) -> WindingScores:
+    """Simulate moves in scenarios with these ropes (M,), each link cut into pieces."""
+    motions = [each.motion(moves, problem) for each in scenarios]
+    chain, cut = problem.cut(pieces), [divided(rope, pieces) for rope in ropes]
+    batch = RolloutBatch.from_start(chain, cut, [each.peg for each in scenarios], motions)
+    return winding_scores(chain, batch, budget)
 
 
 @dataclass(frozen=True)
@@ -197,12 +215,11 @@ class _Estimate:
 
     problem: Problem
     moves: Moves
+    pieces: int
 
     def __call__(self, scenarios: Sequence[Scenario], budget: Budget | None = None) -> int:
-        motions = [each.motion(self.moves, self.problem) for each in scenarios]
-        ropes, pegs = [each.rope for each in scenarios], [each.peg for each in scenarios]
-        batch = RolloutBatch.from_start(self.problem, ropes, pegs, motions)
-        found = winding_scores(self.problem, batch, budget or Budget(threads=1))
+        ropes, own = [each.rope for each in scenarios], budget or Budget(threads=1)
+        found = scenario_scores(self.problem, self.moves, scenarios, ropes, self.pieces, own)
         return int((found.turns >= self.problem.criteria.turns).sum())
 
 

@@ -33,8 +33,8 @@ class SwingCoefficients:
     hanging : float
         Length of the rope's end that hangs from the target, at least, in radii of the target.
     gain : float
-        Angle by which one stroke widens a swing, in units of the chord of the arm tip's path over the length of the
-        equivalent pendulum.
+        Angle by which one stroke widens a swing, in units of the arm tip's way aside over the length of the equivalent
+        pendulum.
     mean_gain : float
         Mean fraction of the gain that a stroke adds on the way from rest to level: ten strokes bring the paper's cable
         there.
@@ -65,6 +65,7 @@ class SwingCoefficients:
 
 SWING = SwingCoefficients()
 FACTOR = 1.05  # between changes that are tried as remedies
+ARM_ANGLES = 721  # of the motor's range, at which the tip's way aside is measured
 RING, DIRECTIONS = 1.2, 72  # of the search for the nearest feasible target
 
 
@@ -120,7 +121,8 @@ def check_feasibility(problem: Problem, peg: Peg) -> Feasibility:
     limited on the target's side by the target itself, on the other side by that and the gain of one stroke.
     """
     target, required = _Target(problem, peg), problem.criteria.holding_force
-    energy, holding, (impossible, message) = target.energy_ratio(), target.holding_force(), target.geometry()
+    energy, holding = target.energy_ratio(problem.time), target.holding_force()
+    impossible, message = target.geometry()
     inside = [each for each in (*problem.criteria.behind, *problem.obstacles) if gap_of(each, peg.x, peg.y) <= 0.0]
     torque = _start_torque(problem)
     if torque > problem.limits.torque:
@@ -134,8 +136,11 @@ def check_feasibility(problem: Problem, peg: Peg) -> Feasibility:
         message = f"out of reach: {blocked}"
     elif energy < SWING.energy_ratio:
         slow = _gain(problem) < 0.5 * _gain(problem, fast=True)
-        why = "the motor is too slow to swing the rope up" if slow else "too little energy"
-        high = f"it is higher than the rope swings, {math.degrees(_widest(problem)):.0f} degrees from hanging"
+        late = target.energy_ratio(math.inf) >= SWING.energy_ratio
+        why = f"{problem.time:.3g} s are too short a time to swing the rope up" if late else "too little energy"
+        why = "the motor is too slow to swing the rope up" if slow else why
+        wide = math.degrees(target.widest(problem.time))
+        high = f"it is higher than the rope swings, {wide:.0f} degrees from hanging"
         ratio = f"{energy:.2f} of what lifts the tail over it at the strike, {SWING.energy_ratio:g} needed"
         message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
     elif holding < required:
@@ -209,15 +214,18 @@ class _Target:
             return False, f"out of reach: {left}, {self.needed_turns:.2f} needed{wound}"
         return False, ""
 
-    def energy_ratio(self) -> float:
-        """Energy ratio of the tail at the strike, for rods; below 0 if the swing does not get there."""
+    def widest(self, time: float) -> float:
+        """Angle to which the rope swings in a time, s, for rods, rad."""
+        gain, near = _gain(self.problem), self.angle - math.asin(min(1.0, self.axis / self.distance))
+        last = gain * float(np.interp(near, (0.0, SWING.room), (SWING.first_gain, 1.0)))
+        return min(near + last, gain * time / (0.5 * self.problem.period), _widest(self.problem))
+
+    def energy_ratio(self, time: float) -> float:
+        """Energy ratio of the tail at a strike within a time, s, for rods; below 0 if the swing does not get there."""
         rope, far = self.rope, self.distance
         if not 0.0 < far < rope.total_length:
             return 0.0
-        gain, time = _gain(self.problem), self.problem.time
-        near = self.angle - math.asin(min(1.0, self.axis / far))
-        last = gain * float(np.interp(near, (0.0, SWING.room), (SWING.first_gain, 1.0)))
-        wide = min(near + last, gain * time / (0.5 * self.problem.period), _widest(self.problem))
+        wide = self.widest(time)
         mass = np.append(rope.mass, rope.tip_mass)
         along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
         tail = np.where(along > far, mass, 0.0)
@@ -279,10 +287,11 @@ def _start_torque(problem: Problem) -> float:
 
 
 def _gain(problem: Problem, *, fast: bool = False) -> float:
-    """Angle by which one stroke widens a swing, rad; `fast`: with a motor without limits."""
+    """Angle by which one stroke widens a swing, rad; `fast`: with a motor without limits of speed."""
     least, greatest = problem.limits.angles
     stroke = min(math.pi, greatest - least)
-    gain = SWING.gain * 2.0 * problem.arm.length * math.sin(0.5 * stroke) / _pendulum(problem)
+    aside = np.ptp(np.sin(np.linspace(least, greatest, ARM_ANGLES) - problem.rope.hanging_angle))
+    gain = SWING.gain * problem.arm.length * float(aside) / _pendulum(problem)
     time = float(problem.limits.fastest_moves([stroke])[0][0])
     return gain if fast else gain * min(1.0, 0.5 * problem.period / time)
 
@@ -343,7 +352,8 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
         found = remedy("a motor of {speed} rad/s and {acceleration} rad/s^2", lambda f: faster(f, f**2), motor)
     found += remedy("an arm of {arm} mm", lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg))
     found += remedy("a rope of {rope} m", lambda f: (replace(problem, rope=longer(f)), peg))
-    found += remedy("{time} s to strike", lambda f: (replace(problem, time=f * problem.time), peg))
+    longest = max(most, SWING.max_periods * problem.period / problem.time)
+    found += remedy("{time} s to strike", lambda f: (replace(problem, time=f * problem.time), peg), longest)
     found += remedy("a peg of {radius} mm radius", lambda f: (problem, replace(peg, radius=peg.radius / f)))
     return tuple(found)
 

@@ -125,6 +125,7 @@ class SwingSearch:
         self.runs = self.passes = 0
         none, states = np.zeros(0), tuple(State(0.0, *one.start) for one in self.chains)
         self.begin = [Swing(Moves(side, none, none), states) for side in sides]
+        self._range = stroke_range(self.problem.limits.angles)
         self._lanes = [_Lane(speed, self.begin) for speed in options.speeds]
         self._misses: list[Strike] = []
 
@@ -178,13 +179,16 @@ class SwingSearch:
         limits, options, found = self.problem.limits, self.options, list[_Try]()
         if swing.states[0].t >= self.problem.time:
             return found
-        usual, count = min(options.stroke * math.pi, limits.angles[1] - limits.angles[0]), swing.moves.ends.size
+        (least, greatest), count = self._range, swing.moves.ends.size
+        usual = min(options.stroke * math.pi, greatest - least)
         sense, angle = -swing.moves.side * (1 if count % 2 == 0 else -1), swing.moves.angles(limits)[-1]
+        if self._range != limits.angles and sense * ((greatest if sense > 0 else least) - angle) <= MIN_MOVE:
+            sense = -sense
         longest = options.longest_rest * self.problem.period
         rests = (np.arange(options.rests) + self.random.uniform()) * longest / options.rests
         for rest in rests.tolist() if count else [0.0]:
             for low, high in ((1.0, 1.0),) if lane.passes == 0 else ((1.0, 1.0), (0.15, 0.9)):
-                end = float(np.clip(angle + sense * self.random.uniform(low, high) * usual, *limits.angles))
+                end = float(np.clip(angle + sense * self.random.uniform(low, high) * usual, least, greatest))
                 if sense * (end - angle) > MIN_MOVE:
                     moves = swing.moves.then(end, rest, lane.speed)
                     found.append(_Try(swing, moves, moves.stops(limits) + options.watched * self.problem.period))
@@ -283,6 +287,19 @@ class SwingSearch:
             found.append(find_strikes(problem, self.peg, some, here, *flown))
         self.runs += len(tries)
         return t, q, qd, Strikes.joined(found).select(np.argsort(np.concatenate(groups)))
+
+
+def stroke_range(angles: tuple[float, float]) -> tuple[float, float]:
+    """Return the part of a motor's range in which its arm's tip goes aside most, rad; all if that is from side to side.
+
+    A stroke on and back again, as from hanging to upright, would pump no swing.
+    """
+    least, greatest = angles
+    aside = math.pi * (np.arange(math.ceil(least / math.pi - 0.5), math.floor(greatest / math.pi + 0.5)) + 0.5)
+    ends = [least, *aside.tolist(), greatest]
+    ways = np.abs(np.diff(np.sin(ends)))
+    k = int(ways.argmax())
+    return angles if ways[k] > 2.0 - 1e-9 else (ends[k], ends[k + 1])
 
 
 def _energy(problem: Problem, moves: Moves, state: State) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.model import Peg, Rope
-from hyperflex.planning.ensemble import verify_members
+from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, verify_members
 from hyperflex.planning.moves import PUMPING, Moves
 from hyperflex.planning.options import SearchOptions
 from hyperflex.planning.planner import Candidate, Task, Verified
@@ -22,7 +22,6 @@ from hyperflex.planning.rollouts import (
     free_sides,
     robust_values,
     simulate_contact,
-    winding_scores,
 )
 from hyperflex.planning.swings import DELAY, State, Strike, SwingSearch
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
@@ -71,7 +70,7 @@ class WindTask(Task):
         self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
         self.sides = free_sides(problem, problem.beside(peg))
         self.model, self._factor = viscous(problem)
-        cuts = math.ceil(problem.rope.length.max() / (options.coarse * (peg.radius + problem.rope.radius)))
+        cuts = self._cuts = pieces_in_contact(problem, peg, options.coarse)
         self.contact, self.finer = self.model.cut(cuts), self.model.cut(max(options.pieces, cuts + 1))
         chains = self.model, self.finer
         self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options)
@@ -87,6 +86,8 @@ class WindTask(Task):
         """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
         new: Sequence[Candidate] = ()
         while not new:
+            self.runs, self._flights = self.runs + self.search.runs - self._flights, self.search.runs
+            budget.report()
             budget.check()
             if self._start:
                 given, self._start = self._start, []
@@ -114,7 +115,7 @@ class WindTask(Task):
         swings = [one for one in some if isinstance(one, Strike)]
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
         states = [one.states[0] for one, _ in pairs]
-        cuts = self.contact.rope.n_links // self.model.rope.n_links
+        cuts = self._cuts
         states = [State(each.t, np.repeat(each.q, cuts), np.repeat(each.qd, cuts)) for each in states]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
@@ -167,11 +168,10 @@ class WindTask(Task):
 
     def _values(self, moves: Moves, scenarios: Sequence[Scenario], budget: Budget) -> Array:
         """Return the values of moves in scenarios; see :func:`robust_values`."""
-        motions = [each.motion(moves, self.problem) for each in scenarios]
         ropes = [_viscous(each.rope, self._factor) for each in scenarios]
-        batch = RolloutBatch.from_start(self.problem, ropes, [each.peg for each in scenarios], motions)
-        self.runs += 2 * len(batch)
-        return robust_values(winding_scores(self.problem, batch, budget), self.problem)
+        self.runs += 2 * len(ropes)
+        found = scenario_scores(self.problem, moves, scenarios, ropes, self._cuts, budget)
+        return robust_values(found, self.problem)
 
     def finishes(self, strike: Strike) -> list[Moves]:
         """Return the moves of a swing with the next last moves: first the first of FINISHES, then some others."""
