@@ -306,10 +306,12 @@ def _pendulum(problem: Problem) -> float:
     return math.hypot(*problem.rope.gravity) * (problem.period / (2.0 * math.pi)) ** 2
 
 
-def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float = 10.0) -> tuple[str, ...]:
+def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float = 100.0) -> tuple[str, ...]:
     """Return changes, as text, that would each make a target feasible; none if it is feasible.
 
-    `most` is the greatest factor of a change, `motor` that of a change of the motor. Factors are found to 1 %.
+    `most` is the greatest factor of a change, `motor` that of a change of the motor, which is then fast enough for a
+    stroke in half a period; a longer time is that of a search. With less, what is feasible is seldom found. Factors are
+    found to 1 %.
     """
     rope, arm, limits = problem.rope, problem.arm, problem.limits
 
@@ -325,7 +327,10 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
 
         def feasible(factor: float) -> bool:
             try:
-                return check_feasibility(*changed(factor)).feasible
+                of, to = changed(factor)
+                usual = of.limits == limits or _gain(of) == _gain(of, fast=True)
+                usual = usual and (of.time == problem.time or of.time >= search_time(of, to))
+                return usual and check_feasibility(of, to).feasible
             except InvalidInput:  # no such set-up: a longer arm hits an obstacle, for example
                 return False
 
@@ -352,7 +357,7 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
         found = remedy("a motor of {speed} rad/s and {acceleration} rad/s^2", lambda f: faster(f, f**2), motor)
     found += remedy("an arm of {arm} mm", lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg))
     found += remedy("a rope of {rope} m", lambda f: (replace(problem, rope=longer(f)), peg))
-    longest = max(most, SWING.max_periods * problem.period / problem.time)
+    longest = max(most, 1.01 * SWING.max_periods * problem.period / problem.time)
     found += remedy("{time} s to strike", lambda f: (replace(problem, time=f * problem.time), peg), longest)
     found += remedy("a peg of {radius} mm radius", lambda f: (problem, replace(peg, radius=peg.radius / f)))
     return tuple(found)
