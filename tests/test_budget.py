@@ -65,14 +65,13 @@ def test_seconds_are_checked(wrong):
         Budget.of(wrong)
 
 
-def test_a_budget_that_is_given_is_spent_and_its_part_begins_now_with_threads_of_its_own():
+def test_what_remains_of_a_budget_that_is_given_has_threads_of_its_own():
     clock = Clock()
     whole = Budget(10.0, threads=3, clock=clock)
     clock.t += 4.0
     part = Budget.of(whole, threads=2)
-    assert (part.elapsed, part.remaining, part.threads, Budget.of(whole).threads) == (0.0, 6.0, 2, 3)
-    whole.cancel()
-    assert part.expired
+    assert (part.elapsed, part.remaining, part.threads, whole.threads) == (0.0, 6.0, 2, 3)
+    assert Budget.of(whole) is whole
     assert Budget.of(None).remaining == math.inf
 
 

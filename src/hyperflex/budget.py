@@ -59,7 +59,9 @@ class Budget:
 
     @classmethod
     def of(cls, given: "float | Budget | None", name: str = "time_budget", *, threads: int | None = None) -> "Budget":
-        """Return a budget of an argument, from now on: seconds, None for no limit, or a budget, of which it is a part.
+        """Return the budget of an argument: seconds, None for no limit, or a budget, which is returned as it is.
+
+        With `threads` a budget that is given is not returned itself, but what remains of it, with so many threads.
 
         Raises
         ------
@@ -67,8 +69,10 @@ class Budget:
             If the seconds are not positive; `name` is the argument's name in the message.
         """
         if isinstance(given, Budget):
+            if threads is None:
+                return given
             part = given.limit(given.remaining)
-            part.threads = threads or given.threads
+            part.threads = threads
             return part
         seconds = math.inf if given is None else checks.number(name, given, sign="positive", unit="s", infinite=True)
         return cls(seconds, threads=threads)
