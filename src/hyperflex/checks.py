@@ -193,8 +193,7 @@ def keys(
         if key in known:
             continue
         places = [place for place, names in elsewhere.items() if key in names]
-        begun = [each for each in known if len(each) > 1 and key.startswith(each)]
-        close = difflib.get_close_matches(key[:80], known, 1, 0.7) or begun
+        close = difflib.get_close_matches(key[:80], known, 1, 0.7) or [each for each in known if key.startswith(each)]
         advice = [f"perhaps {close[0]!r} is meant"] if close else []
         advice += [f"it belongs {' or '.join(places)}"] if places else []
         fix = ", or ".join(advice) or "correct its name, or remove it"

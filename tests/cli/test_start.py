@@ -48,12 +48,11 @@ def test_what_stands_in_comments_can_be_used_as_it_is(hyperflex, motion, tmp_pat
 @pytest.mark.filterwarnings("default:.* the peg at")
 def test_pegs_that_do_not_suit_links_and_arm_are_reported(hyperflex, tmp_path):
     setup = tmp_path / "setup.toml"
-    simulate = ("simulate", setup, "-o", tmp_path / "a.nc", "--duration", 0.01)
-    for command in (("init", setup, "--peg", 0, 0, 0.03), simulate):
-        code, _, err = hyperflex(*command)
-        assert code == 0, err
-        assert "links of 100 mm near the peg at (0, 0) m, of 30 mm radius" in err
-        assert "the arm turns through the peg at (0, 0) m" in err
+    assert hyperflex("init", setup, "--peg", 0, 0, 0.03)[0] == 0
+    code, _, err = hyperflex("simulate", setup, "-o", tmp_path / "a.nc", "--duration", 0.01)
+    assert code == 0
+    assert "links of 100 mm near the peg at (0, 0) m, of 30 mm radius hold less" in err
+    assert "the arm can turn through the peg at (0, 0) m" in err
 
 
 def test_init_leaves_a_file_alone(refused, tmp_path):

@@ -1,6 +1,5 @@
 """``hyperflex identify``: a recording and a first guess in, an identified rope and its report out."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -146,9 +145,6 @@ def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
     if (held := found.held_out) is not None:
         worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
         rows.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))
-    if "gravity_angle" in found.values:
-        turn = math.degrees(found.values["gravity_angle"])
-        rows.append(("camera's turn", f"{turn:.3g} degrees; the rope's file keeps the gravity of the guess"))
     yield from found.report().splitlines()
     yield from (text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"])
     yield Rows("Fit", rows)

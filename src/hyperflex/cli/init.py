@@ -101,7 +101,7 @@ def init(
 
     On a terminal the command asks for options that are not given; elsewhere it uses their defaults.
     """
-    from hyperflex.model import Peg, Setup, warn_of_pegs
+    from hyperflex.model import Peg, Setup
     from hyperflex.simulation import check_outside
 
     check_destination(out, ".toml", [])
@@ -116,9 +116,7 @@ def init(
                 given |= {each.name: typer.prompt(text, default=each.default, type=type(each.default))}
     answers = Answers(**given)
     text = _text(out, answers, None if peg is None else Peg(*peg))
-    setup = Setup.loads(text)
-    check_outside(setup)  # refuses answers that do not fit each other
-    warn_of_pegs(str(out), setup)
+    check_outside(Setup.loads(text))  # refuses answers that do not fit each other
     files.write_text(out, text)
     run = out.with_suffix(".nc")
     following = f"hyperflex simulate {out} -o {run} and hyperflex view {run}, or live: hyperflex play {out}"

@@ -20,7 +20,8 @@ _T = TypeVar("_T")
 # exit codes; interrupted: 128 and the number of the signal
 FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE = 1, 2, 3, 4, 5
 _VALUE = r"=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|-?[\w.]+)"  # of an argument, as errors advise it
-_mode: dict[str, Any] = {"json": False, "warnings": []}
+_mode = {"json": False}
+WARNED: list[str] = []  # by the command that runs
 
 
 class Rows(NamedTuple):
@@ -41,12 +42,7 @@ def json_only(enabled: bool) -> None:
 
 def as_json() -> bool:
     """Return whether the command prints JSON."""
-    return bool(_mode["json"])
-
-
-def warned() -> list[str]:
-    """Return the warnings of the command that runs."""
-    return list(_mode["warnings"])
+    return _mode["json"]
 
 
 def print_json(result: Mapping[str, Any], *, one_line: bool = False) -> None:
@@ -71,17 +67,16 @@ def complain(message: str, kind: str, code: int) -> int:
 
 def _whole(result: Mapping[str, Any], status: Status) -> dict[str, Any]:
     """Return a result with what each has in JSON: success, status and warnings; its own status has precedence."""
-    more = {"warnings": warned()} if warned() else {}
-    return {"success": status is Status.SUCCESS, "status": status, **result, **more}
+    return {"success": status is Status.SUCCESS, "status": status, "warnings": WARNED, **result}
 
 
 def warner() -> Callable[..., None]:
     """Return a ``warnings.showwarning`` that prints each warning once on standard error."""
-    printed = _mode["warnings"] = []
+    WARNED.clear()
 
     def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-        if str(message) not in printed:
-            printed.append(str(message))
+        if str(message) not in WARNED:
+            WARNED.append(str(message))
             note(str(message))
 
     return show_warning

@@ -242,7 +242,7 @@ class Task(Source):
             if plan.outcome is not None and not plan.interrupted:
                 measured, values = measure()
                 report, result = report_of(plan, measured), result | values
-            written |= report.add_page(self.out, progress=progress, remarks=output.warned())
+            written |= report.add_page(self.out, progress=progress, remarks=output.WARNED)
         kept = "the page" if plan.moves is None else "the best plan so far"
         stopped = f"Interrupted; {kept} is in {written['page'].parent}. {report.verdict}"
         output.show(

@@ -59,20 +59,24 @@ def simulate(
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
     how: dict[str, Any] = {"duration": duration, "time_budget": time_budget, "progress": True, "throw": False}
     found, _ = output.run(lambda: run(simulated, **how))
-    stopped, late = (found.status == each for each in (Status.INTERRUPTED, Status.OUT_OF_TIME))
-    if not (found.success or stopped or (late and found.t.size)):
-        raise SimulationError(found.message, status=found.status, time=found.state.t)
+    stopped = found.status == Status.INTERRUPTED
+    if not found.success and not (found.t.size and (stopped or found.status == Status.OUT_OF_TIME)):
+        raise KeyboardInterrupt if stopped else SimulationError(found.message, status=found.status, time=found.state.t)
     kept = out if found.success else output.partial_path(out)
-    if stopped and not found.t.size:
-        raise KeyboardInterrupt
     with deferred():  # what has taken long is written first
         files.rescued(found.to_netcdf, kept)
     if not found.success:
-        part = {"output": kept, "status": found.status, "samples": found.t.size, "end_s": found.state.t}
-        why = "Interrupted" if stopped else "The time budget was over"
-        text = f"{why} at t = {found.state.t:.6g} s; the part that was simulated is in {kept}."
-        why_late = {} if stopped else {"message": found.message}
-        output.show(part | why_late, text, interrupted=text if stopped else "", code=output.NOT_CONVERGED)
+        text = f"{found.status.capitalize()} at t = {found.state.t:.6g} s; the part that was simulated is in {kept}."
+        part = {
+            "output": kept,
+            "status": found.status,
+            "samples": found.t.size,
+            "end_s": found.state.t,
+            "message": text,
+        }
+        if stopped:
+            output.show(part, interrupted=text)
+        output.show(part, text, code=output.NOT_CONVERGED)
     result: dict[str, Any] = {
         "output": out,
         "status": found.status,

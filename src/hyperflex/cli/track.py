@@ -177,11 +177,15 @@ def track(
         "preview": None if stopped else preview,
         "frames": found.frames,
         "duration_s": found.recording.duration,
+        "seen": found.seen,
     }
-    result |= {"seen": found.seen}
     if not bar:
-        result |= {"seen_each": found.seen_each}
-        result |= {"found_at_s": found.found_at, "markers": len(found.arc_lengths), "arc_lengths": found.arc_lengths}
+        result |= {
+            "seen_each": found.seen_each,
+            "found_at_s": found.found_at,
+            "markers": len(found.arc_lengths),
+            "arc_lengths": found.arc_lengths,
+        }
         result |= _estimated(tracker.estimator.measurement_noise.value, found.parameters, found.changes)
     files.rescued(found.to_netcdf, kept)
     result["notes"] = [each.replace("arc_lengths", "--arc-lengths") for each in found.notes]

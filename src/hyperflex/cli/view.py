@@ -13,13 +13,13 @@ from hyperflex.cli.command import check_destination
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import stoppable
 
-_FILM = ("start", "end", "title", "speed", "width")
+_FILM = "start end title speed width"
 _OPTIONS = {  # that apply, by what is written
-    ".png": ("start", "end", "title", "kind"),
+    ".png": "start end title kind",
     ".gif": _FILM,
     ".mp4": _FILM,
-    ".html": ("start", "end", "title", "speed"),
-    ".csv": (),
+    ".html": "start end title speed",
+    ".csv": "",
 }
 Run = Annotated[
     Path, typer.Argument(help="NetCDF file of a run, such as simulate, cast and whip write.", metavar="RUN.nc")
@@ -59,7 +59,7 @@ def plot(
         )
     every = {"start": start, "end": end, "title": title, "kind": kind, "speed": speed, "width": width}
     options: dict[str, Any] = {name: value for name, value in every.items() if value is not None}
-    if idle := [f"--{name}" for name in options if name not in _OPTIONS[suffix]]:
+    if idle := [f"--{name}" for name in options if name not in _OPTIONS[suffix].split()]:
         raise InvalidInput(f"a {suffix} does not show the options", got=" ".join(idle), fix="Omit them")
     check_destination(out, suffix, [run])
     shown = _read(run, "plot")
@@ -75,8 +75,8 @@ def plot(
         with output.spinner() as progress:
             options["progress"] = lambda done, frames: progress(f"frame {done} of {frames}")
             shown.animate(out, **options)
-    result = {"output": out, "bytes": out.stat().st_size, "run": run, "run_status": shown.status}
-    result |= {"start_s": shown.t[0], "end_s": shown.t[-1]}
+    result = {"output": out, "bytes": out.stat().st_size, "run": run, "start_s": shown.t[0], "end_s": shown.t[-1]}
+    result["run_status"] = shown.status
     output.show(result, output.rows(repr(shown), result))
 
 
@@ -107,7 +107,7 @@ def view(
 
 def _title(run: Path, shown: Any, given: str | None, what: str) -> str:
     """Return the title of what shows a run; of one that did not come to its end with how it ended."""
-    return (f"{run.name}{what}" if given is None else given) + ("" if shown.success else f" ({shown.status})")
+    return (given or f"{run.name}{what}") + ("" if shown.success else f" ({shown.status})")
 
 
 def _read(run: Path, command: str) -> Any:

@@ -362,9 +362,8 @@ def split(
         raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {t[0]:g} s")
     for rows, part in ((t < time, "fitted"), (t >= time, "held out")):
         empty = np.isnan(measured.channels.data[rows]).all(axis=0)
-        if arc_lengths is not None and rows.sum() > 1 and empty.any():
-            arc = float(np.ravel(arc_lengths)[int(np.argmax(empty)) // 2])
-            what = f"the marker at {arc:g} m has no value in the part {part}"
+        if arc_lengths is not None and rows.any() and empty.any():
+            what = f"the marker at {np.ravel(arc_lengths)[empty.argmax() // 2]:g} m has no value in the part {part}"
             raise InvalidInput(
                 what, fix=f"Omit it, from arc_lengths as well, or let train end elsewhere than at {time:.4g} s"
             )

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
         Setup,
         SetupFields,
         check_tables,
-        warn_of_pegs,
     )
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -84,7 +84,13 @@ _TABLE = (
     Property("drag", "air drag", "kg/m^2", "drag", power=1, cut="alike", symbol="d", ratio="1/m^3", least=1e-9),
     Property("max_bend", "joint limit", "rad", "max_bend", sign="positive", default=math.inf, form=None, cut="limit"),
     Property("tip_mass", "mass at the tip", "kg", "tip_mass", owner="rope", power=1),
-    Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", owner="view", form="linear"),
+    Property(
+        "gravity_angle",
+        "turn of gravity (a camera that is not level), which the rope's file leaves out",
+        "rad",
+        owner="view",
+        form="linear",
+    ),
     Property(
         "gravity_scale",
         "gravity over what it was taken to be (a wrong clock or lengths)",

@@ -163,12 +163,15 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
     rope, pegs = checks.instance("rope", rope, Rope), checked_obstacles(pegs)
     if arm is not None:
         checks.instance("arm", arm, Arm)
+    reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
+    far = reach + np.cumsum(rope.length)  # of each link's far joint at most
     pieces = np.ones(rope.n_links, dtype=np.int64)
     for peg in pegs:
         if not isinstance(peg, Peg):
             continue  # nothing winds round what is straight
-        needed = np.ceil(rope.length / max(ratio * (peg.radius + rope.radius), _LEAST) - 1e-9)
-        near = may_touch(rope, peg, arm)
+        axis = peg.radius + rope.radius
+        near = far >= np.hypot(peg.x - x, peg.y - y) - axis
+        needed = np.ceil(rope.length / max(ratio * axis, _LEAST) - 1e-9)
         pieces = np.maximum(pieces, np.where(near, np.minimum(needed, 1e15), 1.0).astype(np.int64))
     if (total := float(pieces.sum(dtype=np.float64))) > max(MOST_PIECES, rope.n_links):
         raise InvalidInput(
@@ -178,12 +181,6 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
             fix="Check the radii of peg and rope, which are in m, or give a larger ratio",
         )
     return pieces
-
-
-def may_touch(rope: Rope, peg: Peg, arm: Arm | None) -> npt.NDArray[np.bool_]:
-    """Return which links (n,) are far enough along a rope, straight at most, to touch a peg."""
-    reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
-    return np.asarray(reach + np.cumsum(rope.length) >= np.hypot(peg.x - x, peg.y - y) - peg.radius - rope.radius)
 
 
 def _share(length: Array) -> Array:

@@ -21,7 +21,6 @@ MOST_LINKS = 100_000  # far beyond use: a typing error must not fill the memory
 DENSITIES = (0.01, 1e5)  # kg/m^3: a hundredth of air's, and four times that of the densest metal
 TOTALS = ("length", "mass")  # in a file of the whole rope or of each link: the key says which
 GRAVITY = (0.0, -9.81)  # m/s^2
-DO_NOT_USE = "do not use"  # the grade, as of hyperflex.identification.Grade
 AIR_DENSITY = 1.204  # kg/m^3, at 20 degrees Celsius and 1013 hPa
 FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
@@ -364,9 +363,9 @@ class Rope:
 def warn_of_grade(path: str | Path, content: Mapping[str, Any]) -> None:
     """Warn (UserWarning) of a rope in a file whose identification found that it must not be used."""
     found = content.get("identification")
-    if isinstance(found, Mapping) and found.get("grade") == DO_NOT_USE:
-        text = f"{path}: the identification of this rope is graded '{DO_NOT_USE}'. {found.get('message', '')}"
-        warnings.warn(text.rstrip(), UserWarning, stacklevel=3)
+    if isinstance(found, Mapping) and found.get("grade") == "do not use":
+        text = f"{path}: the identification of this rope is graded 'do not use'. {found.get('message', '')}"
+        warnings.warn(text, stacklevel=3)
 
 
 def table_keys() -> list[str]:

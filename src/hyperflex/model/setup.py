@@ -19,7 +19,7 @@ from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacle_tables, obstacles_of, packed
-from hyperflex.model.refine import COARSE, FINE, may_touch
+from hyperflex.model.refine import COARSE, FINE, cuts
 from hyperflex.model.rope import Rope, table_keys
 from hyperflex.motion import Motion, from_spec, hold_arm, motion_keys, to_spec, torque_profile
 from hyperflex.options import option
@@ -275,11 +275,7 @@ class Setup:
 
         The tables of a planner, ``[target]``, ``[slot]``, ``[limits]`` and ``[plan]``, are ignored.
         """
-        return cls._of(files.loads_toml(text, name), name, folder)
-
-    @classmethod
-    def _of(cls, tables: Mapping[str, Any], name: str, folder: Path | None) -> "Setup":
-        content = {key: value for key, value in tables.items() if key not in PLANNING}
+        content = {key: value for key, value in files.loads_toml(text, name).items() if key not in PLANNING}
         check_tables(name, content)
         with located(name, files.toml_words):
             content["rope"] = Rope.from_table(content["rope"])
@@ -304,27 +300,26 @@ class Setup:
         FileProblem, InvalidInput
             If the file cannot be read or does not describe a set-up.
         """
-        content = files.read_toml(path)
-        setup = cls._of(content, str(path), Path(path).parent)
-        if PLAN not in content:  # whose rope was cut, and whose arm is clear
+        text = files.read_text(path, "TOML file")
+        setup = cls.loads(text, str(path), Path(path).parent)
+        if f"\n[{PLAN}]" not in text:  # whose rope was cut, and whose arm is clear
             warn_of_pegs(str(path), setup)
         return setup
 
 
 def warn_of_pegs(name: str, setup: Setup) -> None:
-    """Warn (UserWarning) of pegs for which the links of a rope are too long, or through which its arm turns."""
+    """Warn of pegs for which the links of a rope are too long, or that its arm can turn through."""
     rope, arm = setup.rope, setup.arm
-    driven = arm is not None and (setup.motion is not None or setup.torque_driven)
     for peg in setup.round_pegs:
-        axis, where = peg.radius + rope.radius, f"the peg at ({peg.x:.4g}, {peg.y:.4g}) m"
-        longest = rope.length[may_touch(rope, peg, arm)].max(initial=0.0)
-        if longest > COARSE * axis:
-            size, radius, enough = (f"{1e3 * each:.3g} mm" for each in (longest, peg.radius, FINE * axis))
-            text = f"links of {size} near {where}, of {radius} radius, hold less than a smooth rope"
-            warnings.warn(f"{name}: {text}. Give links of up to {enough}.", UserWarning, stacklevel=3)
-        if driven and arm is not None and math.dist(arm.pivot, (peg.x, peg.y)) < arm.length + peg.radius:
-            text = f"the arm turns through {where}, which only the rope touches"
-            warnings.warn(f"{name}: {text}. Move it, if that is not meant.", UserWarning, stacklevel=3)
+        axis, where = peg.radius + rope.radius, f"the peg at ({peg.x:.4g}, {peg.y:.4g}) m, of {1e3 * peg.radius:.3g} mm"
+        long = rope.length[cuts(rope, (peg,), arm=arm, ratio=COARSE) > 1]
+        if long.size:
+            text = f"{name}: links of {1e3 * long.max():.3g} mm near {where} radius hold less than a smooth rope. "
+            warnings.warn(f"{text}Give links of up to {1e3 * FINE * axis:.2g} mm.", stacklevel=3)
+        if arm is not None and math.dist(arm.pivot, (peg.x, peg.y)) < arm.length + peg.radius:
+            warnings.warn(
+                f"{name}: the arm can turn through {where} radius, which only the rope touches.", stacklevel=3
+            )
 
 
 def check_tables(name: str, content: Mapping[str, Any], more: Sequence[str] = ()) -> None:

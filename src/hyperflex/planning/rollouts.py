@@ -190,8 +190,8 @@ def check_start(problem: Problem) -> None:
     some_pegs, both = "a peg that it is to run behind", "an obstacle or a peg that it is to run behind"
     for what, some in (("an obstacle", obstacles), (some_pegs, behind), (both, (*behind, *obstacles))):
         if not free_sides(problem, some):
-            hit = [each for each in some if len(free_sides(problem, (each,))) < len(free_sides(problem, ()))]
-            fix = f"Move {' or '.join(map(named, hit))}; the rope hangs from the arm, which points to one side"
+            hit = [named(each) for each in some if free_sides(problem, (each,)) != free_sides(problem, ())]
+            fix = f"Move {' or '.join(hit)}; the rope hangs from the arm, which points to one side"
             raise InvalidInput(f"the rope begins in {what}, whatever the arm's side", fix=fix)
 
 

@@ -45,7 +45,7 @@ def setup_of(
     link. A set-up is not cut; True is refused.
     """
     given = {name: value for name, value in fields.items() if value is not None}
-    refine = refine if refine is None else checks.flag("refine", refine)
+    refine = None if refine is None else checks.flag("refine", refine)
     if isinstance(rope, Setup):
         if refine:
             fix = "Cut its rope before: refine_rope(setup.rope, setup.pegs, arm=setup.arm)"

@@ -87,7 +87,7 @@ class TipTarget:
     def __post_init__(self) -> None:
         if self.direction is None:
             if self.angle_tolerance not in (TipTarget.angle_tolerance, np.pi):
-                fix = "Give the direction as well, or leave it out"
+                fix = "Give both"
                 raise InvalidInput("angle_tolerance has no direction", got=self.angle_tolerance, fix=fix)
             object.__setattr__(self, "direction", 0.0)
             object.__setattr__(self, "angle_tolerance", float(np.pi))
