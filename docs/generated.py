@@ -9,15 +9,15 @@ HEAD = """\
 # Command line
 
 Every command takes `--json`: it then prints one JSON object on standard output and nothing else there. Progress and
-messages go to standard error. A command that fails prints `{"error": ..., "type": ...}` under `--json`; Ctrl-C and
-SIGTERM give `"error": "interrupted"` ([Interruptions](how-to/faults.md)).
+messages go to standard error. A result has `success`, `status` and `warnings`. A command that fails prints `error`, the
+message, and its `type` as well; Ctrl-C and SIGTERM give `"error": "interrupted"` ([Interruptions](how-to/faults.md)).
 
 | exit code | meaning |
 |---|---|
 | 0 | success |
 | 1 | a bug in hyperflex, with a traceback on standard error |
 | 2 | an error, with a message |
-| 3 | the fit of `identify` did not converge, or its time was over; the rope is written and marked |
+| 3 | the fit of `identify` did not converge, or the time of `identify` or `simulate` was over; what there is is written and marked |
 | 4 | no plan of `cast`, `whip` or `insert` succeeded; the best is written with the reason |
 | 5 | the result of `identify` must not be used |
 | 130, 143 | interrupted by Ctrl-C, by SIGTERM; what was complete is kept and marked |
