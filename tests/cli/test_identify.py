@@ -79,6 +79,17 @@ def test_a_file_gets_the_rope_and_its_figures(hyperflex, hyperflex_json, swing):
     assert result["values"]["friction"][0] == pytest.approx(2e-4, rel=1e-2)
 
 
+def test_what_is_added_is_reported_and_a_camera_s_turn_stays_out_of_the_rope(hyperflex, swing):
+    table, noise = files.read_table("swing.csv"), np.random.default_rng(0)
+    table.values[:, 1] += 1.5 + 0.1 * noise.standard_normal(len(table.values))  # degrees
+    files.write_table("turned.csv", table.names, table.values)
+    read = ("--kind", "angles", "--time-unit", "ms", "--unit", "deg")
+    out = hyperflex(*words("turned.toml", *read, recording="turned.csv"))[1]
+    assert "Added because the recording shows it: gravity_angle" in out
+    assert "gravity_angle is the camera's turn" in out
+    np.testing.assert_array_equal(hf.Rope.from_toml("turned.toml").gravity, [0.0, -9.81])
+
+
 def test_a_folder_gets_rope_figures_and_page(hyperflex, swing):
     code, out, _ = hyperflex(*words("found", *FRICTION, "--free", "inertia", "--train", 2))
     assert (code, {path.name for path in (swing / "found").iterdir()}) == (0, PARTS)

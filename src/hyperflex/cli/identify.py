@@ -147,6 +147,8 @@ def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
         rows.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))
     yield from found.report().splitlines()
     yield from (text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"])
+    if "gravity_angle" in found.values:
+        yield "gravity_angle is the camera's turn: the rope's file keeps the gravity of the guess."
     yield Rows("Fit", rows)
     for table in filter(None, (parameters_table(found, None), ratios_table(found))):
         first = [row[0] for row in table.rows]

@@ -392,7 +392,7 @@ class Kind(StrEnum):
     CHOSEN = (
         "free by default",
         """Free by default: {usual:list}. | Added because the recording shows it: {added:each (% of the residuals'
-        squares)}. A gravity_angle stays out of the rope's file. Name what is free to choose otherwise.""",
+        squares)}. Name what is free to choose otherwise.""",
     )
     HELD_VALUES = (
         "held values",
