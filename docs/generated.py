@@ -17,7 +17,7 @@ message, and its `type` as well; Ctrl-C and SIGTERM give `"error": "interrupted"
 | 0 | success |
 | 1 | a bug in hyperflex, with a traceback on standard error |
 | 2 | an error, with a message |
-| 3 | the fit of `identify` did not converge, or the time was over, of `simulate` too; what there is is kept and marked |
+| 3 | the fit of `identify` did not converge, or the time of it or of `simulate` was over; the result is marked |
 | 4 | no plan of `cast`, `whip` or `insert` succeeded; the best is written with the reason |
 | 5 | the result of `identify` must not be used |
 | 130, 143 | interrupted by Ctrl-C, by SIGTERM; what was complete is kept and marked |
