@@ -167,6 +167,14 @@ def test_ctrl_c_as_a_search_for_a_fallback_begins_leaves_the_failed_plan(monkeyp
     assert (plan.interrupted, plan.fallback.plan) == (True, None)
 
 
+def test_a_motor_that_turns_to_one_side_alone_swings_the_rope_up():
+    left = MotorLimits(angles=(-3.14, 0.0))
+    plan = plan_cast(CORD, ARM, PEG, left, time_budget=processor(20.0), on_plan=lambda plan: True)
+    assert plan.success
+    angles = plan.moves.angles(left)
+    assert -3.14 <= angles.min() < angles.max() <= 0.0
+
+
 def test_a_search_without_a_strike_counts_its_runs():
     options = SearchOptions(threads=1)
     slow, target = MotorLimits(speed=2.0), hf.Peg(-0.8, -1.0, 0.04)

@@ -74,6 +74,8 @@ def test_what_widens_a_swing_is_the_way_of_the_arms_tip_aside():
     usual, *narrow = (check_feasibility(each, at(1.28, 0.67)).energy_ratio for each in some)
     assert narrow == pytest.approx([narrow[0]] * 3, rel=1e-3)
     assert narrow[0] < 0.6 * usual
+    some = replace(CAST_SETUP, limits=MotorLimits(angles=(0.0, 1.0)))
+    assert "a motor that turns from -1.57 to 1.57 rad" in find_remedies(some, at(1.12, 0.46))
 
 
 def test_a_slow_motor_is_told_from_little_energy():

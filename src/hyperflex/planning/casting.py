@@ -253,7 +253,8 @@ def plan_cast(
     time_budget : float or Budget, optional
         Time by the clock for search, verifications and success probability of a target, s, without compiling. A plan
         that succeeds with a margin ends the search before (:func:`hyperflex.planning.ensemble.margin`), one without
-        after a quarter more time. With an uncertainty, one with a margin that succeeds in all scenarios does.
+        after a quarter more time. With an uncertainty, one with a margin that succeeds in all scenarios does. Of a
+        Budget targets, and fallback targets, get equal parts of what is left.
     options : SearchOptions, optional
         Seed, threads, fallback and other options of the search.
     on_plan : callable, optional

@@ -355,6 +355,10 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
     found += remedy("a motor of {acceleration} rad/s^2", lambda f: faster(1.0, f), motor)
     if not found:  # one limit alone is enough
         found = remedy("a motor of {speed} rad/s and {acceleration} rad/s^2", lambda f: faster(f, f**2), motor)
+    least, greatest = min(limits.angles[0], -0.5 * math.pi), max(limits.angles[1], 0.5 * math.pi)
+    freer = replace(problem, limits=replace(limits, angles=(least, greatest)))
+    if not check_feasibility(problem, peg).feasible and check_feasibility(freer, peg).feasible:
+        found.append(f"a motor that turns from {least:.3g} to {greatest:.3g} rad")
     found += remedy("an arm of {arm} mm", lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg))
     found += remedy("a rope of {rope} m", lambda f: (replace(problem, rope=longer(f)), peg))
     longest = max(most, 1.01 * SWING.max_periods * problem.period / problem.time)
