@@ -128,7 +128,7 @@ def test_obstacles_that_cannot_be_are_refused():
         replace(problem(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
     with pytest.raises(InvalidInput, match="obstacles holds something else"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=["a wall"]))
-    with pytest.raises(InvalidInput, match="begins in an obstacle"):
+    with pytest.raises(InvalidInput, match=r"begins in the ground at \(0, -1.9\) m"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=[hf.Ground(0.0, -1.9)]))
     with pytest.raises(InvalidInput, match="past obstacles are not followed"):
         hf.follow_plan(replace(planned(), problem=replace(problem(), obstacles=[FLOOR])), None)
@@ -142,7 +142,7 @@ def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search():
         lambda: hf.plan_whip(CABLE, arm, TipTarget(0.3, -2.05), conditions=hf.Conditions(obstacles=[floor])),
         lambda: hf.plan_insert(CABLE, arm, slot, conditions=hf.Conditions(obstacles=[floor])),
     ):
-        with pytest.raises(InvalidInput, match=r"the rope begins in an obstacle.* Move the ground at \(0, -1\) m;"):
+        with pytest.raises(InvalidInput, match=r"the rope begins in the ground at \(0, -1\) m, whatever"):
             plan()
     turned = CABLE.replace(gravity=(0.17, -9.81))
     for plan in (

@@ -186,13 +186,11 @@ def check_start(problem: Problem) -> None:
     if gx != 0.0 or gy > 0.0:
         fix = "Rotate the axes until y points up, and give the rope gravity = [0, -9.81]"
         raise InvalidInput(f"plans need gravity along -y; the rope has ({gx:.4g}, {gy:.4g}) m/s^2", fix=fix)
-    behind, obstacles = problem.criteria.behind, problem.obstacles
-    some_pegs, both = "a peg that it is to run behind", "an obstacle or a peg that it is to run behind"
-    for what, some in (("an obstacle", obstacles), (some_pegs, behind), (both, (*behind, *obstacles))):
-        if not free_sides(problem, some):
-            hit = [named(each) for each in some if free_sides(problem, (each,)) != free_sides(problem, ())]
-            fix = f"Move {' or '.join(hit)}; the rope hangs from the arm, which points to one side"
-            raise InvalidInput(f"the rope begins in {what}, whatever the arm's side", fix=fix)
+    pegs, free = (*problem.criteria.behind, *problem.obstacles), free_sides(problem, ())
+    if not free_sides(problem, pegs):
+        hit = " and ".join(named(each) for each in pegs if free_sides(problem, (each,)) != free)
+        fix = "Move it; the rope hangs from the arm, which points to one side"
+        raise InvalidInput(f"the rope begins in {hit}, whatever the arm's side", fix=fix)
 
 
 @dataclass(frozen=True, eq=False)
