@@ -1,5 +1,6 @@
 """Clearance of a rope from the arm that moves it (the motor's shaft, and the arm up to its tip), and obstacles."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -61,10 +62,15 @@ def obstacle_clearance(run: Trajectory, obstacles: Sequence[Obstacle], until: fl
     return _least_clearance(run, gaps, [named(each) for each in obstacles], speed, until)
 
 
-def sampled_obstacle_gaps(rope: Rope, obstacles: Sequence[Obstacle], q: Array, base: Array) -> Array:
-    """Distance (...), m, of a rope from obstacles at samples alone; link angles q (..., n), rad, `base` (..., 2), m."""
+def sampled_obstacle_gaps(
+    rope: Rope, obstacles: Sequence[Obstacle], q: Array, base: Array, within: float = np.inf
+) -> Array:
+    """Distance (...), m, of a rope from obstacles at samples alone; link angles q (..., n), rad, `base` (..., 2), m.
+
+    A distance that is greater than `within`, m, may be stated as smaller, but not below it.
+    """
     joints = rope.joints(q, base)
-    gaps = obstacle_gaps(obstacles, joints[..., :-1, :], joints[..., 1:, :])
+    gaps = obstacle_gaps(obstacles, joints[..., :-1, :], joints[..., 1:, :], rope.radius + within)
     return np.asarray(gaps.min(axis=(-2, -1), initial=np.inf)) - rope.radius
 
 
@@ -83,9 +89,9 @@ def clear_samples(
 
     `base` (M, T, 2), m, are places of their first joints, `clearance`, m, is the distance that they keep.
     """
-    clear = np.full(len(q), q.shape[1])
+    clear, least = np.full(len(q), q.shape[1]), max(clearance, 0.0)
     for m, rope in enumerate(ropes if obstacles else ()):
-        near = sampled_obstacle_gaps(rope, obstacles, np.nan_to_num(q[m]), base[m]) <= max(clearance, 0.0)
+        near = sampled_obstacle_gaps(rope, obstacles, np.nan_to_num(q[m]), base[m], least) <= least
         clear[m] = near.argmax() if near.any() else near.size
     return clear
 
@@ -123,15 +129,22 @@ def way_gaps(rope: Rope, target: Peg, behind: Sequence[Peg], q: Array, joints: A
     return found
 
 
-def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:
-    """Distances (..., w, k), m, of the axes of links from `begin` to `end` (..., k, 2) from w obstacles."""
+def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, within: float = np.inf) -> Array:
+    """Distances (..., w, k), m, of the axes of links from `begin` to `end` (..., k, 2) from w obstacles.
+
+    A distance that is greater than `within`, m, may be stated as smaller, but not below it: that is faster for walls.
+    """
     gaps = np.empty((*begin.shape[:-2], len(obstacles), begin.shape[-2]))
     for w, each in enumerate(obstacles):
         place: Array = np.array([each.x, each.y])
         if isinstance(each, Peg):
             gap = _distance(place, begin, end) - each.radius
         elif isinstance(each, Wall):
-            gap = _segment_distance(begin, end, place, np.array([each.x2, each.y2]))
+            last: Array = np.array([each.x2, each.y2])
+            out, long = begin - 0.5 * (place + last), float(np.abs(end - begin).max(initial=0.0))
+            gap = np.hypot(out[..., 0], out[..., 1]) - math.sqrt(2.0) * long - 0.5 * math.dist(place, last)  # at least
+            near = gap <= within
+            gap[near] = _segment_distance(begin[near], end[near], place, last)
         else:
             out: Array = np.array([each.nx, each.ny]) / np.hypot(each.nx, each.ny)
             gap = np.minimum((begin - place) @ out, (end - place) @ out)

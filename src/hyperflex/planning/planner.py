@@ -118,6 +118,8 @@ class Planner:
         part of the margin for as much less, and not where another verification would end later.
     on_improvement : callable, optional
         Called without arguments when a plan succeeds, and at each better one; ends the search by returning True.
+    sampling : float
+        Time, s, that samples took before the search.
 
     Attributes
     ----------
@@ -128,14 +130,19 @@ class Planner:
     """
 
     def __init__(
-        self, task: Task, budget: Budget, improve: float, on_improvement: Callable[[], bool | None] | None = None
+        self,
+        task: Task,
+        budget: Budget,
+        improve: float,
+        on_improvement: Callable[[], bool | None] | None = None,
+        sampling: float = 0.0,
     ) -> None:
         self.task, self.budget, self.improve, self.on_improvement = task, budget, improve, on_improvement
         self.best: Verified | None = None
         self.sampled: list[Candidate] = []
         self.rolled: list[Candidate] = []
         self._tried: list[Candidate] = []
-        self._spent = [0.0, 0.0, 0.0]
+        self._sampling, self._spent = sampling, [sampling, 0.0, 0.0]
         self._exhausted = self._ended = False
         self._until, self._needed = math.inf, 0.0
 
@@ -208,5 +215,5 @@ class Planner:
             if self.succeeds:
                 missing = max(0.0, 1.0 - found.margin / self.task.enough) if self.task.enough else 0.0
                 more = self.improve * missing if missing else 0.0
-                self._until = min(self._until, (1.0 + more) * self.budget.elapsed)
+                self._until = min(self._until, self.budget.elapsed + more * (self._sampling + self.budget.elapsed))
                 self._ended = self.on_improvement is not None and bool(self.on_improvement())

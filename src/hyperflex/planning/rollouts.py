@@ -31,6 +31,7 @@ from hyperflex.planning.clearance import (
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import FOLD, at_limits, limit_bend
 from hyperflex.simulation import Batch, check_outside, simulate_batch
+from hyperflex.simulation.contact import SHALLOW
 from hyperflex.trajectory import interpolated
 from hyperflex.winding import TOUCH, slid
 
@@ -170,10 +171,11 @@ def starts_outside(setup: Setup, *start: Any) -> bool:
 
 
 def free_sides(problem: Problem, pegs: Sequence[Obstacle]) -> list[int]:
-    """Return the sides on which the arm may stand at first without the rope in one of the `pegs`."""
+    """Return the sides on which the arm may stand at first without the rope in one of the `pegs`, or at it."""
     sides = [side for side in (-1, 1) if problem.side in (side, 0)]
-    (q, _), angle = problem.start, problem.limits.start_angle
-    starts = [Setup(problem.rope, hold_arm(angle(side)), problem.arm, pegs=tuple(pegs)) for side in sides]
+    (q, _), angle, rope = problem.start, problem.limits.start_angle, problem.rope
+    thicker = rope.replace(radius=rope.radius + SHALLOW)
+    starts = [Setup(thicker, hold_arm(angle(side)), problem.arm, pegs=tuple(pegs)) for side in sides]
     return [side for side, start in zip(sides, starts, strict=True) if starts_outside(start, 0.0, q)]
 
 
@@ -421,7 +423,8 @@ class _Contact:
         if problem.clearance > -math.inf:
             near |= sampled_clearance(rope, problem.arm, *places) <= problem.clearance
         if problem.obstacles:
-            near |= sampled_obstacle_gaps(rope, problem.obstacles, *places) <= max(problem.clearance, 0.0)
+            least = max(problem.clearance, 0.0)
+            near |= sampled_obstacle_gaps(rope, problem.obstacles, *places, least) <= least
         seconds = MODEL.poll * int(near.sum())
         cost = MODEL.fault * (1.0 + seconds / (seconds + 0.3)) if seconds else 0.0
         if behind := problem.criteria.behind:

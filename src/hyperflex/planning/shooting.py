@@ -14,6 +14,7 @@ from hyperflex.checks import Array
 
 DAMPING = (1e-4, 5e-4, 2e-3, 0.01, 0.04, 0.15, 0.6, 2.5)  # relative to the greatest singular value of the Jacobian
 LONGEST = 0.6  # change of a parameter in a step, in its scale
+LESS = 0.8  # of the residuals, that a step must leave at most for another one
 
 
 class Shot(Protocol):
@@ -56,10 +57,11 @@ def shoot(
     close : float
         Norm of the residuals at which the search ends.
     """
+    stalled = False
     for left in range(rounds, -1, -1):
         near = fly(best, list(np.diag(difference * scale)), [0.0] * scale.size)
         varied = [each or best for each in near]
-        if left == 0 or np.linalg.norm(best.residuals) < close:
+        if left == 0 or stalled or np.linalg.norm(best.residuals) < close:
             break
         budget.check()
         jacobian = np.array([each.residuals - best.residuals for each in varied]).T / difference
@@ -72,7 +74,8 @@ def shoot(
             steps.append(step / max(1.0, float(np.abs(step).max()) / LONGEST))
         tried = fly(best, [scale * each for each in steps], [float(later @ each) for each in steps])
         better = min((each for each in tried if each), key=lambda one: np.linalg.norm(one.residuals), default=best)
-        if np.linalg.norm(better.residuals) >= np.linalg.norm(best.residuals):
+        before, after = (float(np.linalg.norm(each.residuals)) for each in (best, better))
+        if after >= before:
             break
-        best = better
+        best, stalled = better, after > LESS * before
     return best, varied

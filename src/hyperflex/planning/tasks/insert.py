@@ -295,7 +295,7 @@ class InsertTask(TipTask):
     seed : int
     """
 
-    close, ready, improve = 2e-3, -0.02, 2.0
+    close, ready, improve = 2e-3, -0.02, 4.0
 
     def __init__(
         self, problem: Problem, slot: Slot, uncertainty: Uncertainty | None = None, samples: int = 100, seed: int = 0
@@ -544,7 +544,7 @@ class _Estimate:
         until = slice(entry.end + 1)
         if at_limits(limit_bend(rope), q[until], -1e-3).any():
             return False
-        gaps = sampled_obstacle_gaps(rope, slot.walls, q[until], base[until])
+        gaps = sampled_obstacle_gaps(rope, slot.walls, q[until], base[until], CLOSER)
         flight, bound = (q[None], base[None]), max(clearance, 0.0) + CLOSER
         clear = clear_samples([rope], problem.obstacles, *flight, bound)[0]
         clear = min(clear, samples_clear_of_arm(rope, problem.arm, *flight, clearance + CLOSER)[0])

@@ -404,7 +404,7 @@ class TipTask(Task):
         return one
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return the random swings that are near enough, if there are any; then what evolutions of one by one gain.
+        """Return the random swings; then what evolutions of one by one gain.
 
         They begin with the best swings; of the same side and number of moves the second counts as twice as bad, and so
         on. After each of them the best one that gained a tenth of its cost is continued.
@@ -415,7 +415,7 @@ class TipTask(Task):
                 kind = one.moves.side, one.moves.cut(one.t + OPTIONS.window, self.problem.limits).ends.size
                 rank[id(one)], seen[kind] = seen[kind], seen[kind] + 1
             self._starts = sorted(self.swings, key=lambda one: -one.score * (1 + rank[id(one)]))
-            return [one for one in self.swings if one.score > -OPTIONS.max_cost] or self.swings
+            return self.swings
         results = list[Candidate]()
         while not results and (self._starts or self._begun):
             self._begun.sort(key=lambda one: -one.score)
@@ -592,9 +592,10 @@ def plan_tip(
     budget.threads = options.threads or budget.threads
     known = TipFeasibility(task.distance, math.inf, "interrupted before the random swings were simulated")
     with stoppable() as stop, budget.progress(options.progress, "planning"):
+        begin = budget.elapsed
         known = task.prepare(budget)
         if task.swings and (known.feasible or options.skip_feasibility):
-            planner = Planner(task, budget.share(0.8), task.improve)
+            planner = Planner(task, budget.share(0.8), task.improve, sampling=budget.elapsed - begin)
             planner.run()
             if planner.best is None and planner.rolled and not budget.expired:  # its runs show why it fails
                 planner.best = task.verify(planner.rolled[0], budget)
