@@ -141,8 +141,10 @@ def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, withi
             gap = _distance(place, begin, end) - each.radius
         elif isinstance(each, Wall):
             last: Array = np.array([each.x2, each.y2])
-            out, long = begin - 0.5 * (place + last), float(np.abs(end - begin).max(initial=0.0))
-            gap = np.hypot(out[..., 0], out[..., 1]) - math.sqrt(2.0) * long - 0.5 * math.dist(place, last)  # at least
+            away, long = begin - 0.5 * (place + last), float(np.abs(end - begin).max(initial=0.0))
+            gap = (
+                np.hypot(away[..., 0], away[..., 1]) - math.sqrt(2.0) * long - 0.5 * math.dist(place, last)
+            )  # at least
             near = gap <= within
             gap[near] = _segment_distance(begin[near], end[near], place, last)
         else:
