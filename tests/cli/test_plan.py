@@ -529,4 +529,4 @@ def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, posts, m
     assert (code, told["complete"], told["error"]) == (130, False, "interrupted")
     kept = hf.read_reach_map(told["files"]["map"])
     assert kept.status.tolist() == [[1, NOT_PLANNED]]
-    assert "1 of 2 not planned: interrupted" in kept.plot().axes[0].get_title("left")
+    assert "1 not planned: interrupted" in kept.plot().axes[0].get_title("left")

@@ -403,7 +403,7 @@ def reach_map(
 
     Ctrl-C ends it; the map so far is written, marked as incomplete.
     """
-    from hyperflex.planning import NOT_PLANNED, build_reach_map
+    from hyperflex.planning import build_reach_map
     from hyperflex.report import check_folder, save_png, whole_folder
 
     check_folder(source.out)
@@ -434,9 +434,6 @@ def reach_map(
         return {"map": folder / _DATA, "picture": folder / _PICTURE}
 
     written = files.rescued(write, source.out)
-    count, wound = found.status.size, int(found.wound.sum())
-    searched = int((~found.infeasible & (found.status != NOT_PLANNED)).sum())
-    result = {"source": "simulated", "targets": count, "feasible": searched, "wound": wound}
-    result |= {"complete": found.complete, "files": written}
+    result = {"source": "simulated", **found.counts, "complete": found.complete, "files": written}
     stopped_text = f"Interrupted; the map so far is in {source.out}." if stopped else ""
     output.show(result, output.rows("Reach map", result), interrupted=stopped_text)

@@ -95,10 +95,20 @@ class ReachMap:
         """Targets (Y, X) that are infeasible: no search was made for."""
         return np.asarray(self.status == STATUSES.index(Status.INFEASIBLE))
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of targets, of those that are feasible, and of those that are wound."""
+        feasible = ~self.infeasible & (self.status != NOT_PLANNED)
+        return {"targets": self.status.size, "feasible": int(feasible.sum()), "wound": int(self.wound.sum())}
+
+    def in_short(self) -> str:
+        """Return the counts as text, and how many targets were not planned."""
+        shown = ", ".join(f"{count} {name}" for name, count in self.counts.items())
+        missing = int((self.status == NOT_PLANNED).sum())
+        return shown if self.complete else f"{shown}, {missing} not planned: interrupted"
+
     def __repr__(self) -> str:
-        searched = int((~self.infeasible & (self.status != NOT_PLANNED)).sum())
-        rest = "" if self.complete else f", {int((self.status == NOT_PLANNED).sum())} not planned: interrupted"
-        return f"ReachMap({self.status.size} targets, {searched} feasible, {int(self.wound.sum())} wound{rest})"
+        return f"ReachMap({self.in_short()})"
 
     def plot(self) -> "Figure":
         """Draw the map: return a Matplotlib figure."""

@@ -70,14 +70,10 @@ def reach_figure(reach: ReachMap) -> "Figure":
 
 
 def _title(reach: ReachMap) -> str:
-    searched = int((~reach.infeasible & (reach.status >= 0)).sum())
     rope, radius = reach.problem.rope, 1e3 * reach.radius
-    rest = (
-        "" if reach.complete else f"\n{int((reach.status < 0).sum())} of {reach.status.size} not planned: interrupted"
-    )
     return (
         f"Rope of {rope.total_length:.3g} m, {1e3 * rope.total_mass:.3g} g; targets of {radius:.3g} mm radius\n"
-        f"{int(reach.wound.sum())} of {searched} feasible ones wound, {reach.time_budget:g} s each (simulated){rest}"
+        f"{reach.in_short()}; {reach.time_budget:g} s each (simulated)"
     )
 
 
