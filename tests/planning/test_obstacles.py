@@ -46,6 +46,9 @@ def test_distances_are_those_of_many_points_of_the_rope(obstacle):
         there = sampled_obstacle_gaps(rope, [obstacle], q[None], np.zeros((1, 2)))[0]
         want = distance(obstacle, points).min() - rope.radius
         assert there == pytest.approx(want, abs=1e-3)  # the points are 1 mm apart
+        for within in (0.5 * there, 2.0 * there):
+            stated = sampled_obstacle_gaps(rope, [obstacle], q[None], np.zeros((1, 2)), within)[0]
+            assert stated == there if there <= within else within <= stated <= there
 
 
 def test_a_run_tells_which_obstacle_it_comes_near_and_when():
