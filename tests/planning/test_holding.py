@@ -8,7 +8,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import winding
 from hyperflex.budget import Budget
-from hyperflex.planning import outcome
+from hyperflex.planning import WindCriteria, outcome
 from hyperflex.planning.outcome import measure_holding_force, require_holding_force
 from tests.planning.known import CABLE, PEG, planned
 
@@ -35,7 +35,7 @@ def test_a_tug_bears_at_least_what_the_rule_gives():
 
 
 def test_a_tug_allows_the_slip_of_the_criteria():
-    plan = replace(planned(), problem=replace(planned().problem, criteria=hf.WindCriteria(max_slip=0.02)))
+    plan = replace(planned(), problem=replace(planned().problem, criteria=WindCriteria(max_slip=0.02)))
     tug = plan.measure_holding_force().tug
     assert tug.allowed == 0.02
     assert tug.slipped == (np.abs(tug.slip).max() > 0.02)
@@ -54,9 +54,9 @@ def test_a_cast_that_bears_less_than_is_asked_has_failed():
     cast = planned().outcome
     force = measure_holding_force(cast.run, PEG).force
     budget = Budget()
-    assert require_holding_force(cast, PEG, 0.9 * force, budget) is cast
-    assert require_holding_force(cast, PEG, 0.0, budget) is cast
-    failed = require_holding_force(cast, PEG, 1.1 * force, budget)
+    assert require_holding_force(cast, PEG, WindCriteria(holding_force=0.9 * force), budget) is cast
+    assert require_holding_force(cast, PEG, WindCriteria(holding_force=0.0), budget) is cast
+    failed = require_holding_force(cast, PEG, WindCriteria(holding_force=1.1 * force), budget)
     assert (failed.wound, failed.held, failed.success) == (True, False, False)
     assert failed.message == f"its holding force is {force:.3g} N, {1.1 * force:.3g} N required"
 

@@ -70,7 +70,7 @@ def verify_members(problem: Problem, finer: Problem, peg: Peg, one: Candidate, b
     def run(k: int) -> CastOutcome:
         which, step = members[k]
         outcome = verify_cast(which, peg, motion, contact_step=step, time_budget=share)
-        outcome = require_holding_force(outcome, peg, problem.criteria.holding_force, share)
+        outcome = require_holding_force(outcome, peg, problem.criteria, share)
         if not outcome.success:
             failed.append(k)
             share.cancel()

@@ -316,17 +316,16 @@ def measure_holding_force(
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
 
 
-def require_holding_force(
-    outcome: CastOutcome, peg: Peg, force: float, budget: Budget, *, max_slip: float = WindCriteria.max_slip
-) -> CastOutcome:
-    """Return the outcome, as a failure if a simulated tug shows that the rope withstands less than `force`, N.
+def require_holding_force(outcome: CastOutcome, peg: Peg, criteria: WindCriteria, budget: Budget) -> CastOutcome:
+    """Return the outcome, as a failure if a simulated tug shows that the rope withstands less than is required.
 
-    A force of 0 requires no tug; `max_slip`, m, is as of :func:`measure_holding_force`.
+    A holding force of 0 requires no tug.
     """
+    force = criteria.holding_force
     if force <= 0.0 or not outcome.success or outcome.run is None:
         return outcome
     try:
-        measured = measure_holding_force(outcome.run, peg, max_slip=max_slip, time_budget=budget)
+        measured = measure_holding_force(outcome.run, peg, max_slip=criteria.max_slip, time_budget=budget)
     except SimulationError:
         return replace(outcome, held=False, message=TOO_LONG, n_links=0)
     if measured is None:
