@@ -33,7 +33,7 @@ from hyperflex.planning.tasks.insert import (
     usual_uncertainty,
     verify_insert,
 )
-from hyperflex.planning.tasks.tip import OPTIONS, Flights, coarse_flights
+from hyperflex.planning.tasks.tip import OPTIONS, Flights, coarse_flights, random_swings
 from tests.planning.known_insert import ARM, MOVES, NEAR, ROPE, SLOT
 
 LIMITS = MotorLimits()
@@ -272,6 +272,17 @@ def test_out_of_reach_is_said_before_any_search():
     up = plan_insert(ROPE, ARM, Slot(0.0, 0.3, 0.5 * np.pi), conditions=Conditions(time_limit=0.5))
     assert (up.success, up.status) == (False, "infeasible")
     assert "in no swing does the tip go through" in up.message
+    late = plan_insert(ROPE, ARM, Slot(0.0, 0.3, 0.5 * np.pi), time_budget=1e-6)
+    assert (late.success, late.status) == (False, "out of time")
+
+
+def test_no_swing_begins_at_a_wall():
+    x = ARM.length + ROPE.radius - 2e-4  # the rope hangs to the arm's right, 0.2 mm deep in the end of a wall
+    slot = Slot(x + 0.11, -0.5, -0.5 * np.pi, width=0.02, wall=0.1)
+    task = InsertTask(Problem(ROPE, ARM, LIMITS, 0.5), slot)
+    task.prepare(Budget(threads=1))
+    assert {each.moves.side for each in task.swings} <= {-1}
+    assert {each.side for each in random_swings(task.problem, 8, slot.walls)} == {-1}
 
 
 @pytest.mark.parametrize(

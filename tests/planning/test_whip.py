@@ -286,6 +286,8 @@ def test_without_time_the_best_is_not_verified(known):
     plan = plan_whip(ROPE, ARM, target, whip_map=known, time_budget=1e-6)
     assert not plan.success
     assert plan.outcome is None
+    far = plan_whip(ROPE, ARM, replace(target, y=0.9, least_speed=20.0), time_budget=1e-6)
+    assert (far.status, "the time budget ended" in far.message) == ("out of time", True)
 
 
 def test_a_map_has_the_swings_that_there_was_time_for():

@@ -317,7 +317,7 @@ class InsertTask(TipTask):
             late = "the time budget ended before a swing was simulated that goes through near to it"
             far = "out of reach: in no swing does the tip go through near to it, in that direction"
             message = late if swinging.expired else far
-        return TipFeasibility(self.distance, cost, message)
+        return TipFeasibility(self.distance, cost, message, bool(message) and swinging.expired)
 
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest entry of each flight: see :class:`InsertCosts`."""

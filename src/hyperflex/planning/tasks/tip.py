@@ -247,12 +247,14 @@ class TipFeasibility:
     """Result of the feasibility check of a task of the tip.
 
     `distance` is that of the tip's place from the arm's pivot, m. `cost`, m, is that of the cheapest random swing, at
-    most :attr:`TipOptions.max_cost`. `message` is the reason why the task is not feasible.
+    most :attr:`TipOptions.max_cost`. `message` is the reason why the task is not feasible; `cut_short`: the time was
+    over before all random swings were simulated, so that it may be feasible all the same.
     """
 
     distance: float
     cost: float
     message: str
+    cut_short: bool = False
 
     @property
     def feasible(self) -> bool:
@@ -295,6 +297,12 @@ class TipPlan(Plan):
     """
 
     position_std: float = math.nan
+
+    @property
+    def status(self) -> Status:
+        """Why the planner ended; see :class:`hyperflex.planning.plan.Plan`."""
+        late = super().status == Status.INFEASIBLE and self.feasibility.cut_short
+        return Status.OUT_OF_TIME if late else super().status
 
     @property
     def refuted(self) -> bool:
@@ -588,8 +596,8 @@ def plan_tip(
     task: TipTask, kind: type[TipPlanT], options: SearchOptions, time_budget: float | Budget | None
 ) -> TipPlanT:
     """Plan a task of the tip: check the target, search, verify, and estimate the success probability."""
-    budget, planner, probability = Budget.of(time_budget), None, None
-    budget.threads = options.threads or budget.threads
+    given = Budget.of(time_budget, threads=options.threads)
+    budget, planner, probability = given.limit(given.remaining), None, None
     known = TipFeasibility(task.distance, math.inf, "interrupted before the random swings were simulated")
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         begin = budget.elapsed

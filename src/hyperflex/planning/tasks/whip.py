@@ -467,13 +467,16 @@ class WhipTask(TipTask):
         self.swings = sorted(swings, key=lambda one: -one.score)
         free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
         cost = float(PeakCosts().of(target, free).min(initial=math.inf))
-        if cost > OPTIONS.max_cost:
+        late = self.map is None and len(known.moves) < OPTIONS.swings
+        if late and cost > OPTIONS.max_cost:
+            message = "the time budget ended before a swing was simulated whose tip is that fast so near to it"
+        elif cost > OPTIONS.max_cost:
             message = "out of reach: the tip's speed has no peak so near to it"
             near = peaks.speed[np.hypot(*(peaks.place - target.point).T) < 0.25]  # m; what is reported
             if near.size:
                 how = f"{near.max():.1f} m/s at most, or not in that direction"
                 message = f"out of reach: the tip is not that fast so near to it, {how}"
-        return TipFeasibility(self.distance, cost, message)
+        return TipFeasibility(self.distance, cost, message, bool(message) and late)
 
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest peak of each flight."""
