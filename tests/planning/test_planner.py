@@ -143,3 +143,12 @@ def test_no_time_and_nothing_to_try_end_a_search():
     assert not found.succeeds
     assert task.now < 100.0
     assert planner(Numbers(0, lambda _: True), 0.5).best is None  # the first sample took longer
+
+
+def test_the_best_rollout_is_verified_to_show_why_it_fails_if_there_is_time():
+    found = planner(Numbers(9, lambda _: False, last=3))  # none is good
+    assert found.best is None
+    found.explain(Budget(0.0))
+    assert found.best is None
+    found.explain(Budget())
+    assert (found.best.candidate, found.best.message) == (found.rolled[0], "fails")

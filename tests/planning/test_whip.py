@@ -286,8 +286,33 @@ def test_without_time_the_best_is_not_verified(known):
     plan = plan_whip(ROPE, ARM, target, whip_map=known, time_budget=1e-6)
     assert not plan.success
     assert plan.outcome is None
+    assert (plan.status, "the time budget ended" in plan.message) == ("out of time", True)
     far = plan_whip(ROPE, ARM, replace(target, y=0.9, least_speed=20.0), time_budget=1e-6)
     assert (far.status, "the time budget ended" in far.message) == ("out of time", True)
+
+
+@pytest.mark.parametrize(
+    ("aimed", "words"),
+    [(False, "no motion was found that brings the tip there"), (True, "the tip's speed has no peak there")],
+)
+def test_a_search_that_comes_to_its_end_has_failed_also_without_an_outcome(monkeypatch, known, tmp_path, aimed, words):
+    """No swing can be aimed; or aims miss, and the run of the best one is not one of a whip."""
+
+    def aim(task, one, budget):
+        task.runs += 1
+        return Aim(one.moves, -0.1, one.t, residuals=np.zeros(2), place=np.zeros(2)) if aimed else None
+
+    monkeypatch.setattr(WhipTask, "aimed", aim)
+    monkeypatch.setattr(WhipTask, "_evolved", lambda task, best, budget: best)  # gains nothing
+    monkeypatch.setattr("hyperflex.planning.tasks.whip.verify_whip", lambda *_, **__: None)
+    peak = int(known.peaks.speed.argmax())
+    target = TipTarget(*known.peaks.place[peak], least_speed=1.0)
+    plan = plan_whip(ROPE, ARM, target, whip_map=known, time_budget=math.inf)
+    assert (plan.status, plan.message, plan.outcome) == ("failed", words, None)
+    assert (plan.moves is not None) == aimed
+    if aimed:
+        plan.to_toml(tmp_path / "plan.toml")
+        assert hf.read_plan(tmp_path / "plan.toml").notes()["fails"] == words
 
 
 def test_a_map_has_the_swings_that_there_was_time_for():

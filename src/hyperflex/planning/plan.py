@@ -128,7 +128,8 @@ class Plan(ABC):
     def status(self) -> Status:
         """Why the planner ended.
 
-        FAILED: a verified run fails. OUT_OF_TIME: nothing was found, or it was not verified to the end.
+        FAILED: a verified run fails, or there was nothing more to try. OUT_OF_TIME: nothing was found, or it was not
+        verified to the end.
         """
         if self.success:
             return Status.SUCCESS

@@ -167,6 +167,11 @@ class Planner:
             self._spent[level] += self.budget.elapsed - before
             self.budget.report()
 
+    def explain(self, budget: Budget) -> None:
+        """Verify the best rollout if nothing was verified: its runs show why it fails. May raise OutOfTime."""
+        if self.best is None and self.rolled and not budget.expired:
+            self.best = self.task.verify(self.rolled[0], budget)
+
     def _done(self) -> bool:
         enough = self.succeeds and self.best is not None and self.best.margin >= self.task.enough
         late = self.budget.elapsed + self._needed > self._until

@@ -294,9 +294,13 @@ class TipPlan(Plan):
     ----------
     position_std : float
         Standard deviation of the tip's place, m, for a rope known as :class:`TipOptions` assumes; NaN without moves.
+    decided : bool
+        Whether the moves were verified, which may leave no outcome, or there was nothing more to try. Otherwise the
+        search ended before it was known what is possible.
     """
 
     position_std: float = math.nan
+    decided: bool = False
 
     @property
     def status(self) -> Status:
@@ -306,8 +310,8 @@ class TipPlan(Plan):
 
     @property
     def refuted(self) -> bool:
-        """Whether a simulated run shows that the plan fails."""
-        return self.outcome is not None and not self.success
+        """Whether a simulated run shows that the plan fails, or there was nothing more to try."""
+        return (self.decided or self.outcome is not None) and not self.success
 
     def setup(self) -> Setup:
         """Return the set-up of a run until after the instant that counts, with the walls.
@@ -599,14 +603,15 @@ def plan_tip(
     given = Budget.of(time_budget, threads=options.threads)
     budget, planner, probability = given.limit(given.remaining), None, None
     known = TipFeasibility(task.distance, math.inf, "interrupted before the random swings were simulated")
+    exhausted = False
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         begin = budget.elapsed
         known = task.prepare(budget)
         if task.swings and (known.feasible or options.skip_feasibility):
             planner = Planner(task, budget.share(0.8), task.improve, sampling=budget.elapsed - begin)
             planner.run()
-            if planner.best is None and planner.rolled and not budget.expired:  # its runs show why it fails
-                planner.best = task.verify(planner.rolled[0], budget)
+            exhausted = not (planner.rolled or planner.budget.expired)
+            planner.explain(budget)
             if planner.best is not None and planner.succeeds:
                 probability = task.estimate(planner.best.candidate, budget)
     one, outcome, finer, message = None, None, None, known.message
@@ -614,8 +619,11 @@ def plan_tip(
         one = planner.rolled[0] if planner.rolled else None
         ended = "interrupted" if stop.received else "the time budget ended"
         message = f"{ended} before {'any motion was found' if one is None else 'it was verified'}"
-        if (best := planner.best) is not None:
+        if exhausted:
+            message = "no motion was found that brings the tip there"
+        elif (best := planner.best) is not None:
             one, outcome, finer, message = best.candidate, best.outcome, best.finer_outcome, best.message
     moves, std = (None, math.nan) if one is None else (one.moves, getattr(one, "std", math.nan))
-    found = moves, outcome, finer, message, task.runs, budget.elapsed, stop.received, probability, std
+    decided = exhausted or (planner is not None and planner.best is not None)
+    found = moves, outcome, finer, message, task.runs, budget.elapsed, stop.received, probability, std, decided
     return stop.deliver(kind(task.problem, task.target, known, *found))
