@@ -15,7 +15,7 @@ from hyperflex.core.chain.drive import ANGLE, Drive
 from hyperflex.core.integrate.observation import observe, senses
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.model import PROPERTIES, Arm, Rope, Setup
+from hyperflex.model import PROPERTIES, Arm, Rope, Setup, unit_across, unit_along
 from hyperflex.simulation import Interval, ParameterChange, arm_polynomials, commanded_accelerations
 from hyperflex.trajectory import State
 
@@ -110,7 +110,7 @@ class PostureSensor(ABC):
         n, angle, q = rope.n_links, angles[0], angles[None, 1:]
         dq, dpivot = np.zeros((1, n, 2 * n + 2)), np.zeros((1, 2, 2 * n + 2))
         dq[0, :, 1 : n + 1] = np.eye(n)
-        dpivot[0, :, 0] = arm.length * np.array([np.cos(angle), np.sin(angle)])
+        dpivot[0, :, 0] = arm.length * unit_across(angle)
         y = self.predict(rope, q, arm.tip(np.array([angle])))[0].copy()
         slopes = self.jacobian(rope, q, dq, dpivot, np.zeros((n, 2 * n + 2)))[0]
         return Measurement(y, slopes, np.zeros((y.size, 1)))
@@ -173,14 +173,12 @@ class Markers(PostureSensor):
         return Markers(values[2:], values[:2])
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
-        along = np.stack([np.sin(q), -np.cos(q)], axis=2)
-        places = self.values[:2] + pivot[:, None] + lever_arms(rope, self.arc_lengths)[1] @ along
+        places = self.values[:2] + pivot[:, None] + lever_arms(rope, self.arc_lengths)[1] @ unit_along(q)
         return np.asarray(places.reshape(q.shape[0], -1))
 
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
         link, arms = lever_arms(rope, self.arc_lengths)
-        along = np.stack([np.sin(q), -np.cos(q)], axis=2)
-        across = np.stack([np.cos(q), np.sin(q)], axis=2)
+        along, across = unit_along(q), unit_across(q)
         before = np.tril(np.ones((q.shape[1], q.shape[1])), -1)[link]  # (K, n): which links lie before a marker's own
         result = np.einsum("ki,mia,mid->mkad", arms, across, dq, optimize=True)
         if dlength.any():  # a marker keeps its arc length: links before it grow, its part of its own link shrinks
@@ -194,7 +192,7 @@ class Markers(PostureSensor):
         result = np.zeros((q.shape[0], link.size, 2, self.values.size))
         result[:, :, 0, 0] = result[:, :, 1, 1] = 1.0
         for k, i in enumerate(link):
-            result[:, k, 0, 2 + k], result[:, k, 1, 2 + k] = np.sin(q[:, i]), -np.cos(q[:, i])
+            result[:, k, :, 2 + k] = unit_along(q[:, i])
         return result.reshape(q.shape[0], -1, self.values.size)
 
 
@@ -204,7 +202,7 @@ def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Ar
     The latter times the links' directions gives the points; beyond the tip they lie on the line of the last link,
     before the first joint on that of the first.
     """
-    ends = np.cumsum(rope.length)
+    ends = rope.link_ends
     link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
     arms = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[link] * rope.length
     arms[np.arange(arc_lengths.size), link] = arc_lengths - (ends - rope.length)[link]
@@ -276,10 +274,10 @@ class Accelerometer:
         arms[link:] = 0.0
         arms[link] = self._beyond(rope)
         dq, dw = np.eye(q.size, slopes.shape[1]), np.eye(q.size, slopes.shape[1], k=q.size)
-        across, along = arms * np.stack([np.cos(q), np.sin(q)]), arms * np.stack([np.sin(q), -np.cos(q)])  # (2, n + 1)
+        across, along = arms * unit_across(q, 0), arms * unit_along(q, 0)  # (2, n + 1)
         seen = across @ alphas - along @ w**2 - rope.gravity
         moved = across @ slopes - (along * alphas + across * w**2) @ dq - (2.0 * along * w) @ dw
-        frame = np.array([[np.cos(q[link]), np.sin(q[link])], [-np.sin(q[link]), np.cos(q[link])]])
+        frame = np.array([unit_across(q[link]), -unit_along(q[link])])
         x, y = frame @ seen
         moved = frame @ moved + np.outer([y, -x], dq[link])
         return Measurement(self.bias + np.array([x, y]), moved[:, :-1], moved[:, -1:])

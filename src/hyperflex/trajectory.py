@@ -12,7 +12,7 @@ from hyperflex import checks, extras, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
-from hyperflex.model import Setup
+from hyperflex.model import Setup, unit_across
 from hyperflex.status import Status
 
 if TYPE_CHECKING:
@@ -217,8 +217,7 @@ class Trajectory:
     def tip_velocity(self) -> Array:
         """Tip velocity (T, 2), m/s."""
         speed = self.setup.rope.length * self.qd
-        rope = np.stack([(speed * each(self.q)).sum(axis=1) for each in (np.cos, np.sin)], axis=-1)
-        return _read_only(self.base_velocity + rope)
+        return _read_only(self.base_velocity + (speed[:, None] * unit_across(self.q, 1)).sum(axis=2))
 
     @property
     def energy_error(self) -> Array:

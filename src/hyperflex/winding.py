@@ -10,7 +10,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import Peg, Rope, Setup
+from hyperflex.model import Peg, Rope, Setup, unit_across, unit_along
 from hyperflex.motion import moving_pivot
 from hyperflex.simulation import base_motion, simulate
 from hyperflex.trajectory import State, Trajectory, swept
@@ -115,7 +115,7 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     on = np.asarray((gap < LIFTED * rope.length) & (between >= first[:, None]) & (between <= last[:, None]))
     contact[near] = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
     force, q = _joint_forces(run, near), run.q[near]
-    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    along = unit_along(q)
     inner, outer = np.maximum(first - 1, 0), np.minimum(last + 1, rope.n_links - 1)
     before[near] = -(force[rows, first] * along[rows, inner]).sum(axis=-1)
     after[near] = -(force[rows, last + 1] * along[rows, outer]).sum(axis=-1)
@@ -155,9 +155,7 @@ def _joint_forces(run: Trajectory, rows: npt.NDArray[np.intp]) -> Array:
         base = np.gradient(run.base_velocity, run.t, axis=0)[rows]
     else:
         base = np.array([base_motion(drive, t)[:2] for t in run.t[rows]]).reshape(-1, 2)
-    across = np.stack([np.cos(q), np.sin(q)], axis=-1)
-    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
-    bend = run.qdd[rows, :, None] * across - (rate**2)[..., None] * along
+    bend = run.qdd[rows, :, None] * unit_across(q) - (rate**2)[..., None] * unit_along(q)
     joints = np.cumsum(np.concatenate([base[:, None], rope.length[:, None] * bend], axis=1), axis=1)
     centres = joints[:, :-1] + rope.com[:, None] * bend
     needed = rope.mass[:, None] * (centres - rope.gravity)
@@ -206,7 +204,7 @@ def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 
     `turned` (T,), rad, is the peg's own angle; without it the way is that of the rope round the axle.
     """
     place, away, gap = closest_points(rope, peg, q, joints)
-    along = np.stack([np.sin(q[0]), -np.cos(q[0])], axis=-1)
+    along = unit_along(q[0])
     sense = np.sign(away[0, :, 0] * along[:, 1] - away[0, :, 1] * along[:, 0])
     angle = np.unwrap(np.arctan2(away[..., 1], away[..., 0]), axis=0)
     angle = angle - np.broadcast_to(turned, angle.shape[:1])[:, None]
@@ -289,7 +287,7 @@ def _slack(run: Trajectory, peg: Peg) -> float:
     if not (gap < TOUCH).any():
         return 0.0
     i = int((gap < TOUCH).argmax())
-    point = run.joints[-1, i] + place[i] * np.array([np.sin(run.q[-1, i]), -np.cos(run.q[-1, i])])
+    point = run.joints[-1, i] + place[i] * unit_along(run.q[-1, i])
     return max(0.0, float(rope.length[:i].sum() + place[i] - np.hypot(*(point - run.joints[-1, 0]))))
 
 
@@ -303,7 +301,7 @@ def _own(run: Trajectory, peg: Peg) -> int:
 
 def closest_points(rope: Rope, peg: Peg, q: Array, joints: Array) -> tuple[Array, Array, Array]:
     """Place of the point of each link closest to a peg's centre (T, n), m; from there to it (T, n, 2), m; gap, m."""
-    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    along = unit_along(q)
     to_peg = np.array([peg.x, peg.y]) - joints[:, :-1]
     place = np.clip((to_peg * along).sum(axis=-1), 0.0, rope.length)
     away = place[..., None] * along - to_peg

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.errors import SimulationError
-from hyperflex.model import Arm, Peg, Rope
+from hyperflex.model import Arm, Peg, Rope, unit_along
 from hyperflex.simulation import BatchState, BatchStepper, Stepper
 from hyperflex.trajectory import State
 
@@ -51,9 +51,8 @@ class World(ABC):
 
     def places(self) -> Array:
         """Return the positions (M, n + 1, 2) of the arms' tips and all further joints, m."""
-        first = self.arm.tip(self.arm_angle)
-        along = np.stack([self.lengths * np.sin(self.q), -self.lengths * np.cos(self.q)], axis=2)
-        return np.concatenate([first[:, None], first[:, None] + np.cumsum(along, axis=1)], axis=1)
+        first, steps = self.arm.tip(self.arm_angle)[:, None], self.lengths[..., None] * unit_along(self.q)
+        return np.concatenate([first, first + np.cumsum(steps, axis=1)], axis=1)
 
 
 class FreeWorld(World):

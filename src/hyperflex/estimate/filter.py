@@ -16,7 +16,7 @@ from hyperflex.estimate.observations import InputFrame, MarkerModel, Observation
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import BEYOND, Disturbances, Process
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Rope, unit_across, unit_along
 from hyperflex.motion import Motion
 from hyperflex.status import Status
 from hyperflex.vision import Camera
@@ -208,9 +208,8 @@ class RopeFilter:
         """Return joints and tip (n + 1, 2) in a state, m, and their derivatives (n + 1, 2, n) by the angles."""
         lengths = self.process.rope.length * (1.0 + self.parameters.value("length", self.x[2 * self.n_links :]))
         before = np.tril(np.ones((lengths.size + 1, lengths.size)), -1)
-        steps = lengths * np.stack([np.cos(state.q), np.sin(state.q)])
-        places = self.process.base(state.t)[0] + before @ np.stack([steps[1], -steps[0]], axis=1)
-        return places, before[:, None, :] * steps
+        places = self.process.base(state.t)[0] + before @ (lengths[:, None] * unit_along(state.q))
+        return places, before[:, None, :] * (lengths * unit_across(state.q, 0))
 
     def tip(self, state: RopeState) -> tuple[Array, Array]:
         """Return the place (2,) of the tip in a state, m, and its covariance (2, 2)."""

@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.parameters import PLANE_KINDS, ParameterStates
-from hyperflex.model import Rope
+from hyperflex.model import Rope, unit_across, unit_along
 from hyperflex.sensors import lever_arms
 from hyperflex.vision import Camera, check_increasing
 
@@ -217,7 +217,7 @@ class MarkerModel:
         """
         n, (rows, tau) = self.arms.shape[1], timing
         q, qd = x[:n], x[n : 2 * n]
-        along, across = np.stack([np.sin(q), -np.cos(q)]), np.stack([np.cos(q), np.sin(q)])
+        along, across = unit_along(q, 0), unit_across(q, 0)
         slope = jacobian[:, :, :n].copy()
         velocity, bend = np.zeros((2, *slope.shape[:2]))
         if rows.any():
@@ -268,5 +268,4 @@ def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) 
         return np.full(rope.n_links, rope.hanging_angle)
     ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
     angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
-    middle = np.cumsum(rope.length) - 0.5 * rope.length
-    return np.asarray(angles[np.minimum(np.searchsorted(ends, middle), len(angles) - 1)])
+    return np.asarray(angles[np.minimum(np.searchsorted(ends, rope.link_middles), len(angles) - 1)])

@@ -15,7 +15,7 @@ from hyperflex.core.chain.drive import motion_at
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.parameters import NEGLIGIBLE, ParameterStates
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Rope, Setup
+from hyperflex.model import Arm, Rope, Setup, unit_across
 from hyperflex.motion import Motion
 from hyperflex.simulation import AngleJacobian, link_accelerations
 
@@ -65,7 +65,7 @@ class Disturbances:
         size : (n,) array_like or float
             Standard deviation of each link.
         """
-        middle = (np.cumsum(rope.length) - 0.5 * rope.length) / rope.total_length
+        middle = rope.link_middles / rope.total_length
         likeness = np.exp(-0.5 * ((middle[:, None] - middle) / correlation) ** 2)
         scale = np.broadcast_to(size, middle.shape)
         values, vectors = np.linalg.eigh(scale[:, None] * likeness * scale)
@@ -275,8 +275,7 @@ class Process:
         """
         mass = np.empty((q.size, q.size))
         mass_matrix(self._run.chain, q, mass)
-        across = np.stack([np.cos(q), np.sin(q)])
-        moments = (arms[:, None, :] * across).reshape(-1, q.size)
+        moments = (arms[:, None, :] * unit_across(q, 0)).reshape(-1, q.size)
         return np.asarray(dposv(mass, moments.T)[1])
 
     def base(self, t: float, x: Array | None = None) -> Array:

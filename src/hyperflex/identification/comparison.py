@@ -319,7 +319,7 @@ def compare_models(
     options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
     options = replace(options, intervals=None)
     if links and setup.arc_lengths is None:
-        setup = replace(setup, arc_lengths=np.append(0.0, np.cumsum(rope_guess.length)))
+        setup = replace(setup, arc_lengths=np.append(0.0, rope_guess.link_ends))
     todo = candidates(rope_guess, free, models, links)
     budget = Budget.of(TIME_BUDGET * len(todo) if time_budget is None else time_budget)
     done: list[FittedModel] = []

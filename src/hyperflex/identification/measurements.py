@@ -246,7 +246,7 @@ def _shape(recording: Recording, rope: Rope, arc_lengths: Array, side: float = 0
     With `side` 1.0 or -1.0 links between two markers are bent evenly to that side, as far as their distance asks.
     """
     places = recording.data.reshape(recording.t.size, -1, 2)
-    middle = np.cumsum(rope.length) - 0.5 * rope.length
+    middle = rope.link_middles
     angles = np.full((recording.t.size, rope.n_links), np.nan)
     patterns, which = np.unique(~np.isnan(places).any(axis=2), axis=0, return_inverse=True)
     for number, seen in enumerate(patterns):  # frames in which the same markers are seen, together
@@ -272,9 +272,9 @@ def _bends(rope: Rope, begin: float, end: float) -> tuple[Array, Array]:
 
     And the links' angles (BENDS, n) from the line between them.
     """
-    ends = np.cumsum(rope.length)
+    ends = rope.link_ends
     share = np.clip(np.minimum(ends, end) - np.maximum(ends - rope.length, begin), 0.0, None)
-    along_rope = (ends - 0.5 * rope.length - 0.5 * (begin + end)) / (end - begin)
+    along_rope = (rope.link_middles - 0.5 * (begin + end)) / (end - begin)
     bend = np.linspace(0.0, 2.0 * np.pi, BENDS)[:, None] * along_rope
     across, along = (share * np.sin(bend)).sum(axis=1), (share * np.cos(bend)).sum(axis=1)
     return np.hypot(across, along), bend - np.arctan2(across, along)[:, None]
@@ -324,7 +324,7 @@ def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup
                 allowed="within a factor of two, in m",
                 fix="Check the unit or scale of the markers, or the lengths of the guess",
             )
-    refuse_still_markers(recording, np.append(0.0, np.cumsum(rope.length)))
+    refuse_still_markers(recording, np.append(0.0, rope.link_ends))
     return measure(recording, rope, None), None
 
 

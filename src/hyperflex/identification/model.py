@@ -116,7 +116,7 @@ class Parameters:
         for parameter in self.all:
             if parameter.name in LED:
                 self.led[parameter.name][list(parameter.links)] = False
-        self.middle = (np.cumsum(guess.length) - 0.5 * guess.length) / guess.total_length - 0.5
+        self.middle = guess.link_middles / guess.total_length - 0.5
 
     def __len__(self) -> int:
         return len(self.all)

@@ -15,7 +15,8 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINK_PROPERTIES
-from hyperflex.model.rope import Rope
+from hyperflex.model.rope import Rope, unit_across, unit_along
+from hyperflex.motion import Motion
 from hyperflex.options import option
 
 LONGEST = 10.0  # m, of an arm without a warning
@@ -78,9 +79,18 @@ class Arm:
         x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
         object.__setattr__(self, "pivot", (float(x), float(y)))
 
-    def tip(self, angle: Array) -> Array:
+    def tip(self, angle: ArrayLike) -> Array:
         """Return the position of the rope's first joint (..., 2), m, at each `angle` (...) of the arm, rad."""
-        return np.array(self.pivot) + self.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
+        return np.array(self.pivot) + self.length * unit_along(angle)
+
+    def tip_velocity(self, angle: ArrayLike, rate: ArrayLike) -> Array:
+        """Return the velocity of the rope's first joint (..., 2), m/s, at angles, rad, and rates (...), rad/s."""
+        return (self.length * np.asarray(rate))[..., None] * unit_across(angle)
+
+    def tip_motion(self, motion: Motion, t: Array) -> tuple[Array, Array]:
+        """Return position, m, and velocity, m/s, of the rope's first joint (T, 2) at times t (T,), s, of a motion."""
+        angle = motion.angle(t)
+        return self.tip(angle), self.tip_velocity(angle, motion.rate(t))
 
     def rope_tip(self, length: Array, angle: ArrayLike, rate: ArrayLike, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return place (..., 2), m, and velocity (..., 2), m/s, of the tip of a rope.
@@ -94,12 +104,8 @@ class Arm:
         q, qd : (..., n) arrays
             Link angles, rad, and rates, rad/s.
         """
-        angle, rate = np.asarray(angle), np.asarray(rate)
-        along = np.stack([np.sin(q), -np.cos(q)], axis=-2)
-        across = np.stack([np.cos(q), np.sin(q)], axis=-2)
-        swing = (self.length * rate)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        place, velocity = along @ length[..., None], across @ (length * qd)[..., None]
-        return self.tip(angle) + place[..., 0], swing + velocity[..., 0]
+        place, velocity = unit_along(q, -2) @ length[..., None], unit_across(q, -2) @ (length * qd)[..., None]
+        return self.tip(angle) + place[..., 0], self.tip_velocity(angle, rate) + velocity[..., 0]
 
     def table(self) -> dict[str, Any]:
         """Return the ``[arm]`` table of a TOML file."""

@@ -143,7 +143,7 @@ def recut(rope: Rope, n_links: int) -> Rope:
     Mass is spread evenly along each old link, so that new links have their part of it, their centre and inertia from
     there.
     """
-    ends = np.append(0.0, np.cumsum(rope.length))
+    ends = np.append(0.0, rope.link_ends)
     cuts = np.linspace(0.0, ends[-1], n_links + 1)
     low, high = np.maximum(cuts[:-1, None], ends[:-1]), np.minimum(cuts[1:, None], ends[1:])
     part = np.maximum(high - low, 0.0)  # (new, old), m
@@ -164,7 +164,7 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
     if arm is not None:
         checks.instance("arm", arm, Arm)
     reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
-    far = reach + np.cumsum(rope.length)  # of each link's far joint at most
+    far = reach + rope.link_ends  # of each link's far joint at most
     pieces = np.ones(rope.n_links, dtype=np.int64)
     for peg in pegs:
         if not isinstance(peg, Peg):

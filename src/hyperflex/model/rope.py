@@ -231,6 +231,16 @@ class Rope:
         return float(self.mass.sum() + self.tip_mass)
 
     @property
+    def link_ends(self) -> Array:
+        """Distance of the far end of each link from the first joint along the rope (n,), m."""
+        return np.cumsum(self.length)
+
+    @property
+    def link_middles(self) -> Array:
+        """Distance of the middle of each link from the first joint along the rope (n,), m."""
+        return self.link_ends - 0.5 * self.length
+
+    @property
     def limited(self) -> bool:
         """Whether a joint has a limit."""
         return bool(np.isfinite(self.max_bend).any())
@@ -252,6 +262,24 @@ class Rope:
         rows = angles.reshape(-1, self.n_links), base.reshape(-1, 2), places.reshape(-1, self.n_links + 1, 2)
         write_joints(self.length, *rows)
         return places
+
+    def joint_velocities(self, q: Array, qd: Array, velocity: Array) -> Array:
+        """Return the velocities (..., n + 1, 2), m/s, of the joints, the tip last.
+
+        Angles q, rad, and rates qd (..., n), rad/s; `velocity` (..., 2), m/s, is that of the first joint.
+        """
+        steps = (self.length * qd)[..., None] * unit_across(q)
+        return np.asarray(np.cumsum(np.concatenate([velocity[..., None, :], steps], axis=-2), axis=-2))
+
+    def mass_points(self, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return places, m, and velocities, m/s, of the links' centres of mass and of the tip (..., n + 1, 2).
+
+        Angles `q` (..., n), rad, and rates `qd`, rad/s; `base`, m, and `velocity`, m/s, (..., 2) of the first joint.
+        """
+        places, velocities = self.joints(q, base), self.joint_velocities(q, qd, velocity)
+        places[..., :-1, :] += self.com[:, None] * unit_along(q)
+        velocities[..., :-1, :] += (self.com * qd)[..., None] * unit_across(q)
+        return places, velocities
 
     def replace(self, **changes: Any) -> "Rope":
         """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""
@@ -358,6 +386,16 @@ class Rope:
         warn_of_grade(path, content)
         with located(str(path), files.toml_words):
             return cls.from_table(content["rope"])
+
+
+def unit_along(angle: ArrayLike, axis: int = -1) -> Array:
+    """Return unit vectors along links or arms, away from the motor, at angles (...), rad; x and y are on `axis`."""
+    return np.stack([np.sin(angle), -np.cos(angle)], axis=axis)
+
+
+def unit_across(angle: ArrayLike, axis: int = -1) -> Array:
+    """Return unit vectors across links or arms, to where they turn, at angles (...), rad; x and y are on `axis`."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=axis)
 
 
 def warn_of_grade(path: str | Path, content: Mapping[str, Any]) -> None:

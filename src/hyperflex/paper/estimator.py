@@ -93,8 +93,7 @@ class OnlineEstimator:
 
     def __init__(self, rope: Rope, arc_lengths: npt.ArrayLike, t: float, places: Array) -> None:
         self.rope, self._markers = rope, Markers(arc_lengths)
-        middles = np.cumsum(rope.length) - 0.5 * rope.length
-        self._part = np.searchsorted(self._markers.arc_lengths, middles)  # which marker follows each link
+        self._part = np.searchsorted(self._markers.arc_lengths, rope.link_middles)  # which marker follows each link
         self.t, self.qd = t, np.zeros(rope.n_links)
         self.q = self._turned(np.full(rope.n_links, rope.hanging_angle), places)
         self._ahead = (self.q, self.qd)  # at the end of the last prediction

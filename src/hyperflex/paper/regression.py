@@ -15,7 +15,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.air import link_drag
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import lumped
-from hyperflex.model import RESISTANCES, Rope, parse_label
+from hyperflex.model import RESISTANCES, Rope, parse_label, unit_across, unit_along
 
 LUMPED = ("p", "J", *(each.name for each in RESISTANCES))  # blocks of n columns, in this order
 NAMES = ("inertia", "mass", "tip_mass", *LUMPED)
@@ -202,8 +202,8 @@ def _inverse_dynamics(
     Link j acts on its own joint with J_j and with p_j times the acceleration of that joint, and pushes all joints
     before it with p_j times the second derivative of its direction (docs/models.md (M.4)).
     """
-    normal = np.stack([np.cos(q), np.sin(q)], axis=2)
-    turn = qdd[..., None] * normal + (qd**2)[..., None] * np.stack([-np.sin(q), np.cos(q)], axis=2)
+    normal = unit_across(q)
+    turn = qdd[..., None] * normal - (qd**2)[..., None] * unit_along(q)
     length = rope.length[:, None]
     joint = (pivot_acceleration - rope.gravity)[:, None] + np.cumsum(length * turn, axis=1) - length * turn
     swing = (rope.length * qd)[..., None] * normal

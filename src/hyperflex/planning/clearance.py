@@ -119,7 +119,7 @@ def way_gaps(rope: Rope, target: Peg, behind: Sequence[Peg], q: Array, joints: A
     Samples of link angles q (T, n), rad, and joints (T, n + 1, 2), m. The way begins at the arm and ends at the first
     touch of the target, or at the rope's end where it does not touch that.
     """
-    begins = np.cumsum(rope.length) - rope.length
+    begins = rope.link_ends - rope.length
     place, _, gap = closest_points(rope, target, q, joints)
     first = np.where(gap < TOUCH, begins + place, np.inf).min(axis=1)[:, None]
     found = np.full((len(q), len(behind)), np.inf)
@@ -165,16 +165,6 @@ def named(obstacle: Obstacle) -> str:
     return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
 
 
-def joint_velocities(rope: Rope, q: Array, qd: Array, velocity: Array) -> Array:
-    """Velocities (..., n + 1, 2), m/s, of a rope's joints and tip.
-
-    Angles q, rad, and rates qd (..., n), rad/s; `velocity` (..., 2), m/s, is that of the first joint.
-    """
-    across = np.stack([np.cos(q), np.sin(q)], axis=-1)
-    steps = np.concatenate([velocity[..., None, :], (rope.length * qd)[..., None] * across], axis=-2)
-    return np.asarray(np.cumsum(steps, axis=-2))
-
-
 def _least_clearance(
     run: Trajectory, gaps: Gaps, names: Sequence[str], speed: Array, until: float = np.inf
 ) -> Clearance:
@@ -210,7 +200,7 @@ def _least_clearance(
 
 def _speeds(run: Trajectory, rate: Array, pivot: Array) -> Array:
     """Greatest speed of each link (T, n), m/s, as seen by what turns about a `pivot` at a `rate` (T,), rad/s."""
-    x, y = np.moveaxis(joint_velocities(run.setup.rope, run.q, run.qd, run.base_velocity), -1, 0)
+    x, y = np.moveaxis(run.setup.rope.joint_velocities(run.q, run.qd, run.base_velocity), -1, 0)
     out, rate = run.joints - pivot, rate[:, None]
     speed = np.hypot(x + rate * out[..., 1], y - rate * out[..., 0])
     return np.asarray(np.maximum(speed[:, 1:], speed[:, :-1]))
@@ -226,7 +216,7 @@ def _errors(run: Trajectory, row: int) -> Array:
         return np.zeros(run.q.shape[1])
     dt, q = run.t[row + 1] - run.t[row], run.q[row + 1]
     jump = run.qd[row + 1] - run.qd[row] - 0.5 * dt * (run.qdd[row + 1] + run.qdd[row])
-    joints = np.hypot(*joint_velocities(run.setup.rope, q, jump, np.zeros(2)).T)
+    joints = np.hypot(*run.setup.rope.joint_velocities(q, jump, np.zeros(2)).T)
     return np.asarray(dt * np.maximum(joints[1:], joints[:-1]) / 8.0)
 
 
@@ -241,7 +231,7 @@ def _arm_gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.
 def _hangs(rope: Rope, arm: Arm) -> int:
     """Number of links that hang from the arm's tip, and do not count as too near the arm."""
     length = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
-    return int(np.searchsorted(np.cumsum(rope.length), length, side="right")) + 1
+    return int(np.searchsorted(rope.link_ends, length, side="right")) + 1
 
 
 def _segment_distance(begin: Array, end: Array, first: Array, last: Array) -> Array:

@@ -227,7 +227,7 @@ class _Target:
             return 0.0
         wide = self.widest(time)
         mass = np.append(rope.mass, rope.tip_mass)
-        along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
+        along = np.append(rope.link_ends - rope.length + rope.com, rope.total_length)
         tail = np.where(along > far, mass, 0.0)
         share = (tail * along**2).sum() / (mass * along**2).sum()
         drop = (mass * along).sum() * (math.cos(self.angle) - math.cos(wide))

@@ -18,12 +18,11 @@ from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning.clearance import joint_velocities
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import refuse_behind
 from hyperflex.planning.plan import CastPlan
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import RolloutBatch, arm_tip, fly_to_strikes, robust_values, winding_scores
+from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes, robust_values, winding_scores
 from hyperflex.planning.shooting import shoot
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 from hyperflex.status import Status
@@ -269,8 +268,8 @@ def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array
 
     `q`, rad, and `qd`, rad/s, are (T, n); the motion is the arm's.
     """
-    base, base_velocity = arm_tip(arm, motion, t)
-    places, speeds = rope.joints(q, base)[:, 1:], joint_velocities(rope, q, qd, base_velocity)[:, 1:]
+    base, base_velocity = arm.tip_motion(motion, t)
+    places, speeds = rope.joints(q, base)[:, 1:], rope.joint_velocities(q, qd, base_velocity)[:, 1:]
     scaled = np.concatenate([places / options.position_scale, speeds / options.speed_scale], axis=2)
     return np.asarray(scaled.reshape(len(q), -1) / np.sqrt(rope.n_links))
 

@@ -122,8 +122,7 @@ class Problem:
 
     def start_on(self, rope: Rope) -> tuple[Array, Array]:
         """Return the start of the same rope cut into shorter links (m,)."""
-        middle = np.cumsum(rope.length) - 0.5 * rope.length
-        link = np.minimum(np.searchsorted(np.cumsum(self.rope.length), middle), self.rope.n_links - 1)
+        link = np.minimum(np.searchsorted(self.rope.link_ends, rope.link_middles), self.rope.n_links - 1)
         q, qd = self.start
         return q[link], qd[link]
 

@@ -154,13 +154,6 @@ class RolloutBatch:
         return t, run.q, run.qd
 
 
-def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
-    """Position, m, and velocity, m/s, of the rope's first joint (T, 2) at times t (T,), s."""
-    angle, rate = motion.angle(t), motion.rate(t)
-    position = np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot)
-    return position, np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None]
-
-
 def starts_outside(setup: Setup, *start: Any) -> bool:
     """Whether a rope keeps clear of its pegs at the start, as of :func:`check_outside`."""
     try:
@@ -232,7 +225,7 @@ def find_strikes(problem: Problem, peg: Peg, batch: RolloutBatch, t: Array, q: A
     its arm or the shaft before does not strike. `t` may begin with the batch's start.
     """
     arm, rows = problem.arm, np.arange(len(batch))
-    tips = {id(each): arm_tip(arm, each, t) for each in batch.motions}
+    tips = {id(each): arm.tip_motion(each, t) for each in batch.motions}
     base, base_velocity = (np.stack(each) for each in zip(*(tips[id(each)] for each in batch.motions), strict=True))
     lengths = np.stack([rope.length for rope in batch.ropes])
     moved = [batch.pegs or [peg] * len(batch), *([each] * len(batch) for each in problem.criteria.behind)]
@@ -294,22 +287,6 @@ def first_contact(
     return at, link, np.where(np.isfinite(least), least, lengths.sum(axis=1))
 
 
-def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
-    """Positions, m, and velocities, m/s, of the links' centres of mass and of the tip (..., n + 1, 2).
-
-    Angles `q` (..., n), rad, and rates `qd`, rad/s; `base`, m, and `velocity`, m/s, (..., 2) of the first joint.
-    """
-    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
-    across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
-    ends = base[..., None, :] + np.cumsum(rope.length[:, None] * along, axis=-2)
-    speeds = velocity[..., None, :] + np.cumsum(rope.length[:, None] * across, axis=-2)
-    back = (rope.length - rope.com)[:, None]
-    return (
-        np.concatenate([ends - back * along, ends[..., -1:, :]], axis=-2),
-        np.concatenate([speeds - back * across, speeds[..., -1:, :]], axis=-2),
-    )
-
-
 def tail_energy(
     rope: Rope, peg: Peg, q: Array, qd: Array, base: Array, velocity: Array, link: int
 ) -> tuple[float, float]:
@@ -317,7 +294,7 @@ def tail_energy(
 
     Angles q (n,), rad, rates qd (n,), rad/s; position and velocity (2,) of the first joint, m and m/s.
     """
-    places, speeds = mass_points(rope, q, qd, base, velocity)
+    places, speeds = rope.mass_points(q, qd, base, velocity)
     places = places - np.array([peg.x, peg.y])
     mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link)
     momentum = float((mass * (places[:, 0] * speeds[:, 1] - places[:, 1] * speeds[:, 0])).sum())
@@ -418,7 +395,7 @@ class _Contact:
         """Return the cost of a rope that is too near arm or obstacles, or does not run behind its pegs in the end."""
         problem, rope = self.problem, self.rope
         polls: Array = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / MODEL.poll) + 1)
-        places = interpolated(t, q, qd, polls), arm_tip(problem.arm, self.motion, polls)[0]
+        places = interpolated(t, q, qd, polls), problem.arm.tip(self.motion.angle(polls))
         near = np.zeros(polls.size, dtype=bool)
         if problem.clearance > -math.inf:
             near |= sampled_clearance(rope, problem.arm, *places) <= problem.clearance
@@ -435,7 +412,7 @@ class _Contact:
         return cost
 
     def _joints(self, t: Array, q: Array) -> Array:
-        return self.rope.joints(q, arm_tip(self.problem.arm, self.motion, t)[0])
+        return self.rope.joints(q, self.problem.arm.tip(self.motion.angle(t)))
 
     def _run(self, now: RolloutBatch, since: float, until: float) -> tuple[Any, Array, Array, Array, Array]:
         """Simulate on; return the rollout from there, and times, turns, angles and rates of the samples."""

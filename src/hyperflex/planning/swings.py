@@ -19,7 +19,7 @@ from hyperflex.planning.moves import MIN_MOVE, Moves
 from hyperflex.planning.options import SearchOptions
 from hyperflex.planning.planner import Candidate
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import MODEL, RolloutBatch, Strikes, find_strikes, mass_points
+from hyperflex.planning.rollouts import MODEL, RolloutBatch, Strikes, find_strikes
 
 DELAY = 0.05  # s, between the strikes of two chains at most
 GROUP = 16  # flights of nearly the same span that are simulated together
@@ -304,9 +304,8 @@ def stroke_range(angles: tuple[float, float]) -> tuple[float, float]:
 
 def _energy(problem: Problem, moves: Moves, state: State) -> float:
     """Energy, J, of a rope that hangs from an arm at rest after moves."""
-    rope, arm, angle = problem.rope, problem.arm, moves.angles(problem.limits)[-1]
-    base = arm.length * np.array([math.sin(angle), -math.cos(angle)]) + np.array(arm.pivot)
-    places, speeds = mass_points(rope, state.q, state.qd, base, np.zeros(2))
+    rope, base = problem.rope, problem.arm.tip(moves.angles(problem.limits)[-1])
+    places, speeds = rope.mass_points(state.q, state.qd, base, np.zeros(2))
     mass = np.append(rope.mass, rope.tip_mass)
     return float((mass * (0.5 * (speeds**2).sum(axis=1) - places @ np.array(rope.gravity))).sum())
 
@@ -314,13 +313,8 @@ def _energy(problem: Problem, moves: Moves, state: State) -> float:
 def _apart(rope: Rope, q: Array, finer: Rope, angles: Array) -> float:
     """Distance of two chains of one rope with angles (n,) and (m,), rad: root mean square by mass, in rope lengths."""
     pieces = finer.n_links // rope.n_links
-    away = _ends(finer, angles)[pieces - 1 :: pieces] - _ends(rope, q)
+    away = finer.joints(angles, np.zeros(2))[pieces::pieces] - rope.joints(q, np.zeros(2))[1:]
     return float(np.sqrt(((away**2).sum(axis=1) * rope.mass).sum() / rope.mass.sum()) / rope.total_length)
-
-
-def _ends(rope: Rope, q: Array) -> Array:
-    """Ends of the links relative to the first joint (n, 2), m, of a rope at angles q (n,), rad."""
-    return np.asarray(np.cumsum(np.stack([rope.length * np.sin(q), -rope.length * np.cos(q)], axis=-1), axis=0))
 
 
 def _best(swings: list[tuple[int, Swing]], width: int, siblings: int) -> list[tuple[int, Swing]]:

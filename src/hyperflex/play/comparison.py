@@ -81,7 +81,7 @@ def _state(rope: Rope, t: Array, places: Array) -> tuple[Array, Array]:
     rows = np.flatnonzero(t <= LEAD)
     rows = rows[:: max(1, rows.size // 120)]
     seen = [Observations(float(t[k]), places[k, 1:], std=2e-3) for k in rows]  # m: corrected by the residuals
-    first = smooth(MovingHorizon(rope, np.cumsum(rope.length)), seen).states[0]
+    first = smooth(MovingHorizon(rope, rope.link_ends), seen).states[0]
     known = np.zeros((2 * rope.n_links,) * 2) if first.covariance is None else first.covariance
     return np.concatenate([first.q, first.qd]), known
 

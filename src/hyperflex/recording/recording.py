@@ -10,6 +10,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, PathLike, Variable
+from hyperflex.model import unit_across
 
 Kind = Literal["angles", "markers"]
 
@@ -146,7 +147,7 @@ class Recording:
         noise = None
         if self.noise is not None:
             # A link's angle changes by the difference of its ends' errors across it, over its length.
-            across = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            across = unit_across(angle)
             squares = self.noise.reshape(self.t.size, -1, 2) ** 2
             with np.errstate(divide="ignore", invalid="ignore"):
                 noise = np.sqrt(((squares[:, :-1] + squares[:, 1:]) * across**2).sum(axis=-1)) / distance

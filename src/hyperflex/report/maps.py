@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.model import unit_along
 from hyperflex.planning import CastPlan, Problem, ReachMap
 from hyperflex.report import units
 from hyperflex.report.pictures import draw_obstacles
@@ -93,7 +94,7 @@ def _draw_reach(figure: "Figure", axis: Any, problem: Problem) -> None:
         (far, GREY, f"the rope's end comes no farther than {far:.3g} m"),
         (arm.length, BLUE, "circle of the arm's tip"),
     ):
-        circle = pivot + radius * np.stack([np.sin(angle), -np.cos(angle)])
+        circle = pivot + radius * unit_along(angle, 0)
         axis.plot(*circle, color=colour, ls="--", label=label)
     axis.plot(*pivot, "o", color=INK, label="motor's shaft")
     axis.set(xlim=axis.get_xlim(), ylim=axis.get_ylim(), aspect="equal", xlabel="x, m", ylabel="y, m (up)")

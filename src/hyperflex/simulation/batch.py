@@ -25,7 +25,7 @@ from hyperflex.core.integrate.steps import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.executor import checked_chunks, run_chunks
 from hyperflex.interruption import Stop, interruptible, stoppable
-from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, SetupFields, checked_obstacles
+from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, SetupFields, checked_obstacles, unit_along
 from hyperflex.motion import Motion
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact import check_start
@@ -414,11 +414,10 @@ def _in_flight(
             codes[m], reached[m] = status.ENERGY, times[good[m]]
             states[m, good[m] :] = np.nan
         shown = states[:, 1 - first :]
-        length, q = members.links[rows, LENGTH][:, None, :], shown[:, :, :n]
-        reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
         values = {name: shown[:, :, columns[name]] for name in results.values if name != "tip"}
         if "tip" in results.values:
-            values["tip"] = joint[:, 1 - first :] + reach
+            reach = members.links[rows, LENGTH][:, None, None] * unit_along(shown[:, :, :n], 2)
+            values["tip"] = joint[:, 1 - first :] + reach.sum(axis=3)
         # members that were halted have no code
         results.put(low, values, [status_of(code) if code >= 0 else None for code in codes.tolist()], reached)
 

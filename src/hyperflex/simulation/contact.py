@@ -21,7 +21,7 @@ from hyperflex.core.contact.solver import STICK, new_contact_memory
 from hyperflex.core.integrate.rollout import INDEX, MARK, Limits, T
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import deferred, raise_if_cancelled
-from hyperflex.model import DEFAULT_TOL, Setup, Wall, round_places
+from hyperflex.model import DEFAULT_TOL, Setup, Wall, round_places, unit_along
 from hyperflex.simulation.rollouts import Rollout, base_motion, starting_clock
 from hyperflex.trajectory import State
 
@@ -41,7 +41,7 @@ def check_outside(
     if not setup.pegs:
         return
     q, base = setup.start()[0] if q is None else q, base_motion(drive or setup.drive(), t)
-    steps = setup.chain().length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=1)
+    steps = setup.chain().length[:, None] * unit_along(q)
     pegs = setup.contacts()
     found = depths(pegs, np.cumsum([base[7:9], *steps], axis=0))
     i, p = np.unravel_index(int(np.argmax(found)), found.shape)

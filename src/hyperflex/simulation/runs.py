@@ -20,7 +20,7 @@ from hyperflex.core.integrate.events import NEVER
 from hyperflex.core.integrate.rollout import restart
 from hyperflex.errors import Interrupted, InvalidInput, SimulationError
 from hyperflex.interruption import interruptible, raise_if_cancelled, stoppable
-from hyperflex.model import DEFAULT_TOL, Rope, Setup, SetupFields, checked_obstacles, cuts, refine_rope
+from hyperflex.model import DEFAULT_TOL, Rope, Setup, SetupFields, checked_obstacles, cuts, refine_rope, unit_along
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact import ContactRollout
@@ -175,10 +175,9 @@ def conclude(
         attrs |= run.facts()
         contact = run.outputs(rows, qdd, scalars)
     if setup.torque is not None and setup.arm is not None:
-        angle, rate, length = q[:, 0], qd[:, 0], setup.arm.length
-        sin, cos = np.sin(angle), np.cos(angle)
-        place = base[:, 7:9] + length * np.stack([sin, -cos], axis=1)
-        velocity = base[:, 5:7] + (length * rate)[:, None] * np.stack([cos, sin], axis=1)
+        angle, rate = q[:, 0], qd[:, 0]
+        place = base[:, 7:9] + setup.arm.length * unit_along(angle)
+        velocity = base[:, 5:7] + setup.arm.tip_velocity(angle, rate)
         q, qd, qdd = q[:, 1:], qd[:, 1:], qdd[:, 1:]
         torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)
     else:

@@ -24,7 +24,7 @@ from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.forward_sensitivity import CHANGES, RATE, Directions, base_change, place_changes
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields
+from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields, unit_across, unit_along
 from hyperflex.motion import Motion, motion_derivatives, motion_parameters
 from hyperflex.simulation.rollouts import TABLES, Rollout, Watch, dataset_of, rollout_limits
 from hyperflex.simulation.runs import observed, output_times, setup_of
@@ -516,7 +516,7 @@ def _labelled(
     """Add the tip to a run's states and derivatives, and name a torque-driven arm, the chain's first link."""
     n, p, own, drive = chain.length.size, len(directions.names), int(setup.torque_driven), setup.drive()
     q, qd, dq, dqd = y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
-    along, across = np.stack([np.sin(q), -np.cos(q)], axis=1), np.stack([np.cos(q), np.sin(q)], axis=1)
+    along, across = unit_along(q, 1), unit_across(q, 1)
     dtip = np.zeros((t.size, 2, directions.width))
     place_changes(drive, directions.directions(chain, drive), np.array(t), dtip)  # compiled for arrays of one kind
     dtip = dtip[:, :, :p] + chain.length * across @ dq + along @ directions.lengths(n)
@@ -711,7 +711,7 @@ def _displaced(setup: Setup, q: Array, changes: Array) -> Array:
     """Displacement of the worst joint (..., 2), m, by small changes (..., 2, n) of angles, and of rates in a swing."""
     reach = setup.rope.total_length
     swing_time = math.sqrt(reach / max(math.hypot(*setup.rope.gravity), reach))
-    across = setup.chain().length[:, None] * np.stack([np.cos(q), np.sin(q)], axis=1)
+    across = setup.chain().length[:, None] * unit_across(q)
     places = np.cumsum(changes[..., None] * across, axis=-2)
     return np.asarray(np.linalg.norm(places, axis=-1).max(axis=-1) * [1.0, swing_time])
 

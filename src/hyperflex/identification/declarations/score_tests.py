@@ -601,7 +601,7 @@ def _seen(rope: Rope, finer: Plant, window: Window, state: Array) -> Window:
     from scipy.interpolate import make_interp_spline
 
     n, fine = rope.n_links, finer.parameters.guess
-    places, old = (np.cumsum(each.length) - 0.5 * each.length for each in (fine, rope))
+    places, old = fine.link_middles, rope.link_middles
     # along the rope, straight lines continue beyond the ends
     start = make_interp_spline(old, state.reshape(2, n).T, k=1)(places).T.ravel()
     y = finer.predict(np.zeros(0), window.t, start)

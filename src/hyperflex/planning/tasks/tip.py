@@ -21,7 +21,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
 from hyperflex.model import Arm, Obstacle, Rope, Setup, Wall
-from hyperflex.planning.clearance import gap_of, joint_velocities, named, obstacle_gaps, sampled_clearance
+from hyperflex.planning.clearance import gap_of, named, obstacle_gaps, sampled_clearance
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
@@ -29,7 +29,7 @@ from hyperflex.planning.outcome import RunOutcome
 from hyperflex.planning.plan import Plan
 from hyperflex.planning.planner import Candidate, Planner, Task, Verified
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import RolloutBatch, arm_tip, check_start, free_sides
+from hyperflex.planning.rollouts import RolloutBatch, check_start, free_sides
 from hyperflex.planning.shooting import shoot
 from hyperflex.planning.uncertainty import scaled_rope
 from hyperflex.planning.verification import verified_setup
@@ -129,9 +129,9 @@ class Flights:
         run = batch.run(problem.arm, t, tol=tol, keep=("q", "qd"), threads=budget.threads)
         self.q, joints, velocities = run.q, [], []
         for rope, motion, q, qd in zip(ropes, motions, run.q, run.qd, strict=True):
-            base, velocity = arm_tip(problem.arm, motion, t)
+            base, velocity = problem.arm.tip_motion(motion, t)
             joints.append(rope.joints(q, base))
-            velocities.append(joint_velocities(rope, q, qd, velocity)[:, -1])
+            velocities.append(rope.joint_velocities(q, qd, velocity)[:, -1])
         self.joints, self.velocity = np.stack(joints), np.stack(velocities)
 
     def spare_gaps(self, problem: Problem) -> Array:
@@ -570,7 +570,7 @@ def touches(run: Trajectory, obstacles: Sequence[Obstacle]) -> tuple[npt.NDArray
     obstacle is as near as a link moves in that time. A loss alone may be that of a joint that comes to its limit.
     """
     gaps = obstacle_gaps(obstacles, run.joints[:, :-1], run.joints[:, 1:]).min(axis=2) - run.setup.rope.radius
-    moves = joint_velocities(run.setup.rope, run.q, run.qd, run.base_velocity)[:, 1:]
+    moves = run.setup.rope.joint_velocities(run.q, run.qd, run.base_velocity)[:, 1:]
     reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * np.hypot(moves[..., 0], moves[..., 1]).max(axis=1)
     lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
     pushed = np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0

@@ -13,7 +13,7 @@ from hyperflex.checks import Array
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, Peg, Rope, Setup, Wall, divided
+from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, Peg, Rope, Setup, Wall, divided, unit_across
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -412,7 +412,7 @@ def collision_impulse(run: Trajectory, k: int, link: int, along: float) -> Array
     rope, q = run.setup.rope, run.q[k]
     lever = np.where(np.arange(q.size) < link, rope.length, 0.0)
     lever[link] = along
-    across = lever[:, None] * np.stack([np.cos(q), np.sin(q)], axis=-1)
+    across = lever[:, None] * unit_across(q)
     return np.asarray(np.linalg.lstsq(across, mass_matrix(rope, q) @ (run.qd[k] - run.qd[k - 1]), rcond=None)[0])
 
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.model import unit_along
 from hyperflex.trajectory import Trajectory
 
 OffPlane = Callable[[Array, Array], Array]  # times (m,), arc lengths (P,) -> (m, P), m
@@ -78,7 +79,7 @@ class RopeMotion:
         """
         times, arcs = np.atleast_1d(np.asarray(t, float)), np.asarray(arc_lengths, float)
         q, base = np.split(self._values(np.clip(times, self.t[0], self.t[-1])), [-2], axis=1)
-        along = np.stack([np.sin(q), -np.cos(q)], axis=2)  # (m, n, 2)
+        along = unit_along(q)  # (m, n, 2)
         joints = base[:, None] + np.pad(np.cumsum(self.length[:, None] * along, axis=1), ((0, 0), (1, 0), (0, 0)))
         ends = self.joint_arc_lengths
         link = np.clip(np.searchsorted(ends, arcs, side="right") - 1, 0, self.length.size - 1)
