@@ -195,3 +195,23 @@ def test_joints_are_sums_of_links_at_any_angle():
     one = cable.joints(q[0, 0], base[0, 0])
     np.testing.assert_array_equal(one, told[0, 0])
     refuses(r"q has the wrong shape: got \(3,\)", cable.joints, np.zeros(3), np.zeros(2))
+
+
+def test_velocities_of_places_are_their_difference_quotients():
+    rng, h = np.random.default_rng(8), 1e-5
+    cable, angle, rate = rope(), *rng.normal(size=(2, 4, 3))
+    q, qd = rng.normal(size=(2, 4, 3, N))
+
+    def places(t: float):
+        base = ARM.tip(angle + t * rate)
+        return base, cable.joints(q + t * qd, base), cable.mass_points(q + t * qd, qd, base, base)[0]
+
+    velocity = ARM.tip_velocity(angle, rate)
+    told = velocity, cable.joint_velocities(q, qd, velocity), cable.mass_points(q, qd, places(0.0)[0], velocity)[1]
+    for late, early, want in zip(places(h), places(-h), told, strict=True):
+        np.testing.assert_allclose((late - early) / (2.0 * h), want, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        ARM.rope_tip(cable.length, angle, rate, q, qd)[1], told[1][..., -1, :], rtol=0, atol=1e-14
+    )
+    beyond = (places(0.0)[2] - places(0.0)[1])[..., :-1, :]  # of the centres of mass from the joints before them
+    np.testing.assert_allclose(np.hypot(*np.moveaxis(beyond, -1, 0)), np.broadcast_to(cable.com, q.shape), rtol=1e-12)

@@ -84,7 +84,7 @@ class Arm:
         return np.array(self.pivot) + self.length * unit_along(angle)
 
     def tip_velocity(self, angle: ArrayLike, rate: ArrayLike) -> Array:
-        """Return the velocity of the rope's first joint (..., 2), m/s, at angles, rad, and rates (...), rad/s."""
+        """Return the velocity (..., 2), m/s, of the first joint at each `angle`, rad, and `rate` (...), rad/s."""
         return (self.length * np.asarray(rate))[..., None] * unit_across(angle)
 
     def tip_motion(self, motion: Motion, t: Array) -> tuple[Array, Array]:
