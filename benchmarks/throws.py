@@ -73,7 +73,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Worst values of each kind, and how many throws break a goal."""
     result: dict[str, Any] = {"throws": len(rows), "failed": [r["index"] for r in rows if r["status"] != "success"]}
     for kind, allowed in ALLOWED.items():
-        those = [r for r in rows if r["kind"] == kind and r["status"] == "ok"]
+        those = [r for r in rows if r["kind"] == kind and r["status"] == "success"]
         result[kind] = {
             "throws": len(those),
             "that touch a peg": sum(r["taken"] != 0.0 for r in those),
