@@ -91,7 +91,7 @@ class TipOptions:
     window: float = 0.12
     closely: float = 0.4
     rounds: int = 16
-    difference: float = 1e-3
+    difference: float = 1e-2
     friction_std: float = 0.05
     length_std: float = 0.002
     timing_std: float = 2e-3
@@ -541,7 +541,7 @@ class TipTask(Task):
             spare = np.append(np.full(len(each.gaps), options.spare), self._spare)
             begins = np.searchsorted(t, np.append(0.0, one.starts(self.problem.limits)))
             least = np.minimum.reduceat(gaps, np.minimum(begins, each.end), axis=0)
-            required = np.minimum(spare, np.maximum(gaps[0], 0.0))
+            required = np.minimum(spare + self.close, np.maximum(gaps[0], 0.0))
             residuals = np.array([*each.residuals, *np.minimum(least - required, 0.0).ravel()])
             error = sum(max(0.0, float(lack)) for lack in (*each.lacks, -gaps.min(initial=0.0)))
             found.append(Aim(one, -error, each.t, error == 0.0, residuals=residuals, place=each.place))
