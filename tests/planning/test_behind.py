@@ -144,7 +144,8 @@ def test_a_setup_file_tells_what_to_run_behind(tmp_path):
     path.write_text(text + "\n[behind]\nx = -0.25\ny = -0.35\nradius = 0.03\n", "utf-8")
     source = Source(out=tmp_path, setup=path, limits={})
     assert source.read({}, {}).criteria.behind == (BEFORE,)
-    assert hf.Setup.from_toml(path).pegs == (TARGET,)  # a run leaves it alone
+    with pytest.warns(UserWarning, match="links of 40 mm near the peg"):
+        assert hf.Setup.from_toml(path).pegs == (TARGET,)  # a run leaves it alone
     path.write_text(text + "\n[behind]\nx = -0.25\nspeed = 1.0\n", "utf-8")
     with pytest.raises(InvalidInput, match="speed"):
         source.read({}, {})

@@ -1,4 +1,4 @@
-"""The one rule of success: a candidate succeeds if it does so in each member of an ensemble.
+"""When a cast succeeds: if it does so in each member of an ensemble.
 
 Members are the rope as planned, the rope with shorter links, and for a robust plan sampled scenarios. How much of each
 criterion is to spare in the members is the margin.

@@ -19,7 +19,7 @@ from hyperflex.core.batch import proximity
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
-from hyperflex.motion import Motion, hold_arm
+from hyperflex.motion import Motion
 from hyperflex.planning.clearance import (
     clear_samples,
     named,
@@ -31,7 +31,6 @@ from hyperflex.planning.clearance import (
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import FOLD, at_limits, limit_bend
 from hyperflex.simulation import Batch, check_outside, simulate_batch
-from hyperflex.simulation.contact import SHALLOW
 from hyperflex.trajectory import interpolated
 from hyperflex.winding import TOUCH, slid
 
@@ -165,11 +164,12 @@ def starts_outside(setup: Setup, *start: Any) -> bool:
 
 def free_sides(problem: Problem, pegs: Sequence[Obstacle]) -> list[int]:
     """Return the sides on which the arm may stand at first without the rope in one of the `pegs`, or at it."""
-    sides = [side for side in (-1, 1) if problem.side in (side, 0)]
-    (q, _), angle, rope = problem.start, problem.limits.start_angle, problem.rope
-    thicker = rope.replace(radius=rope.radius + SHALLOW)
-    starts = [Setup(thicker, hold_arm(angle(side)), problem.arm, pegs=tuple(pegs)) for side in sides]
-    return [side for side, start in zip(sides, starts, strict=True) if starts_outside(start, 0.0, q)]
+    rope, arm, (q, _) = problem.rope, problem.arm, problem.start
+
+    def gap(side: int) -> float:
+        return float(sampled_obstacle_gaps(rope, pegs, q, np.asarray(arm.tip(problem.limits.start_angle(side)))))
+
+    return [side for side in (-1, 1) if problem.side in (side, 0) and gap(side) > 0.0]
 
 
 def check_start(problem: Problem) -> None:

@@ -251,6 +251,8 @@ class InsertPlan(TipPlan):
         With more, shorter links and a tighter tolerance.
     position_std : float
         Of where the rope crosses the gap.
+    decided
+        As of :class:`hyperflex.planning.tasks.tip.TipPlan`.
     problem, target, feasibility, moves, message, runs, seconds, interrupted, success_probability
         As of :class:`hyperflex.planning.plan.Plan`.
     """

@@ -426,7 +426,7 @@ class WhipPlan(TipPlan):
         With links of half the length.
     problem, target, feasibility, moves, outcome, message, runs, seconds, interrupted, success_probability
         As of :class:`hyperflex.planning.plan.Plan`.
-    position_std
+    position_std, decided
         As of :class:`hyperflex.planning.tasks.tip.TipPlan`.
     """
 
