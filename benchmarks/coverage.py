@@ -16,12 +16,13 @@ import multiprocessing
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,7 +61,8 @@ class Experiment(NamedTuple):
     guess: hf.Rope
     free: list[str]
     truth: dict[str, float]
-    setup: dict[str, Any] | None = None
+    setup: hf.RecordingSetup | None = None
+    known: Mapping[str, float] = MappingProxyType({})  # standard deviations of what is declared
     window: float | None = np.inf
 
 
@@ -89,7 +91,7 @@ def rope(random: np.random.Generator) -> Experiment:
     true = hf.Rope(length=[LENGTH] * LINKS, mass=[LINK_MASS] * LINKS, inertia=inertia, friction=friction)
     guess = true.replace(inertia=CYLINDER, friction=2.0 * FRICTION)
     truth = {"inertia:shared": inertia, "friction:shared": friction}
-    return Experiment(seen(true, 22, 7.5, bent(random, LINKS), random), guess, list(truth), truth, EXACT)
+    return Experiment(seen(true, 22, 7.5, bent(random, LINKS), random), guess, list(truth), truth, known=EXACT)
 
 
 def single(random: np.random.Generator) -> Experiment:
@@ -97,7 +99,7 @@ def single(random: np.random.Generator) -> Experiment:
     true = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=inertia, friction=friction)
     truth = {"inertia[0]": inertia, "friction[0]": friction}
     recording = seen(true, 61, 20.0, [random.uniform(0.4, 1.2)], random)
-    return Experiment(recording, true.replace(inertia=1e-3, friction=5e-4), ["inertia", "friction"], truth, EXACT)
+    return Experiment(recording, true.replace(inertia=1e-3, friction=5e-4), ["inertia", "friction"], truth, known=EXACT)
 
 
 def double(random: np.random.Generator) -> Experiment:
@@ -107,7 +109,7 @@ def double(random: np.random.Generator) -> Experiment:
     truth = {f"{name}[{k}]": value for name, values in ratios(true).items() for k, value in enumerate(values.tolist())}
     del truth["p/p1[0]"]  # it is 1 by definition
     recording = seen(true, 81, 20.0, random.uniform(0.4, 1.1, 2), random)
-    return Experiment(recording, guess, ["inertia", "com", "friction"], truth, EXACT)
+    return Experiment(recording, guess, ["inertia", "com", "friction"], truth, known=EXACT)
 
 
 def doubles(random: np.random.Generator, **more: Any) -> tuple[hf.Rope, hf.Rope, list[str], dict[str, float]]:
@@ -149,7 +151,7 @@ def places(random: np.random.Generator, scale: float, roll: float) -> Experiment
     where = scale * run.joints @ np.array([[c, s], [-s, c]])
     where = (where + PLACE_NOISE * random.standard_normal(where.shape))[:, 1:]
     recording = hf.Recording(t, where.reshape(t.size, -1), "markers", noise=PLACE_NOISE)
-    return Experiment(recording, guess, free, truth, {"arc_lengths": [0.3, 0.55], "origin": (0.0, 0.0)})
+    return Experiment(recording, guess, free, truth, hf.RecordingSetup(arc_lengths=[0.3, 0.55], origin=(0.0, 0.0)))
 
 
 def too_large(random: np.random.Generator) -> Experiment:
@@ -169,7 +171,7 @@ def late(random: np.random.Generator) -> Experiment:
     noise = NOISE * random.standard_normal(run.q.shape)
     recording = hf.Recording(t + LATE, run.q + noise, noise=NOISE)
     # links turn by up to 38 rad/s: over all 4 s no fit would follow them, so that its windows are the usual ones
-    return Experiment(recording, guess, free, truth, {"arm": arm, "motion": motion}, window=None)
+    return Experiment(recording, guess, free, truth, hf.RecordingSetup(arm=arm, motion=motion), window=None)
 
 
 def stiff(random: np.random.Generator) -> Experiment:
@@ -288,9 +290,8 @@ def examine(draw: Draw, random: np.random.Generator) -> dict[str, Any]:
     case = draw(random)
     began = time.perf_counter()
     try:
-        setup = hf.RecordingSetup(**(case.setup or {}))
-        options = hf.FitOptions(window=case.window, train=np.inf)
-        found = hf.identify(case.recording, case.guess, case.free, setup=setup, options=options)
+        options = hf.FitOptions(window=case.window, train=np.inf, **case.known)
+        found = hf.identify(case.recording, case.guess, case.free, setup=case.setup, options=options)
     except HyperflexError as error:
         return {"status": type(error).__name__, "numbers": {}}
     if found.status is Status.INTERRUPTED:
