@@ -18,6 +18,8 @@ from hyperflex.progress import progress_bar
 
 __all__ = ["Budget", "OutOfTime", "one_thread"]
 
+PROCESSORS = os.cpu_count() or 1  # asked for once: it takes a hundredth of a short run
+
 
 class Budget:
     """Time for a piece of work and its parts.
@@ -50,7 +52,7 @@ class Budget:
     ) -> None:
         self.seconds = seconds
         most = checks.MOST_THREADS
-        self.threads = (os.cpu_count() or 1) if threads is None else checks.count("threads", threads, most=most)
+        self.threads = PROCESSORS if threads is None else checks.count("threads", threads, most=most)
         self._clock, self._parent, self._cancelled = clock, None, False
         self._report: Callable[..., None] | None = None
         self._begin, self._compiled = clock(), compiling()
