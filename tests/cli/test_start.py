@@ -51,7 +51,7 @@ def test_pegs_that_do_not_suit_links_and_arm_are_reported(hyperflex, tmp_path):
     assert hyperflex("init", setup, "--peg", 0, 0, 0.03)[0] == 0
     code, _, err = hyperflex("simulate", setup, "-o", tmp_path / "a.nc", "--duration", 0.01)
     assert code == 0
-    assert "links of 100 mm near the peg at (0, 0) m, of 30 mm radius hold less" in err
+    assert "links of 100 mm near the peg at (0, 0) m (radius 30 mm) hold less" in err
     assert "the arm can turn through the peg at (0, 0) m" in err
 
 

@@ -190,10 +190,10 @@ def test_warnings(monkeypatch):
 
 def test_figures_of_the_tip_come_with_their_doubts():
     whip, insert = replace(planned_whip(), position_std=0.056), replace(planned_insert(), position_std=math.nan)
-    doubts = f"({length(whip.finer_outcome.miss, 2)} with links of half the length; ± 56 mm if friction"
-    report = WhipReport(whip)
-    assert f" off {doubts}" in report.verdict
-    assert any(f"at its peak {doubts}" in words for _, words in report.tiles)
+    finer, report = f"({length(whip.finer_outcome.miss, 2)} with links of half the length", WhipReport(whip)
+    known = "friction is known to 5 %, length to 0.2 % and rests to 2 ms"
+    assert f" off {finer}; ± 56 mm if {known})" in report.verdict
+    assert any(f"at its peak {finer})" in words for _, words in report.tiles)
     clear = f"({length(insert.finer_outcome.wall_clearance, 2)} with 2.5 times the links), in simulation."
     assert InsertReport(insert).verdict.endswith(clear)
     assert " off, in simulation." in WhipReport(replace(whip, finer_outcome=None, position_std=math.nan)).verdict

@@ -311,15 +311,16 @@ def warn_of_pegs(name: str, setup: Setup) -> None:
     """Warn of pegs for which the links of a rope are too long, or that its arm can turn through."""
     rope, arm = setup.rope, setup.arm
     for peg in setup.round_pegs:
-        axis, where = peg.radius + rope.radius, f"the peg at ({peg.x:.4g}, {peg.y:.4g}) m, of {1e3 * peg.radius:.3g} mm"
+        axis, where = (
+            peg.radius + rope.radius,
+            f"the peg at ({peg.x:.4g}, {peg.y:.4g}) m (radius {1e3 * peg.radius:.3g} mm)",
+        )
         long = rope.length[cuts(rope, (peg,), arm=arm, ratio=COARSE) > 1]
         if long.size:
-            text = f"{name}: links of {1e3 * long.max():.3g} mm near {where} radius hold less than a smooth rope. "
+            text = f"{name}: links of {1e3 * long.max():.3g} mm near {where} hold less than a smooth rope. "
             warnings.warn(f"{text}Give links of up to {1e3 * FINE * axis:.2g} mm.", stacklevel=3)
         if arm is not None and math.dist(arm.pivot, (peg.x, peg.y)) < arm.length + peg.radius:
-            warnings.warn(
-                f"{name}: the arm can turn through {where} radius, which only the rope touches.", stacklevel=3
-            )
+            warnings.warn(f"{name}: the arm can turn through {where}, which only the rope touches.", stacklevel=3)
 
 
 def check_tables(name: str, content: Mapping[str, Any], more: Sequence[str] = ()) -> None:

@@ -142,9 +142,8 @@ def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, withi
         elif isinstance(each, Wall):
             last: Array = np.array([each.x2, each.y2])
             away, long = begin - 0.5 * (place + last), float(np.abs(end - begin).max(initial=0.0))
-            gap = (
-                np.hypot(away[..., 0], away[..., 1]) - math.sqrt(2.0) * long - 0.5 * math.dist(place, last)
-            )  # at least
+            most = math.sqrt(2.0) * long + 0.5 * math.dist(place, last)  # by which they can be nearer than their begins
+            gap = np.hypot(away[..., 0], away[..., 1]) - most
             near = gap <= within
             gap[near] = _segment_distance(begin[near], end[near], place, last)
         else:
