@@ -146,7 +146,7 @@ def test_states_that_no_member_can_begin_with_are_refused():
         ("t", "a"),
     ):
         refuses(f"state {name}", stepper.step, replace(state, **{name: value}), 0.0, 0.02)
-    refuses("state is not of its class", stepper.tips, None)
+    refuses("state is no BatchState", stepper.tips, None)
     with pytest.raises(ValueError, match="read-only"):
         state.q[0] = 0.0
 

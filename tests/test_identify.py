@@ -508,7 +508,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no such link": ({"free": ["friction[1]"]}, "link that the rope does not have.*0 to 0"),
     "link of the whole": ({"free": ["tip_mass[0]"]}, "belongs to the whole rope"),
     "links": ({"rope_guess": DOUBLE}, r"different numbers of links: got \[1, 2\]"),
-    "not a recording": ({"recording": np.zeros((5, 1))}, "recording is not a Recording"),
+    "not a recording": ({"recording": np.zeros((5, 1))}, "recording is no Recording"),
     "window": ({"window": -1.0}, "window has the wrong sign"),
     "window nan": ({"window": float("nan")}, "window is not finite"),
     "train": ({"train": -1.0}, "leaves nothing to fit"),

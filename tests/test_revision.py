@@ -199,7 +199,7 @@ def test_recordings_and_ropes_that_do_not_fit_are_refused():
     data[1, 2] = np.nan
     with pytest.raises(InvalidInput, match="first three samples"):
         hf.estimate_initial_state(hf.Recording(T, data), ROPE)
-    refuses("recording is not of its class", hf.estimate_initial_state, data, ROPE)
+    refuses("recording is no Recording", hf.estimate_initial_state, data, ROPE)
 
 
 def test_a_start_from_which_nothing_can_be_simulated_is_refused():

@@ -276,7 +276,7 @@ def test_bad_input_is_refused():
         ((state, np.nan, DT), "command is not finite"),
         ((state, "fast", DT), "command is not a number"),
         ((state, 1.0, 0.0), "dt has the wrong sign"),
-        ((vector(state), 1.0, DT), "state is not of its class"),
+        ((vector(state), 1.0, DT), "state is no State"),
         ((replace(state, q=np.zeros(3)), 1.0, DT), "state q has the wrong shape"),
         ((replace(state, qd=np.full(6, np.nan)), 1.0, DT), "state qd"),
     ):
@@ -318,7 +318,7 @@ def test_energies_and_steps_of_a_state_count_when_they_are_replaced():
     assert stepper.step(replace(state, work=100.0), 0.0, DT).work == pytest.approx(100.0 + after.work - state.work)
     for name, value in (("step", math.nan), ("step", -1.0), ("work", math.nan), ("arm_angle", math.nan), ("t", "a")):
         refuses(f"state {name}", stepper.step, replace(state, **{name: value}), 0.0, DT)
-    refuses("state is not of its class", stepper.tip, None)
+    refuses("state is no State", stepper.tip, None)
     with pytest.raises(ValueError, match="read-only"):
         state.q[0] = 1.0
 

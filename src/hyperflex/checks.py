@@ -38,6 +38,17 @@ _SLIPS = {
     "kg/m": (50.0, "g/m", 1e-3),  # a steel rope as thick as an arm
 }
 
+# How users make what functions expect, by the name of its class; the advice for a value of another kind
+_MADE_BY = {
+    "Arm": "Write hyperflex.Arm(0.2) for an arm of 0.2 m",
+    "Motion": "hyperflex.sampled_motion(t, angle) makes one from samples, hyperflex.arm_moves(...) from moves",
+    "Peg": "Write hyperflex.Peg(x, y, radius)",
+    "Recording": "Read the file with read_recording, or write hyperflex.Recording(t, angles)",
+    "Rope": "hyperflex.Rope.uniform(length, mass, n_links) makes one, Rope.from_toml(file) reads one",
+    "Setup": "Write hyperflex.Setup(rope, motion, arm), or read it by Setup.from_toml(file)",
+    "Trajectory": "hyperflex.simulate(...) makes one, read_trajectory(file) reads one",
+}
+
 _ALLOWED = {"any": "finite", "positive": "finite and > 0", "nonnegative": "finite and >= 0"}
 
 
@@ -92,6 +103,7 @@ def derived() -> Iterator[None]:
 def count(name: str, value: object, *, least: int = 1, most: int | None = None) -> int:
     """Return `value` as an integer of at least `least` and at most `most`."""
     whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    whole |= isinstance(value, (float, np.floating)) and float(value).is_integer()
     if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
         allowed = f"a whole number >= {least}" if most is None else f"a whole number from {least} to {most}"
         raise InvalidInput(f"{name} is not a usable count", got=value, allowed=allowed)
@@ -237,7 +249,12 @@ def text(name: str, value: object) -> str:
 def instance(name: str, value: object, kind: type[T], module: str = "hyperflex") -> T:
     """Return `value` if it is of a class, such as Rope, that users import from a module."""
     if not isinstance(value, kind):
-        raise InvalidInput(f"{name} is not of its class", got=value, allowed=f"{module}.{kind.__name__}")
+        own = type(value)
+        if own.__module__.startswith("hyperflex."):
+            fix = f"A {own.__name__} is given: check the order of the arguments, or name them"
+        else:
+            fix = _MADE_BY.get(kind.__name__, "")
+        raise InvalidInput(f"{name} is no {kind.__name__}", got=value, allowed=f"{module}.{kind.__name__}", fix=fix)
     return value
 
 
@@ -268,5 +285,22 @@ def arguments(**parts: type[Any]) -> Callable[[Callable[_P, T]], Callable[_P, T]
             return function(*values, **named)
 
         return call
+
+    return decorate
+
+
+def named(elsewhere: Mapping[str, Iterable[str]]) -> Callable[[type[T]], type[T]]:
+    """Decorate a dataclass: arguments that it lacks are refused, with what is meant where `elsewhere` says so."""
+
+    def decorate(kind: type[T]) -> type[T]:
+        construct, known = kind.__init__, [each.name for each in fields(kind)]  # type: ignore[arg-type]
+
+        @functools.wraps(construct)
+        def init(self: T, *values: Any, **given: Any) -> None:
+            keys(f"{kind.__name__}()", given, known, elsewhere=elsewhere)
+            construct(self, *values, **given)
+
+        kind.__init__ = init  # type: ignore[assignment]
+        return kind
 
     return decorate

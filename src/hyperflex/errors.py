@@ -11,6 +11,10 @@ from hyperflex.status import Status
 class HyperflexError(Exception):
     """Base class of everything that hyperflex raises on purpose."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how pickle restores the error in another process: with its fields, and without its constructor."""
+        return type(self).__new__, (type(self), *self.args), vars(self)
+
 
 class InvalidInput(HyperflexError, ValueError):
     """An argument or the content of a file cannot be used.
@@ -101,6 +105,10 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, partial: Any = None) -> None:
         self._partial = partial
         super().__init__("interrupted")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how pickle restores it in another process: with the partial result, which is made for that."""
+        return type(self), (self.partial,)
 
     @functools.cached_property
     def partial(self) -> Any:

@@ -1,6 +1,7 @@
 """MJCF files: MuJoCo compiles what the set-up says and moves alike, and the set-up comes back bit for bit."""
 
 import re
+import warnings
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -52,6 +53,36 @@ def test_tip_is_where_mujoco_has_it_after_two_seconds(index, links, tmp_path):
     setup = mujoco_ropes.draw(index, links)
     tip = mujoco_ropes.tip(setup, written(setup, tmp_path))
     np.testing.assert_allclose(tip, hf.simulate(setup).tip[-1], atol=5e-4 if links > 60 else 1e-6)
+
+
+@pytest.mark.parametrize(("friction", "wanted"), [(5e-4, "RK4"), (0.05, "implicitfast")])
+def test_the_file_as_written_is_right_or_warns_of_its_first_order(friction, wanted, tmp_path):
+    """The paper's cable for a second: RK4 to a micrometre; with stiff friction the other integrator, which is said."""
+    cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=friction)
+    setup = hf.Setup(cable, hf.arm_swings(), hf.Arm(), duration=1.0, tol=1e-8)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        path = written(setup, tmp_path)
+    assert ["half the step" in str(each.message) for each in caught] == [True] * (wanted != "RK4")
+    assert ET.parse(path).find("option").get("integrator") == wanted
+    assert hf.read_mjcf(path).dumps() == setup.dumps()
+    if wanted == "RK4":
+        model, data = mujoco_ropes.load(path)
+        for _ in range(10_000):
+            data.ctrl[0] = setup.motion.acceleration(data.time + 0.5e-4)
+            mujoco.mj_step(model, data)
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(data.site("tip").xpos[[0, 2]], hf.simulate(setup).tip[-1], atol=1e-6)
+
+
+def test_a_chain_at_the_nesting_limit_is_loaded_and_a_longer_one_is_refused(tmp_path):
+    """490 bodies are within MuJoCo's 500 nested elements; 1,000 links once ended in a RecursionError."""
+    rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=489, tip_mass=0.01)
+    model, _ = mujoco_ropes.load(written(hf.Setup(rope), tmp_path))
+    assert model.nv == 489
+    assert hf.read_mjcf(tmp_path / "rope.xml").rope == rope
+    with pytest.raises(InvalidInput, match=r"chain of 1000 bodies.*at most 490"):
+        hf.write_mjcf(hf.Setup(hf.Rope.uniform(1.0, 0.1, 1000)), tmp_path / "long.xml")
 
 
 def test_edited_rope_is_read(tmp_path):

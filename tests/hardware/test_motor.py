@@ -82,7 +82,7 @@ def test_times_do_not_go_back_and_limits_are_checked():
     motor.angle(0.5)
     refuses("time goes back", motor.angle, 0.4)
     refuses("time goes back", motor.set_motion, RAMP, 0.1)
-    refuses("motion is not of its class", motor.set_motion, "now", 1.0)
+    refuses("motion is no Motion", motor.set_motion, "now", 1.0)
     for wrong in ({"lag": 0.0}, {"torque": -1.0}, {"counts": 0}, {"inertia": math.nan}, {"latency": -0.1}):
         with pytest.raises(InvalidInput):
             SimulatedMotor(**wrong)

@@ -18,11 +18,17 @@ from hyperflex.errors import InvalidInput, located
 from hyperflex.files import PathLike
 from hyperflex.model import Rope, Setup, Wall
 from hyperflex.motion import hold_arm
+from hyperflex.simulation import runge_kutta_limit
 
 ROTOR = 1e5  # kg m^2, armature of an arm that follows a motion: the rope's pull then disturbs it by some 1e-5 rad/s^2
 LEAST = 1e-15  # mjMINVAL: MuJoCo refuses moving bodies of less mass (kg) or inertia (kg m^2)
+MOST_BODIES = 490  # MuJoCo reads XML of at most 500 elements within each other
+INTEGRATORS = ("RK4", "implicitfast")
+MARGIN = 0.8  # part of the longest stable Runge-Kutta step, which belongs to a rope that hangs straight
 HALF_WIDTH = 0.1  # m, of pegs and grounds across the plane
-SOFT = {
+DIFFERS = {
+    "a first-order integrator": "no Runge-Kutta step of this size is stable for this set-up, so the integrator is "
+    "implicitfast, whose error falls only as the step: compare the result with that of half the step",
     "dry friction": "dry friction becomes frictionloss, a soft constraint: a stuck joint creeps",
     "joint limits": "joint limits become soft constraints: joints pass them a little and bounce",
     "pegs": "contact in MuJoCo is soft: it has no restitution, and the rope sinks in a little and creeps",
@@ -42,7 +48,8 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     path : path-like
         File to write, whole or not at all.
     timestep : float
-        MuJoCo's step, s.
+        MuJoCo's step, s. If RK4 is stable with it and nothing is touched, it is the integrator; else implicitfast is,
+        which is of first order: its tip may be off by centimetres after two seconds of a fast swing.
 
     Raises
     ------
@@ -52,7 +59,7 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     Warns
     -----
     UserWarning
-        If MuJoCo's model of dry friction, joint limits or contact differs.
+        If MuJoCo's model of dry friction, joint limits or contact differs, or the integrator is of first order.
 
     Examples
     --------
@@ -67,15 +74,17 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     checks.instance("setup", setup, Setup)
     step = checks.number("timestep", timestep, sign="positive", unit="s")
     _refuse(setup)
+    integrator = _integrator(setup, step)
     present = {
+        "a first-order integrator": integrator != INTEGRATORS[0] and not setup.touches,
         "dry friction": setup.rope.dry_friction.any() or (setup.torque_driven and setup.arm and setup.arm.dry_friction),
         "joint limits": setup.rope.limited,
         "pegs": bool(setup.pegs),
     }
-    root = _tree(setup, step)
+    root = _tree(setup, step, integrator)
     ET.indent(root)
     files.write_text(path, ET.tostring(root, encoding="unicode") + "\n")
-    for name, words in SOFT.items():
+    for name, words in DIFFERS.items():
         if present[name]:
             warnings.warn(f"{path}: {words}.", UserWarning, stacklevel=2)
 
@@ -114,14 +123,22 @@ def read_mjcf(path: PathLike) -> Setup:
         setup = held.replace(rope=_rope(root, held.rope))
         option = _part(root, "option")
         text.set("data", setup.dumps())  # with the edited numbers
-        _compare(root, _tree(setup, _numbers(option, "timestep", 1)[0]))
+        integrator = checks.choice("the integrator", option.get("integrator"), INTEGRATORS)
+        _compare(root, _tree(setup, _numbers(option, "timestep", 1)[0], integrator))
     return setup
+
+
+def _integrator(setup: Setup, step: float) -> str:
+    """Return MuJoCo's integrator for a step, s: Runge-Kutta's where it is stable and nothing is touched."""
+    return INTEGRATORS[setup.touches or step > MARGIN * runge_kutta_limit(setup.chain())]
 
 
 def _refuse(setup: Setup) -> None:
     """Raise InvalidInput for properties that MuJoCo cannot represent."""
     rope, pivot = setup.rope, None if setup.motion is None else setup.motion.coef[:, [X, Y]]
+    depth = rope.n_links + (setup.arm is not None) + (rope.tip_mass > 0.0)
     wrong = (
+        (f"a chain of {depth} bodies, each within the one before", depth > MOST_BODIES, f"at most {MOST_BODIES}"),
         ("one-sided joint friction", rope.friction_model != "relative", "friction_model='relative'"),
         ("this air drag, quadratic in a link's normal velocity", rope.drag.any(), "rope.replace(drag=0.0)"),
         ("a pivot that moves", pivot is not None and pivot[..., 1:].any() | np.ptp(pivot, axis=0).any(), "an arm"),
@@ -143,7 +160,7 @@ def _refuse(setup: Setup) -> None:
             raise InvalidInput(f"MuJoCo cannot move {name}", got=got, allowed=f"both above {LEAST:g}, in SI units")
 
 
-def _tree(setup: Setup, timestep: float) -> ET.Element:
+def _tree(setup: Setup, timestep: float, integrator: str) -> ET.Element:
     """Return the MJCF document of a set-up that MuJoCo can represent."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -156,6 +173,7 @@ def _tree(setup: Setup, timestep: float) -> ET.Element:
     )
     environment.filters["n"] = _exact
     content = {"setup": setup, "rope": setup.rope, "arm": setup.arm, "pivot": _pivot(setup), "timestep": timestep}
+    content["integrator"] = integrator
     content |= {"half_width": HALF_WIDTH, "rotor": ROTOR, "inf": math.inf, **_start(setup)}
     root = ET.fromstring(environment.get_template("rope.xml").render(content))
     root.set("model", setup.rope.name or "rope")

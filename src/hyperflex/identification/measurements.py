@@ -292,9 +292,7 @@ def first_joint(recording: Recording, arc_lengths: Array, pivot: Array) -> Array
 
 def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup) -> tuple[Measurements, Array | None]:
     """Return the measurements, if they fit the rope, and the arc lengths of markers that are not at the joints."""
-    if not isinstance(recording, Recording):
-        fix = "Read the file with read_recording first"
-        raise InvalidInput("recording is not a Recording", got=recording, allowed="hyperflex.Recording", fix=fix)
+    checks.instance("recording", recording, Recording)
     checks.instance("rope_guess", rope, Rope)
     arc_lengths, origin = setup.arc_lengths, setup.origin
     if arc_lengths is not None:

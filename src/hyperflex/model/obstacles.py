@@ -12,9 +12,11 @@ from hyperflex.core.contact.gaps import Pegs
 from hyperflex.errors import InvalidInput
 from hyperflex.options import option
 
+ELSEWHERE = {"in mu=...": ("friction",)}  # where a Rope and an Arm have viscous friction, an obstacle has a coefficient
 FIXED = (math.inf, 0.0)  # kg m^2 and N m s/rad, of what does not turn
 
 
+@checks.named(ELSEWHERE)
 @dataclass(frozen=True)
 class Peg:
     """A round peg, its axis across the plane of the rope; fixed, or a pulley that turns on an axle.
@@ -74,6 +76,7 @@ class Peg:
         return FIXED if self.inertia is None else (self.inertia, self.bearing)
 
 
+@checks.named(ELSEWHERE)
 @dataclass(frozen=True)
 class Wall:
     """A thin straight wall that a rope may touch on both sides; two of them with a gap between make a slit.
@@ -112,6 +115,7 @@ class Wall:
             raise InvalidInput("ends of a wall coincide", got=(self.x, self.y), allowed="two points")
 
 
+@checks.named(ELSEWHERE)
 @dataclass(frozen=True)
 class Ground:
     """Everything on one side of a straight line, solid: a floor, a ceiling, the side of a room.
@@ -216,7 +220,7 @@ def _rows(kind: type[Obstacle], what: str, table: Mapping[str, Any]) -> Iterator
     """Yield the obstacles of a table; a number stands for one, or for all but in a field that has no default."""
     names = [f.name for f in fields(kind)]
     needed = [f.name for f in fields(kind) if f.default is MISSING]
-    checks.keys(f"the {what} table", table, names, needed=needed)
+    checks.keys(f"the {what} table", table, names, needed=needed, elsewhere=ELSEWHERE)
     columns = {
         name: np.atleast_1d(checks.array(f"{what} {name}", value, np.shape(value), infinite=name == "inertia"))
         for name, value in table.items()

@@ -446,6 +446,12 @@ def _number_of_links(values: Mapping[str, ArrayLike | None]) -> int:
             raise InvalidInput(f"rope {name} is ragged", got=value, allowed="a number, or an array (n,)") from None
         if len(shape) == 1:
             sizes[name] = shape[0]
+    if not sizes:
+        raise InvalidInput(
+            "a rope of numbers alone does not say how many links it has",
+            allowed="an array with one entry a link for at least one property",
+            fix="Rope.uniform(length, mass, n_links) cuts a rope into equal links (in a file: n_links)",
+        )
     if len(set(sizes.values())) != 1 or 0 in sizes.values():
         raise InvalidInput(
             "rope arrays do not tell one number of links",

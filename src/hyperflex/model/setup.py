@@ -131,7 +131,7 @@ class Setup:
         for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
             if getattr(self, name) is not None:
                 n = checks.instance("rope", self.rope, Rope).n_links
-                values[name] = checks.array(name, getattr(self, name), (n,), unit=unit)
+                values[name] = checks.array(name, getattr(self, name), (n,), unit=unit, scalar=True)
         for name, value in values.items():
             object.__setattr__(self, name, value)
         options.check(self, "")

@@ -62,7 +62,7 @@ def setups_of(
     if any(isinstance(each, Obstacle) for each in pegs):
         pegs = [pegs]
     starts = [common.pop(name, None) for name in ("q0", "qd0")]
-    rows = [[None] if each is None else list(np.atleast_2d(checks.array("q0 or qd0", each, None))) for each in starts]
+    rows = [[None] if each is None else _rows(checks.array("q0 or qd0", each, None)) for each in starts]
     obstacles = [checked_obstacles(each) for each in pegs] or [()]
     every: list[list[Any]] = [_each("ropes", ropes, Rope), _each("motions", motions, Motion), obstacles, *rows]
     counts = [len(each) for each in every]
@@ -81,6 +81,11 @@ def setups_of(
         return setup_of(rope, {**common, **parts}, refine=refine)[0]
 
     return [member(m) for m in range(count)]
+
+
+def _rows(values: Array) -> list[Any]:
+    """Return the values of each member; those of a number, or of one row, are the same for all."""
+    return list(values) if values.ndim > 1 else [values]
 
 
 def _each(name: str, given: object, kind: type) -> list[Any]:
