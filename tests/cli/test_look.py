@@ -59,7 +59,8 @@ def test_the_course_is_another_picture(hyperflex, run_file, tmp_path):
 
 def test_the_table_holds_the_run_bit_for_bit(hyperflex, run_file, tmp_path):
     assert hyperflex("plot", run_file, "-o", tmp_path / "a.csv")[0] == 0
-    names, values, *_ = files.read_table(tmp_path / "a.csv")
+    found = files.read_table(tmp_path / "a.csv")
+    names, values = found.names, found.values
     run, at = hf.read_trajectory(run_file), {name: k for k, name in enumerate(names)}
     for name, column in (("t", run.t), ("arm_angle", run.arm_angle), ("th5", run.q[:, 4]), ("w1", run.qd[:, 0])):
         np.testing.assert_array_equal(values[:, at[name]], column)

@@ -116,7 +116,7 @@ def test_poses_of_others_need_a_plane(schema, tmp_path):
     pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
     held = {"poses": [pose]} if schema.endswith("PosesInFrame") else {"pose": pose}
     path = foreign(tmp_path / "a.mcap", schema, stamped(frame_id="world", **held))
-    refuses(r"no plane is declared.*plane=", hf.read_recording, path)
+    refuses(r"markers in space.*plane=", hf.read_recording, path)
     for plane, wanted in (("xz", [1.0, 3.0]), ("xy", [1.0, 2.0]), ("yz", [2.0, 3.0])):
         np.testing.assert_array_equal(hf.read_recording(path, plane=plane).data[0], wanted)
     np.testing.assert_array_equal(hf.read_recording(path, plane="xy", y_axis="down").data[0], [1.0, -2.0])
@@ -135,6 +135,7 @@ def test_what_cannot_be_meant_is_refused(run, tmp_path):
     ):
         refuses(named, hf.read_recording, tmp_path / "run.mcap", **wrong)
     (tmp_path / "a.csv").write_text("t,th1\n0,0\n1,0\n")
-    refuses("topic and plane", hf.read_recording, tmp_path / "a.csv", plane="xz", time_unit="s", unit="rad")
+    refuses("for markers in space", hf.read_recording, tmp_path / "a.csv", plane="xz", time_unit="s", unit="rad")
+    refuses("topic is not for", hf.read_recording, tmp_path / "a.csv", topic="/rope")
     refuses("neither a run nor a recording", hf.write_mcap, run.setup, tmp_path / "c.mcap")
     assert not (tmp_path / "c.mcap").exists()

@@ -22,7 +22,8 @@ from tests.planning.known_whip import far_whip, planned_whip
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
     plan = planned()
     plan.to_csv(tmp_path / "motion.csv", rate=250.0)
-    names, rows, *_ = files.read_table(tmp_path / "motion.csv")
+    found = files.read_table(tmp_path / "motion.csv")
+    names, rows = found.names, found.values
     assert names == ["t", "angle"]
     np.testing.assert_array_equal(rows[:, 1], plan.motion.angle(rows[:, 0]))
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1.0 / 250.0, rtol=1e-9)  # rounding of k / 250
@@ -52,7 +53,7 @@ def test_what_the_motors_table_asks_is_within_the_motors_limits(tmp_path, rate):
     back, t = hf.read_motion(tmp_path / "motion.csv"), np.linspace(0.0, 9.0, 90001)
     assert np.abs(back.acceleration(t)).max() <= limits.acceleration * (1.0 + 1e-9)
     assert np.abs(back.rate(t)).max() <= limits.speed * (1.0 + 1e-9)
-    angle = files.read_table(tmp_path / "motion.csv")[1][:, 1]
+    angle = files.read_table(tmp_path / "motion.csv").values[:, 1]
     assert np.abs(np.diff(angle)).max() * rate <= limits.speed * (1.0 + 1e-9)
     assert np.abs(np.diff(angle, 2)).max() * rate**2 <= limits.acceleration * (1.0 + 1e-6)
 

@@ -117,9 +117,8 @@ def _short(option: str, value: float) -> float:
 
 def _known_points(path: Path) -> tuple[Any, Any]:
     """Return places (K, 2), m, and pixels (K, 2) of a CSV table."""
-    names, rows, *_ = files.read_table(path)
-    columns = ["x", "y", "u", "v"]
-    if sorted(names) != sorted(columns):
-        raise InvalidInput(f"{path}: the columns do not fit", got=names, allowed="x, y (m), u, v (px)")
-    table = rows[:, [names.index(name) for name in columns]]
+    found, columns = files.read_table(path), ["x", "y", "u", "v"]
+    if sorted(found.names) != sorted(columns):
+        raise InvalidInput(f"{path}: the columns do not fit", got=found.names, allowed="x, y (m), u, v (px)")
+    table = found.columns(columns)
     return table[:, :2], table[:, 2:]

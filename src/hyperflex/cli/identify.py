@@ -32,17 +32,17 @@ class Reading:
     declarations: Annotated[Given, Declarations]
     noise: Annotated[float | None, typer.Option(help="Standard deviation of a sample, in its unit.")] = None
     columns: Annotated[list[str] | None, typer.Option(help="Data columns, or joints, in order, with commas.")] = None
-    topic: Annotated[str | None, typer.Option(help="Topic of an MCAP file or a bag that holds several.")] = None
-    plane: Annotated[
-        str | None, typer.Option(help="Plane of the swing, for poses in space: xz (x right, z up), xy or yz.")
+    markers: Annotated[
+        list[str] | None, typer.Option(help="Markers by the file's names, from the pivot to the tip, with commas.")
     ] = None
+    topic: Annotated[str | None, typer.Option(help="Topic of an MCAP file or a bag that holds several.")] = None
     max_rate: Annotated[
         float, typer.Option(help="Rate of an angle, rad/s, above which it is refused as a wrong unit.")
     ] = FASTEST
 
     def read(self, path: Path) -> Recording:
         """Return a recording."""
-        given = vars(self) | {"columns": words(self.columns) or None}
+        given = vars(self) | {"columns": words(self.columns) or None, "markers": words(self.markers) or None}
         return read_recording(path, **given.pop("declarations"), **given)
 
 

@@ -9,11 +9,21 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.files.hdf5 import most_bytes, open_hdf5
     from hyperflex.files.json import dumps_json, plain, write_json
     from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
     from hyperflex.files.reading import LARGEST, not_damaged, read_bytes, read_text, regular_file
     from hyperflex.files.rescue import rescued
-    from hyperflex.files.tables import Table, read_table, write_table
+    from hyperflex.files.tables import (
+        Table,
+        cells_of,
+        joined_names,
+        no_repeats,
+        read_lines,
+        read_table,
+        table_of,
+        write_table,
+    )
     from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, toml_words, write_toml
     from hyperflex.files.writing import (
         PathLike,

@@ -2,7 +2,6 @@
 
 import io
 import math
-import mmap
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -10,12 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.errors import InvalidInput
-from hyperflex.files.reading import LARGEST, not_damaged, regular_file
+from hyperflex.files.hdf5 import most_bytes, open_hdf5
 from hyperflex.files.writing import PathLike, write_bytes
-
-_HEAP = b"GCOL\x01\0\0\0"  # how a heap of texts begins
-_DEFLATED = 1100  # bytes that one byte of a compressed file may stand for: deflate makes at most 1032 of it
-_HDF5, _NETCDF3 = b"\x89HDF\r\n\x1a\n", b"CDF"  # how such files begin
 
 
 class Variable(NamedTuple):
@@ -74,27 +69,15 @@ def read_netcdf(path: PathLike) -> NetCDF:
         It is of another format.
     """
     import h5netcdf
-    import h5py
-
-    file = regular_file(path, "NetCDF file", math.inf)
-    with file.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        head, endless = content[:8], _has_endless_heap(content)
-    if head.startswith(_NETCDF3):
-        raise InvalidInput(f"{path} is a NetCDF-3 file", allowed="NetCDF-4", fix="Convert it with nccopy -k nc4")
-    if head != _HDF5:
-        raise InvalidInput(f"{path} is no NetCDF-4 file", got=head, fix="Check that the right file was given")
-    most = min(LARGEST, _DEFLATED * file.stat().st_size)
 
     class Content(h5netcdf.File):  # type: ignore[misc]
         _writable = False  # else h5netcdf prints a traceback when it closes a file that it could not open
 
-    with not_damaged("NetCDF file", path):
-        if endless:
-            raise ValueError("an object of a heap has no size")
-        with h5py.File(path, "r") as opened, Content(opened, "r") as content:
-            groups = {name: _variables(group, most) for name, group in content.groups.items()}
-            attributes = {key: _plain(value) for key, value in content.attrs.items()}
-            return NetCDF(_variables(content, most), attributes, groups)
+    most = most_bytes(path)
+    with open_hdf5(path, "NetCDF-4 file") as opened, Content(opened, "r") as content:
+        groups = {name: _variables(group, most) for name, group in content.groups.items()}
+        attributes = {key: _plain(value) for key, value in content.attrs.items()}
+        return NetCDF(_variables(content, most), attributes, groups)
 
 
 def _put(group: Any, variables: Mapping[str, Variable]) -> None:
@@ -104,20 +87,6 @@ def _put(group: Any, variables: Mapping[str, Variable]) -> None:
         data = np.asarray(values)
         kind = h5py.string_dtype() if data.dtype == object else data.dtype
         group.create_variable(name, dims, kind, data=data).attrs.update(attributes)
-
-
-def _has_endless_heap(content: mmap.mmap) -> bool:
-    """Whether HDF5 would not come to an end in a heap of texts: an object without a size, or one that ends outside."""
-    at = content.find(_HEAP)
-    while at >= 0:
-        begin, end = at + 16, at + int.from_bytes(content[at + 8 : at + 16], "little")
-        while begin + 16 <= end:
-            index, size = (int.from_bytes(content[begin + k : begin + k + 8], "little") for k in (0, 8))
-            begin += 16 + (size + 7) // 8 * 8 if index & 0xFFFF else size or end
-            if begin > end:
-                return True
-        at = content.find(_HEAP, at + 8)
-    return False
 
 
 def _variables(group: Any, most: int) -> dict[str, Variable]:

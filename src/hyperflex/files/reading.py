@@ -80,18 +80,26 @@ def read_bytes(path: PathLike, what: str = "file") -> bytes:
         raise FileProblem(f"The {what} {path} cannot be read: {error.strerror}. Give another path.") from error
 
 
-def read_text(path: PathLike, what: str = "file") -> str:
-    """Return a UTF-8 text (a byte order mark is dropped). Raises FileProblem for other encodings and binary files."""
+def read_text(path: PathLike, what: str = "file", *, any_encoding: bool = False) -> str:
+    """Return a UTF-8 text (a byte order mark is dropped); with `any_encoding` also UTF-16 with a mark, and Latin-1.
+
+    Raises FileProblem for other encodings and binary files.
+    """
     content = read_bytes(path, what)
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise FileProblem(f"{path} is UTF-16 text. Save it as UTF-8 and try again.")
+    wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
     try:
-        text = content.decode("utf-8-sig")
+        text = content.decode("utf-16" if wide and any_encoding else "utf-8-sig")
     except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise FileProblem(
-            f"{path} is not a text {what}: byte {error.start} (line {line}) is not UTF-8. Give a text file in UTF-8."
-        ) from None
+        if wide:
+            advice = "It is damaged or cut off" if any_encoding else "Save it as UTF-8 and try again"
+            raise FileProblem(f"{path} is UTF-16 text that cannot be read. {advice}.") from None
+        if not any_encoding:
+            line = content[: error.start].count(b"\n") + 1
+            raise FileProblem(
+                f"{path} is not a text {what}: byte {error.start} (line {line}) is not UTF-8. Give a text "
+                "file in UTF-8."
+            ) from None
+        text = content.decode("latin-1")
     if "\x00" in text:
         raise FileProblem(f"{path} is a binary file, not a text {what}. Give a text file in UTF-8.")
     return text

@@ -3,10 +3,11 @@
 Nothing is guessed: what neither the file nor the caller declares is refused, and what both declare must agree.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, TypedDict
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -21,14 +22,29 @@ RADIANS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "turn": 2.0 * math.
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS: dict[Kind, tuple[str, ...]] = {"angles": tuple(RADIANS), "markers": (*METRES, "px")}
 FASTEST = 300.0  # rad/s, 48 turns a second: faster than any pendulum or rope link seen in recordings so far
+EPOCH = 1e8  # s, 3 years: no clock of a lab counts that far from its own start, and stamps since 1970 passed it in 1973
+STEEPEST = math.radians(30.0)  # of a fitted plane against the vertical: beyond it the plane is not that of a swing
 LONG = 3.5  # usual steps; up to two missing rows leave the slope of a well sampled swing readable
 
+PLANES = {right + up: ("xyz".index(right), "xyz".index(up)) for right, up in itertools.permutations("xyz", 2)}
+WORDS = {  # other names of units, in lower case
+    **dict.fromkeys(("sec", "second", "seconds"), "s"),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec"), "ms"),
+    **dict.fromkeys(("°", "º", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("pixel", "pixels"), "px"),
+}
 OPTIONS: dict[str, tuple[str, ...]] = {
     "time_unit": (*SECONDS, "frame"),
     "y_axis": ("up", "down"),
     "zero": ("hanging", "up"),
     "sense": ("+x", "-x"),
     "angles": ("absolute", "relative"),
+    "plane": (*PLANES, "fit"),
+    "up": tuple("xyz"),
 }
 POSITIVE = {"frame_rate": "frames/s", "scale": "m per pixel"}
 DEFAULTS = {"zero": "hanging", "sense": "+x", "angles": "absolute"}
@@ -46,6 +62,9 @@ class DeclarationFields(TypedDict, total=False):
     sense: str | None
     angles: str | None
     wrapped: bool | None
+    plane: str | None
+    up: str | None
+    min_likelihood: float | None
 
 
 @dataclass(frozen=True)
@@ -61,13 +80,18 @@ class Declarations:
     sense: str | None = option(None, "side to which angles grow: +x or -x")
     angles: str | None = option(None, "absolute, or relative to the link before")
     wrapped: bool | None = option(None, "whether angles jump by whole turns")
+    plane: str | None = option(None, "plane of the swing, for markers in space: xz (x right, z up), xy, yz, .. or fit")
+    up: str | None = option(None, "axis in space that points up, for a fitted plane: x, y or z")
+    min_likelihood: float | None = option(None, "likelihood below which a marker is a gap", shown="0.6 for DeepLabCut")
 
 
 @dataclass(frozen=True)
 class Raw:
     """Columns as a file holds them, and what the file declares about them.
 
-    ``declared`` binds the caller too; ``usual`` is what the format means unless the caller says otherwise.
+    ``data`` is (T, C): angles, x and y of each marker or, ``in_space``, x, y and z of each. ``likelihood`` (T, C) is 1
+    where nothing is known. ``declared`` binds the caller too; ``usual`` is what the format means unless the caller says
+    otherwise.
     """
 
     t: Array
@@ -75,8 +99,12 @@ class Raw:
     kind: Kind
     noise: Array | None = None
     rates: Array | None = None
+    likelihood: Array | None = None
+    in_space: bool = False
     declared: Mapping[str, Any] = field(default_factory=dict)
     usual: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
     convention: str = ""
     name: str = ""
     source: str = ""
@@ -85,8 +113,12 @@ class Raw:
 def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) -> Recording:
     """Return `raw` as a Recording by what the file and the caller (`given`, and `noise` or None) declare."""
     declared = {**DEFAULTS, **raw.usual, **_agreed(raw, asdict(given))}
+    if raw.in_space:
+        declared.setdefault("y_axis", "up")  # as the plane says
     with located(raw.source):
         _check(raw, declared)
+        raw, words = _likely(raw, declared)
+        raw, swing = _in_plane(raw, declared)
     std = _agreed(raw, {"noise": noise}).get("noise", raw.noise)
     std = None if std is None else per_sample(std, raw.data)
     time = SECONDS[declared["time_unit"]] if "frame_rate" not in declared else 1.0 / declared["frame_rate"]
@@ -94,12 +126,14 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
     size = declared["scale"] if unit == "px" else {**RADIANS, **METRES}[unit]
     if raw.kind == "angles":
         factor = size if declared["sense"] == "+x" else -size
-        words = (
-            f"as {declared['angles']} angles in {unit}, zero {declared['zero']}, positive towards {declared['sense']}"
+        words.insert(
+            0,
+            f"as {declared['angles']} angles in {unit}, zero {declared['zero']}, positive towards {declared['sense']}",
         )
     else:
         factor = np.where(np.arange(data.shape[1]) % 2 == 1, -size if declared["y_axis"] == "down" else size, size)
-        words = f"in {unit}, y {declared['y_axis']}" + (f", {size:g} m per pixel" if unit == "px" else "")
+        words.insert(0, f"in {unit}, y {declared['y_axis']}" + (f", {size:g} m per pixel" if unit == "px" else ""))
+        words += [] if swing is None else [swing.text(size)]
     with located(raw.source), np.errstate(over="ignore", invalid="ignore"):  # Recording names what is not finite
         data, rates = data * factor, None if rates is None else rates * factor
         std = None if std is None else std * size
@@ -109,11 +143,95 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
                 data, rates = np.cumsum(data, axis=1), None if rates is None else np.cumsum(rates, axis=1)
                 std = None if std is None else np.sqrt(np.cumsum(std**2, axis=1))
             data = data - math.pi if declared["zero"] == "up" else data
-        read = f"{CONVENTION[raw.kind]}; read {words}"
-        recording = Recording(raw.t * time, data, raw.kind, std, rates, raw.convention or read, raw.name, raw.source)
+            data = _within_a_turn(data) if declared.get("wrapped") else data
+        facts, t = dict(raw.facts), raw.t
+        if t.size and float(t[0]) * time > EPOCH:
+            t, facts["epoch"] = t - t[0], float(t[0]) * time
+        if swing is not None:
+            facts["out_of_plane"] = swing.rms * size
+        recording = Recording(
+            t=t * time,
+            data=data,
+            kind=raw.kind,
+            noise=std,
+            rates=rates,
+            convention=raw.convention or f"{CONVENTION[raw.kind]}; read {'; '.join([*words, *raw.remarks])}",
+            name=raw.name,
+            source=raw.source,
+            **facts,
+        )
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", max_rate, sign="positive", unit="rad/s"))
     return recording
+
+
+class _Swing(NamedTuple):
+    """The plane of markers in space: root mean square distance from it (unit of the data), and its tilt, rad."""
+
+    name: str
+    rms: float
+    tilt: float
+
+    def text(self, size: float) -> str:
+        """Describe the plane; `size` is the unit of the data, m."""
+        tilt = f" ({math.degrees(self.tilt):.1f} degrees from the vertical)" if self.name == "fit" else ""
+        return f"plane {self.name}{tilt}, {1e3 * size * self.rms:.3g} mm rms of motion out of it"
+
+
+def _likely(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, list[str]]:
+    """Return the data with gaps where the likelihood is too low, and a text on that."""
+    least = declared.get("min_likelihood")
+    if raw.likelihood is None or least is None:
+        return raw, []
+    low = (raw.likelihood < least) & ~np.isnan(raw.data)
+    data = np.where(low, np.nan, raw.data)
+    if low.any() and (lost := np.isnan(data).all(axis=0)).any():
+        column = int(np.argmax(lost))
+        raise InvalidInput(
+            f"all positions of marker {column // (3 if raw.in_space else 2)} have a likelihood below min_likelihood",
+            got=least,
+            allowed=f"at most {np.nanmax(raw.likelihood[:, column]):.3g}, its largest",
+            fix="Train the network further, choose other markers, or pass a smaller min_likelihood",
+        )
+    count = int(low.any(axis=1).sum())
+    return replace(raw, data=data), [f"likelihood below {least:g} in {count} of {raw.t.size} frames: gaps"]
+
+
+def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None]:
+    """Return markers in space as x and y in the plane of the swing, and that plane; other data as they are."""
+    if not raw.in_space:
+        return raw, None
+    points = raw.data.reshape(raw.t.size, -1, 3)
+    moved = points - np.nanmean(points, axis=0)
+    name, axes = declared["plane"], np.eye(3)
+    if name == "fit":
+        whole = moved[~np.isnan(moved).any(axis=-1)]
+        normal, vertical = np.linalg.svd(whole.T @ whole)[0][:, 2], axes["xyz".index(declared["up"])]
+        tilt = math.asin(min(1.0, abs(float(normal @ vertical))))
+        if tilt > STEEPEST:
+            raise InvalidInput(
+                f"the fitted plane of the motion is {math.degrees(tilt):.0f} degrees from the vertical",
+                got=f"up = {declared['up']!r}",
+                allowed=f"at most {math.degrees(STEEPEST):.0f} degrees",
+                fix="Pass another up, or the plane itself, such as plane='xz'",
+            )
+        up = vertical - (vertical @ normal) * normal
+        up /= np.linalg.norm(up)
+        right = np.cross(up, normal)
+        right *= np.sign(right[np.argmax(np.abs(right))])
+    else:
+        right, up = (axes[k] for k in PLANES[name])
+        normal, tilt = np.cross(right, up), 0.0
+    rms = math.sqrt(float(np.nanmean((moved @ normal) ** 2)))
+    data = np.stack([points @ right, points @ up], axis=-1).reshape(raw.t.size, -1)
+    return replace(raw, data=data, in_space=False), _Swing(name, rms, tilt)
+
+
+def _within_a_turn(angle: Array) -> Array:
+    """Return angles (T, n) without the whole turns of each column's first known one."""
+    known = ~np.isnan(angle)
+    first = np.where(known.any(axis=0), np.take_along_axis(angle, known.argmax(axis=0)[None], axis=0)[0], 0.0)
+    return np.asarray(angle - 2.0 * math.pi * np.round(first / (2.0 * math.pi)))
 
 
 def _agreed(raw: Raw, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -132,28 +250,50 @@ def _agreed(raw: Raw, given: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _check(raw: Raw, declared: Mapping[str, Any]) -> None:
-    """Refuse what is not known or does not apply, and name all that is still missing."""
-    options = {**OPTIONS, "unit": UNITS[raw.kind]}
-    applies = {
+def unit_name(text: str) -> str:
+    """Return the name that declarations have for a unit, such as deg for °; other texts as they are."""
+    return WORDS.get(text.lower(), text)
+
+
+def missing_declarations(raw: Raw, declared: Mapping[str, Any]) -> dict[str, str]:
+    """Return the declarations that are needed and not in `declared`, each with its allowed values."""
+    needed = ["time_unit", "unit", *(key for key, (_, applies) in _applying(raw, declared).items() if applies)]
+    allowed = {key: " | ".join(each) for key, each in _choices(raw).items()} | POSITIVE
+    return {key: allowed[key] for key in needed if key not in declared and key != "min_likelihood"}
+
+
+def _choices(raw: Raw) -> dict[str, tuple[str, ...]]:
+    return {**OPTIONS, "unit": UNITS[raw.kind]}
+
+
+def _applying(raw: Raw, declared: Mapping[str, Any]) -> dict[str, tuple[str, bool]]:
+    """Return, by declaration, what it is for, and whether that is the case."""
+    return {
         "frame_rate": ("times that count frames", declared.get("time_unit") == "frame"),
         "y_axis": ("markers", raw.kind == "markers"),
         "scale": ("markers in pixels", raw.kind == "markers" and declared.get("unit") == "px"),
+        "plane": ("markers in space", raw.in_space),
+        "up": ("a fitted plane", declared.get("plane") == "fit"),
+        "min_likelihood": ("data with likelihoods", raw.likelihood is not None),
     }
+
+
+def _check(raw: Raw, declared: Mapping[str, Any]) -> None:
+    """Refuse what is not known or does not apply, and name all that is still missing."""
+    options, applies = _choices(raw), _applying(raw, declared)
     for key, value in declared.items():
         if key in options:
             checks.choice(key, value, options[key])
-        elif key in POSITIVE:
-            checks.number(key, value, sign="positive", unit=POSITIVE[key])
-        if key in applies and not applies[key][1]:
+        elif key in POSITIVE or key == "min_likelihood":
+            checks.number(key, value, sign="positive", unit=POSITIVE.get(key, ""))
+        if key in applies and not applies[key][1] and value != raw.usual.get(key):
             fix = f"Omit {key}, or declare what {raw.source} holds"
             raise InvalidInput(f"{key} is for {applies[key][0]}", got=value, fix=fix)
-    needed = ["time_unit", "unit", *(key for key, (_, needed) in applies.items() if needed)]
-    if missing := [key for key in needed if key not in declared]:
-        allowed = {key: " | ".join(each) for key, each in options.items()} | POSITIVE
+    if missing := missing_declarations(raw, declared):
         raise InvalidInput(
-            f"{raw.source} holds {raw.kind}, but not all that is needed to read them is declared",
-            fix=f"Pass {', '.join(f'{key}=... ({allowed[key]})' for key in missing)}; nothing is guessed",
+            f"{raw.source} holds {raw.kind}{' in space' if raw.in_space else ''}, but not all that is needed to read "
+            "them is declared",
+            fix=f"Pass {', '.join(f'{key}=... ({allowed})' for key, allowed in missing.items())}; nothing is guessed",
         )
 
 

@@ -13,7 +13,8 @@ from hyperflex import checks, extras
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import LARGEST, PathLike, as_path, not_damaged, regular_file
-from hyperflex.recording.declare import Raw
+from hyperflex.recording.content import Content, Selection, content_of_channels, content_of_markers
+from hyperflex.recording.declare import EPOCH, PLANES
 from hyperflex.recording.recording import Kind
 
 MCAP_FORMAT = "hyperflex mcap 1"
@@ -28,7 +29,6 @@ KINDS: dict[str, Kind] = {  # by schema
     "geometry_msgs/msg/PoseStamped": "markers",
     "geometry_msgs/msg/PointStamped": "markers",
 }
-PLANES = {"xz": (0, 2), "xy": (0, 1), "yz": (1, 2)}  # axes to the right and up, of poses in space
 TIMES = ("t", "log")  # stamps in the messages, or times at which they were recorded
 
 
@@ -38,16 +38,6 @@ class Topic(NamedTuple):
     name: str
     schema: str
     messages: int
-
-
-class Selection(NamedTuple):
-    """What the caller asks for: a topic and a kind where there are several, joints by name, a plane, which times."""
-
-    topic: str | None = None
-    kind: str | None = None
-    columns: Sequence[str] | None = None
-    plane: str | None = None
-    time: str = TIMES[0]
 
 
 class Message(NamedTuple):
@@ -68,7 +58,7 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() and (path / "metadata.yaml").exists()
 
 
-def read_mcap(path: PathLike, selection: Selection) -> Raw:
+def read_mcap(path: PathLike, selection: Selection) -> Content:
     """Return the messages of one topic of an MCAP file as columns, with what the file declares."""
     reader = extras.load("mcap.reader", "mcap", "MCAP files")
     file = regular_file(path, "MCAP file")
@@ -82,7 +72,7 @@ def read_mcap(path: PathLike, selection: Selection) -> Raw:
     return read_bag(path, selection)
 
 
-def _of_mcap(path: PathLike, reader: Any, summary: Any, selection: Selection) -> Raw:
+def _of_mcap(path: PathLike, reader: Any, summary: Any, selection: Selection) -> Content:
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
     topics = [
         Topic(each.topic, summary.schemas[each.schema_id].name, counts.get(each.id, 1))
@@ -96,14 +86,15 @@ def _of_mcap(path: PathLike, reader: Any, summary: Any, selection: Selection) ->
     topic = _choose(path, topics, selection)
     messages = _json_messages(reader, topic, selection.time, exact=bool(own))
     if not own:
-        return _columns(path, topic, messages, selection)
-    selection = selection._replace(plane=selection.plane or own.get("plane"))
+        return _content(path, topic, messages, selection)
     if KINDS[topic.schema] == "angles":
         selection = selection._replace(columns=selection.columns or json.loads(own.get("columns", "null")))
-    raw = _columns(path, topic, messages, selection)
-    axes = {"angles": "absolute"} if raw.kind == "angles" else {"y_axis": "up"}
-    convention = own.get("convention", "") if raw.kind == own["kind"] else ""
-    return replace(raw, declared={**raw.declared, **axes}, usual={}, convention=convention, name=own.get("name", ""))
+    content = _content(path, topic, messages, selection, own.get("plane"))
+    kind = KINDS[topic.schema]
+    axes = {"angles": "absolute"} if kind == "angles" else {"y_axis": "up"}
+    convention = own.get("convention", "") if kind == own["kind"] else ""
+    declared = {**content.declared, **axes}
+    return replace(content, declared=declared, usual={}, convention=convention, name=own.get("name", ""))
 
 
 def _json_messages(reader: Any, topic: Topic, time: str, *, exact: bool) -> Iterator[Message]:
@@ -131,7 +122,7 @@ def _number(value: Any) -> float:
     return float("nan") if value is None else float(value)
 
 
-def read_bag(path: PathLike, selection: Selection) -> Raw:
+def read_bag(path: PathLike, selection: Selection) -> Content:
     """Return the messages of one topic of a ROS 2 bag as columns."""
     bags = extras.load("rosbags.highlevel", "ros", "ROS bags")
     stores = extras.load("rosbags.typesys", "ros", "ROS bags")
@@ -142,7 +133,7 @@ def read_bag(path: PathLike, selection: Selection) -> Raw:
     ):
         topics = [Topic(name, each.msgtype or "", each.msgcount) for name, each in reader.topics.items()]
         topic = _choose(path, topics, selection)
-        return _columns(path, topic, _ros_messages(reader, topic, selection.time), selection)
+        return _content(path, topic, _ros_messages(reader, topic, selection.time), selection)
 
 
 def _ros_messages(reader: Any, topic: Topic, time: str) -> Iterator[Message]:
@@ -163,8 +154,6 @@ def _ros_messages(reader: Any, topic: Topic, time: str) -> Iterator[Message]:
 def _choose(path: PathLike, topics: Sequence[Topic], selection: Selection) -> Topic:
     """Return the selected topic; InvalidInput where there is none, or where several could be meant."""
     checks.choice("time", selection.time, TIMES)
-    if selection.plane is not None:
-        checks.choice("plane", selection.plane, tuple(PLANES))
     known = sorted(each for each in topics if each.schema in KINDS)
     listed = ", ".join(f"{each.name} ({KINDS[each.schema]})" for each in known) or "none"
     fit = [
@@ -181,12 +170,16 @@ def _choose(path: PathLike, topics: Sequence[Topic], selection: Selection) -> To
     return fit[0]
 
 
-def _columns(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
-    """Return messages as columns."""
-    return (_joints if KINDS[topic.schema] == "angles" else _poses)(path, topic, messages, selection)
+def _content(
+    path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection, plane: str | None = None
+) -> Content:
+    """Return messages as the content of a file; `plane` is that of poses in a file of ours."""
+    if KINDS[topic.schema] == "angles":
+        return _joints(path, messages, selection)
+    return _poses(path, topic, messages, selection, plane)
 
 
-def _joints(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
+def _joints(path: PathLike, messages: Iterator[Message], selection: Selection) -> Content:
     """Return joints as columns in the order of the given names, by default the first message's; NaN in gaps."""
     times: list[float] = []
     order, columns = list(selection.columns or ()), {"values": array("d"), "rates": array("d"), "std": array("d")}
@@ -205,34 +198,55 @@ def _joints(path: PathLike, topic: Topic, messages: Iterator[Message], selection
     whole = {key: np.array(each).reshape(shape) for key, each in columns.items() if len(each) == shape[0] * shape[1]}
     if unseen := [name for name, column in zip(order, whole["values"].T, strict=True) if np.isnan(column).all()]:
         raise InvalidInput(f"{path} has no joints of these names", got=unseen, fix="Check columns=[...]")
-    declared, usual = {"time_unit": "s", "unit": "rad"}, {"angles": "relative"}  # joint coordinates
-    noise, rates = whole.get("std"), whole.get("rates")
-    return Raw(_seconds(times), whole["values"], "angles", noise, rates, declared, usual, source=str(path))
+    beside = {key: {name: f"{name} {key}" for name in order} for key in ("rates", "std") if key in whole}
+    channels = dict(zip(order, whole["values"].T, strict=True))
+    for key, names in beside.items():
+        channels |= zip(names.values(), whole[key].T, strict=True)
+    t, facts = _seconds(times)
+    return content_of_channels(
+        t,
+        channels,
+        str(path),
+        angles=order,
+        rates=beside.get("rates", {}),
+        noise=beside.get("std", {}),
+        units=dict.fromkeys(order, "rad"),
+        declared={"time_unit": "s"},
+        usual={"angles": "relative"},  # joint coordinates
+        facts=facts,
+    )
 
 
-def _poses(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
-    """Return the places of poses in a plane as columns."""
+def _poses(
+    path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection, plane: str | None
+) -> Content:
+    """Return the places of poses, numbered from 0; in a plane with their noise where the file says which."""
     if selection.columns is not None:
         raise InvalidInput(f"{path}: columns are names of joints, {topic.name} holds poses", fix="Omit them")
-    if selection.plane is None:
-        allowed = "'xz' (x right, z up), 'xy' or 'yz'"
-        fix = "Pass plane=...: the axes to the right and up, in which the rope swings"
-        raise InvalidInput(f"{path} holds places in space, and no plane is declared", allowed=allowed, fix=fix)
     times, places, std = zip(*((row.time, row.values, row.std) for row in messages), strict=True)
     sizes = [len(each) for each in places]
     if len(set(sizes)) > 1:
         k = next(k for k, size in enumerate(sizes) if size != sizes[0])
         got = f"{sizes[k] // 3}, the first one {sizes[0] // 3}"
         raise InvalidInput(f"{path}: message {k} has another number of poses", got=got, fix="Select another topic")
-    data = np.array(places).reshape(len(times), -1, 3)[:, :, PLANES[selection.plane]].reshape(len(times), -1)
-    declared, usual = {"time_unit": "s", "unit": "m"}, {"y_axis": "up"}
-    noise = np.array(std).reshape(data.shape) if std[0] else None
-    return Raw(_seconds(times), data, "markers", noise, None, declared, usual, source=str(path))
+    data = np.array(places).reshape(len(times), -1, 3)
+    data = data if plane is None else data[:, :, PLANES[plane]]
+    markers = {str(k): data[:, k] for k in range(data.shape[1])}
+    t, facts = _seconds(times)
+    noise = {}
+    if plane is not None and std[0]:
+        noise = dict(zip(markers, np.array(std).reshape(len(times), -1, 2).swapaxes(0, 1), strict=True))
+    declared = {"time_unit": "s", "unit": "m"}
+    usual = {"y_axis": "up"}
+    return content_of_markers(
+        t, markers, str(path), noises=noise, ordered=True, declared=declared, usual=usual, facts=facts
+    )
 
 
-def _seconds(times: Sequence[float]) -> Array:
-    """Return times in s; whole nanoseconds are counted from the first."""
+def _seconds(times: Sequence[float]) -> tuple[Array, dict[str, float]]:
+    """Return times in s, and the epoch if they are stamps; whole nanoseconds are counted from the first."""
     if times and isinstance(times[0], int):
         stamps = np.array(times, dtype=np.int64)
-        return np.asarray((stamps - stamps[0]) / 1e9)
-    return np.array(times, dtype=np.float64)
+        epoch = float(stamps[0]) / 1e9
+        return np.asarray((stamps - stamps[0]) / 1e9), {"epoch": epoch} if epoch > EPOCH else {}
+    return np.array(times, dtype=np.float64), {}

@@ -17,6 +17,7 @@ Kind = Literal["angles", "markers"]
 KINDS: tuple[Kind, ...] = ("angles", "markers")
 FORMAT = "hyperflex recording 1"
 VARIABLE: dict[Kind, str] = {"angles": "angle", "markers": "position"}  # of a NetCDF file
+FACTS = {"epoch": "s", "out_of_plane": "m"}  # numbers about a recording that are attributes in NetCDF
 UNIT = {"angles": "rad", "markers": "m"}
 CONVENTION = {
     "angles": "absolute link angles in rad, 0 hanging, positive towards +x",
@@ -45,6 +46,10 @@ class Recording:
         are mostly computed from the angles.
     convention, name, source : str
         For reports: the declared and converted units and axes, a short name, and the source of the data.
+    epoch : float, s, optional
+        Time 0 in seconds since 1970, where the file has such stamps.
+    out_of_plane : float, m, optional
+        Root mean square of the motion out of the plane of the swing, of markers that were measured in space.
 
     Raises
     ------
@@ -67,6 +72,8 @@ class Recording:
     convention: str = ""
     name: str = ""
     source: str = ""
+    epoch: float | None = None
+    out_of_plane: float | None = None
 
     def __post_init__(self) -> None:
         kind = cast(Kind, checks.choice("kind", self.kind, KINDS))
@@ -76,6 +83,9 @@ class Recording:
         for name in ("convention", "name", "source"):
             checks.text(f"recording {name}", getattr(self, name))
         values: dict[str, object] = {"t": t, "data": data, "convention": self.convention or CONVENTION[kind]}
+        for name, unit in FACTS.items():
+            if (fact := getattr(self, name)) is not None:
+                values[name] = checks.number(f"recording {name}", fact, unit=unit)
         if self.noise is not None:
             values["noise"] = per_sample(self.noise, data)
         if self.rates is not None:
@@ -179,8 +189,9 @@ class Recording:
         ):
             if values is not None:
                 variables[name] = Variable(dims, values.reshape(shape), {"units": unit, "long_name": long_name})
-        texts = {key: getattr(self, key) for key in ("kind", "convention", "name", "source")}
-        files.write_netcdf(path, NetCDF(variables, {**(attributes or {}), "format": FORMAT, **axes, **texts}))
+        own = {key: getattr(self, key) for key in ("kind", "convention", "name", "source")}
+        own |= {key: fact for key in FACTS if (fact := getattr(self, key)) is not None}
+        files.write_netcdf(path, NetCDF(variables, {**(attributes or {}), "format": FORMAT, **axes, **own}))
 
     def _lines(self, what: str) -> Array:
         """Return the lines from marker to marker (T, n, 2), m; a marker alone is refused."""

@@ -1,0 +1,240 @@
+"""Text files of optical motion capture: OptiTrack Motive, Vicon Nexus, Qualisys and OpenSim (TRC).
+
+Each has markers in space in a wide table below a header of its own; the header gives rate, unit and names.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike, Table, cells_of, read_lines
+from hyperflex.recording.content import Content, Selection, content_of_markers
+from hyperflex.recording.declare import unit_name
+
+_AXES = ("x", "y", "z")
+_RIGID_BODY = 11  # cells of one in a frame of Motive 1.1: number, place, quaternion, three angles
+_MARKER = 5  # cells of one: place, number, name
+
+
+def read_motive(path: PathLike, selection: Selection) -> Content:
+    """Return the markers, and the centres of rigid bodies, of a CSV file of OptiTrack Motive 1.2 or later."""
+    lines = read_lines(path)
+    meta = cells_of(lines[0])
+    about = dict(zip(meta[::2], meta[1::2], strict=False))
+    top = _row_of(path, lines, "Frame")
+    header = [_filled(cells_of(line), 0) for line in lines[1:top] if line.strip(", ")]
+    axes = cells_of(lines[top])
+    if len(header) < 3:
+        raise InvalidInput(f"{path} lacks the rows Type, Name and ID", fix="Export it again, with its header")
+    kinds, names, parts = (row + [""] * (len(axes) - len(row)) for row in (header[0], header[1], header[-1]))
+    labels = []
+    for kind, name, part, axis in zip(kinds, names, parts, axes, strict=False):
+        shown = name if kind in ("Marker", "Rigid Body", "Bone") else f"{name} ({kind})"
+        labels.append((shown if part == "Position" else f"{name} {part}", axis.lower()))
+    declared: dict[str, Any] = {"time_unit": "s"}
+    if unit := about.get("Length Units"):
+        declared["unit"] = unit_name(unit)
+    time = next((k for k, axis in enumerate(axes) if axis.startswith("Time")), 1)
+    return _content(path, lines, top + 1, labels, time, declared=declared)
+
+
+def read_motive_frames(path: PathLike, selection: Selection) -> Content:
+    """Return the markers of a CSV file of OptiTrack Motive 1.1: a line a frame, with those markers that it shows."""
+    places: dict[str, dict[int, list[float]]] = {}
+    times: list[float] = []
+    for number, line in enumerate(read_lines(path), 1):
+        if not line.startswith("frame,"):
+            continue
+        cells = cells_of(line)
+        try:
+            time, bodies = float(cells[2]), int(cells[3])
+            at = 4 + _RIGID_BODY * bodies
+            count = int(cells[at])
+            for k in range(count):
+                *place, identity, name = cells[at + 1 + _MARKER * k : at + 1 + _MARKER * (k + 1)]
+                x, y, z = map(float, place)
+                places.setdefault(name or identity, {})[len(times)] = [x, y, z]
+        except (ValueError, IndexError):
+            raise InvalidInput(
+                f"{path}, line {number}, is no frame of Motive 1.1",
+                got=line[:80],
+                allowed="frame,index,time,0,count and x,y,z,id,name of each marker",
+                fix="Remove the line, or export the take again",
+            ) from None
+        times.append(time)
+    markers = {name: _spread(rows, len(times)) for name, rows in places.items()}
+    return content_of_markers(np.array(times), markers, str(path), declared={"time_unit": "s"}, usual={"unit": "m"})
+
+
+def _spread(rows: dict[int, list[float]], count: int) -> Any:
+    """Return places (T, 3) by the frame in which they are, NaN elsewhere."""
+    values = np.full((count, 3), np.nan)
+    values[list(rows)] = list(rows.values())
+    return values
+
+
+def read_vicon(path: PathLike, selection: Selection) -> Content:
+    """Return the block Trajectories of a CSV file of Vicon Nexus."""
+    lines = read_lines(path)
+    blocks = {cells_of(line)[0]: k for k, line in enumerate(lines) if k + 3 < len(lines) and _begins_block(lines[k:])}
+    if "Trajectories" not in blocks:
+        raise InvalidInput(
+            f"{path} is a Vicon Nexus file without markers",
+            got=list(blocks),
+            allowed="a block Trajectories",
+            fix="Export the trajectories from Nexus as ASCII; devices and model outputs hold no places of markers",
+        )
+    at = blocks["Trajectories"]
+    end = next((k for k in range(at + 5, len(lines)) if not lines[k].strip(",; \t")), len(lines))
+    names, axes, units = (cells_of(line) for line in lines[at + 2 : at + 5])
+    labels = [(name, axis.lower()) for name, axis in zip(_filled(names, 2), axes, strict=False)]
+    found = {unit for unit in units if unit}
+    declared = {"time_unit": "frame", "frame_rate": _rate(path, cells_of(lines[at + 1])[0])}
+    if len(found) == 1:
+        declared["unit"] = unit_name(found.pop())
+    return _content(path, lines[:end], at + 5, labels, 0, declared=declared, last=end == len(lines))
+
+
+def _begins_block(lines: Sequence[str]) -> bool:
+    """Whether a block of Vicon Nexus begins: its name, a rate, names, and Frame with Sub Frame."""
+    first, rate = cells_of(lines[0]), cells_of(lines[1])
+    return bool(first[0]) and not any(first[1:]) and bool(rate[0]) and cells_of(lines[3])[:2] == ["Frame", "Sub Frame"]
+
+
+def read_qualisys(path: PathLike, selection: Selection) -> Content:
+    """Return the markers of a TSV file of Qualisys Track Manager; those at 0, 0, 0 are gaps."""
+    lines, top = read_lines(path), 0
+    about: dict[str, list[str]] = {}
+    while top < len(lines) and lines[top].partition("\t")[0].replace("_", "").isupper():
+        key, *values = lines[top].rstrip("\t ").split("\t")
+        about.setdefault(key, [value.strip() for value in values])
+        top += 1
+    names = about.get("MARKER_NAMES", [])
+    if about.get("DATA_INCLUDED", ["3D"]) != ["3D"] or not names:
+        raise InvalidInput(
+            f"{path} is a Qualisys file without markers in space",
+            got=about.get("DATA_INCLUDED"),
+            allowed="DATA_INCLUDED 3D, with MARKER_NAMES",
+            fix="Export 3D data from QTM, with the TSV header",
+        )
+    first = 0
+    if top < len(lines) and lines[top].startswith(("Frame", "Time")):
+        first = 2 if lines[top].startswith("Frame") else 1
+        top += 1
+    elif top < len(lines):
+        first = len(lines[top].rstrip().split("\t")) - 3 * len(names)  # without a row of names: 0, 1 or 2 more
+    labels = [("", "frame"), ("", "time")][2 - first :] if 0 <= first <= 2 else []
+    labels += [(name, axis) for name in names for axis in _AXES]
+    declared: dict[str, Any] = {"time_unit": "s"}
+    if first != 2:
+        declared = {"time_unit": "frame", "frame_rate": _rate(path, *about.get("FREQUENCY", [])[:1])}
+    time = first - 1 if first == 2 else -1
+    return _content(path, lines, top, labels, time, declared=declared, usual={"unit": "mm"}, zero_is_gap=True)
+
+
+def read_trc(path: PathLike, selection: Selection) -> Content:
+    """Return the markers of a TRC file of OpenSim, with tabs or commas."""
+    lines = read_lines(path)
+    if len(lines) < 6:
+        raise InvalidInput(f"{path} is a TRC file without rows", fix="It was probably cut off: get it again")
+    about = dict(zip(cells_of(lines[1]), cells_of(lines[2]), strict=False))
+    names = _filled(cells_of(lines[3].rstrip("\t, ")), 2)
+    names += names[-1:] * 2  # of the last marker
+    labels = [(name, _AXES[(k - 2) % 3] if k >= 2 else "") for k, name in enumerate(names)]
+    declared: dict[str, Any] = {"time_unit": "s"}
+    if unit := about.get("Units"):
+        declared["unit"] = unit_name(unit)
+    top = 5 if cells_of(lines[4])[-1][:1] in "XYZ" or not lines[4].strip() else 4
+    return _content(path, lines, top, labels, 1, declared=declared)
+
+
+def _rate(path: PathLike, text: str = "") -> float:
+    """Return a rate, frames/s."""
+    try:
+        return float(text)
+    except ValueError:
+        fix = "Mend its header, or export it again"
+        raise InvalidInput(f"{path} has no frame rate in its header", got=text, allowed="frames/s", fix=fix) from None
+
+
+def _row_of(path: PathLike, lines: Sequence[str], first: str) -> int:
+    """Return the index of the line whose first cell is this."""
+    for k, line in enumerate(lines):
+        if line.startswith(first):
+            return k
+    raise InvalidInput(f"{path} has no row that begins with {first}", fix="Export it again, with its header")
+
+
+def _filled(names: Sequence[str], first: int) -> list[str]:
+    """Return names in which an empty one, from an index on, is the one to its left."""
+    full = list(names)
+    for k in range(first + 1, len(full)):
+        full[k] = full[k] or full[k - 1]
+    return full
+
+
+def _content(
+    path: PathLike,
+    lines: Sequence[str],
+    top: int,
+    labels: Sequence[tuple[str, str]],
+    time: int,
+    *,
+    zero_is_gap: bool = False,
+    last: bool = True,
+    **more: Any,
+) -> Content:
+    """Return the content of a wide table.
+
+    Parameters
+    ----------
+    lines, top
+        The lines of the file; the index of the first row.
+    labels
+        Of each column the marker and the axis; markers have x, y and z.
+    time
+        The column of the times; -1 where rows are counted.
+    zero_is_gap
+        Whether a marker at 0, 0, 0 is missing.
+    last
+        Whether the rows go to the end of the file, which may be cut off.
+    """
+    kept = [(k, lines[k]) for k in range(top, len(lines)) if lines[k].strip(",; \t")]
+    if not kept or not labels:
+        what = f"{path} has a header but no rows" if labels else f"{path} has rows that do not fit its header"
+        raise InvalidInput(what, allowed="a row for each frame", fix="It was probably cut off: get it again")
+    numbers, rows = [k + 1 for k, _ in kept], [row for _, row in kept]
+    names, points = _named(labels)
+    mark = next((mark for mark in "\t;," if mark in rows[0]), " ")
+    table = Table(str(path), names, rows, numbers, mark, cut=last and bool(lines[-1]), ragged=True)
+
+    def take(chosen: Sequence[str]) -> Any:
+        values = table.columns(chosen)
+        if zero_is_gap:
+            marker = {part: parts for parts in points.values() for part in parts}
+            for k, name in enumerate(chosen):
+                values[(table.columns(marker[name]) == 0.0).all(axis=1), k] = np.nan
+        return values
+
+    t = np.arange(float(len(rows))) if time < 0 else table.times(names[time])
+    return Content(t, names, take, points=points, source=str(path), **more)
+
+
+def _named(labels: Sequence[tuple[str, str]]) -> tuple[list[str], dict[str, tuple[str, ...]]]:
+    """Return a name for each column, all different, and the markers that have x, y and z."""
+    names: list[str] = []
+    axes: dict[str, dict[str, str]] = {}
+    for k, (marker, axis) in enumerate(labels):
+        name = f"{marker}_{axis}" if marker and axis else marker or axis or f"column {k}"
+        number = 1
+        while (unique := name if number == 1 else f"{name} ({number})") in axes.setdefault("", {}):
+            number += 1
+        axes[""][unique] = unique
+        names.append(unique)
+        own = marker if number == 1 else f"{marker} ({number})"
+        if marker and axis in _AXES:
+            axes.setdefault(own, {})[axis] = unique
+    del axes[""]
+    return names, {name: tuple(own[axis] for axis in _AXES) for name, own in axes.items() if own.keys() == set(_AXES)}

@@ -1,0 +1,292 @@
+"""What a file of any format holds, in one form, and the choice of the angles or markers to take of it."""
+
+import difflib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.recording.declare import METRES, RADIANS, Raw, unit_name
+from hyperflex.recording.recording import KINDS, Kind
+
+_FIRST = re.compile(r"(?P<axis>[xyzXYZ])[_ .:-]*(?P<name>.*)")
+_LAST = re.compile(r"(?P<name>.*?)[_ .:/-]*(?P<axis>[xyzXYZ])")
+_MOTION = "vap"  # velocity, acceleration and momentum of a point, as Tracker names them
+ALONE = "point"  # name of a marker whose columns are x and y
+_SHOWN = 40  # names of a file that an error lists
+
+
+class Selection(NamedTuple):
+    """What the caller asks for; see :func:`hyperflex.read_recording`."""
+
+    kind: str | None = None
+    time: str = "t"
+    columns: Sequence[str] | None = None
+    markers: Sequence[str] | None = None
+    topic: str | None = None
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a file holds: T samples of named channels, and what it declares about them.
+
+    Attributes
+    ----------
+    t : ndarray (T,)
+        Times, in ``declared["time_unit"]``; "frame" counts frames.
+    names : sequence of str
+        The channels.
+    take : callable
+        Returns channels (T, K) by their names, NaN in gaps.
+    points : mapping of str to tuple of str
+        Markers: the channels of x and y, or of x, y and z, of each.
+    ordered : bool
+        Whether the markers' order is known to be that along the rope.
+    angles : sequence of str
+        Channels that are link angles, in order, as their names say.
+    strangers : sequence of str
+        Channels of unknown meaning beside angles or ordered markers: these are then not taken by default.
+    rates, noise, likelihood, units : mapping of str to str
+        By channel: the channels with its rate, standard deviation and likelihood; its unit.
+    sparse : bool
+        Rows in which no chosen channel has a value belong to other channels, and are left out.
+    declared, usual : mapping
+        As of :class:`Raw`.
+    facts : mapping of str to float
+        Attributes of the recording, of those in FACTS.
+    remarks : tuple of str
+        What a user should know of how the data were read.
+    advice : str
+        What to do, where the file holds no angles and no markers.
+    convention, name, source : str
+        As of :class:`Recording`.
+    """
+
+    t: Array
+    names: Sequence[str]
+    take: Callable[[Sequence[str]], Array]
+    points: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    ordered: bool = False
+    angles: Sequence[str] = ()
+    strangers: Sequence[str] = ()
+    rates: Mapping[str, str] = field(default_factory=dict)
+    noise: Mapping[str, str] = field(default_factory=dict)
+    likelihood: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    sparse: bool = False
+    declared: Mapping[str, Any] = field(default_factory=dict)
+    usual: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    advice: str = ""
+    convention: str = ""
+    name: str = ""
+    source: str = ""
+
+
+def content_of_markers(
+    t: Array,
+    markers: Mapping[str, Array],
+    source: str,
+    *,
+    noises: Mapping[str, Array] = MappingProxyType({}),
+    likelihoods: Mapping[str, Array] = MappingProxyType({}),
+    **more: Any,
+) -> Content:
+    """Return the content of a file of markers, each (T, 2) or (T, 3), with their noise (T, 2) and likelihood (T,)."""
+    points = {name: tuple(f"{name}_{axis}" for axis in "xyz"[: each.shape[1]]) for name, each in markers.items()}
+    channels = {part: markers[name][:, k] for name, parts in points.items() for k, part in enumerate(parts)}
+    channels |= {f"{name}_likelihood": each for name, each in likelihoods.items()}
+    channels |= {f"{part}_noise": noises[name][:, k] for name in noises for k, part in enumerate(points[name])}
+    return content_of_channels(
+        t,
+        channels,
+        source,
+        points=points,
+        likelihood={part: f"{name}_likelihood" for name in likelihoods for part in points[name]},
+        noise={part: f"{part}_noise" for name in noises for part in points[name]},
+        **more,
+    )
+
+
+def content_of_channels(t: Array, channels: Mapping[str, Array], source: str, **more: Any) -> Content:
+    """Return the content of a file of channels, each (T,), or (T, K) for several under one name."""
+    return Content(t, list(channels), lambda names: _stacked(t.size, channels, names), source=source, **more)
+
+
+def _stacked(samples: int, channels: Mapping[str, Array], names: Sequence[str]) -> Array:
+    return np.hstack([channels[name].reshape(samples, -1) for name in names])
+
+
+def points_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return markers by pairs or triples of names that differ in a letter x, y or z at their beginning or end."""
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        for match in filter(None, (_FIRST.fullmatch(name), _LAST.fullmatch(name))):
+            found.setdefault(match["name"] or ALONE, {}).setdefault(match["axis"].lower(), name)
+    points = {
+        name: tuple(axes[key] for key in sorted(axes)) for name, axes in found.items() if {"x", "y"} <= axes.keys()
+    }
+    motion = {
+        part if name == ALONE else f"{name}{mark}{part}" for name in points for part in _MOTION for mark in ("", "_")
+    }
+    return {name: parts for name, parts in points.items() if name not in motion}
+
+
+def raw_of(content: Content, selection: Selection) -> Raw:
+    """Return the columns that the caller asks for, by default those whose meaning the file tells.
+
+    InvalidInput for names that the file does not have, where it does not say which to take, and for channels that are
+    neither angles nor places.
+    """
+    if selection.columns is not None and selection.markers is not None:
+        raise InvalidInput("columns and markers are both given", fix="Give markers alone: all axes of each are taken")
+    if selection.markers is not None:
+        if selection.kind == "angles":
+            raise InvalidInput("markers are no angles", got=selection.kind, fix="Omit kind")
+        kind: Kind = "markers"
+        names, space = _of_markers(content, selection.markers)
+    elif selection.columns is not None:
+        names, space = _known(content, "columns", selection.columns, content.names), False
+        kind = cast(Kind, checks.choice("kind", selection.kind or _kind_by_unit(content, names), KINDS))
+    else:
+        kind, names, space = _by_default(content, selection.kind)
+    declared = dict(content.declared)
+    unit = one_unit(content, names)
+    if unit is not None:
+        if unit not in (RADIANS if kind == "angles" else (*METRES, "px")):
+            what = f"{content.source}: {names[0]!r} is in {unit}, which is no unit of {kind}"
+            raise InvalidInput(what, got=list(names), allowed="angles or places", fix=content.advice or "Choose others")
+        if declared.setdefault("unit", unit) != unit:
+            what = f"{content.source}: header and notes disagree on unit"
+            raise InvalidInput(what, got=[unit, declared["unit"]], fix="Mend one of them")
+    t, data = content.t, content.take(names)
+    extra = {key: _beside(content, key, names) for key in ("rates", "noise", "likelihood")}
+    if content.sparse:
+        kept = ~np.isnan(data).all(axis=1)
+        t, data = t[kept], data[kept]
+        extra = {key: each if each is None else each[kept] for key, each in extra.items()}
+    return Raw(
+        t=t,
+        data=data,
+        kind=kind,
+        in_space=space,
+        declared=declared,
+        usual=content.usual,
+        facts=content.facts,
+        remarks=content.remarks,
+        convention=content.convention,
+        name=content.name,
+        source=content.source,
+        **extra,
+    )
+
+
+def _known(content: Content, what: str, names: object, known: Sequence[str]) -> list[str]:
+    """Return names that the caller gives, all of which the file must have."""
+    given = checks.sequence(what, names, f"a list of names: {_listed(known)}")
+    missing = [name for name in given if name not in known]
+    if missing or not given:
+        close = [each for name in missing for each in difflib.get_close_matches(str(name), known, 1)]
+        raise InvalidInput(
+            f"{content.source} has no such {what}",
+            got=missing or given,
+            allowed=_listed(known) or "none: the file has no markers",
+            fix=f"Perhaps {', '.join(close)} is meant" if close else "",
+        )
+    return given
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def _of_markers(content: Content, markers: object) -> tuple[list[str], bool]:
+    """Return the channels of markers, and whether these are places in space."""
+    points = [content.points[name] for name in _known(content, "markers", markers, list(content.points))]
+    sizes = {len(each) for each in points}
+    if len(sizes) > 1:
+        what = f"{content.source} has some of these markers in a plane, others in space"
+        raise InvalidInput(what, got=points, fix="Name their columns: columns=[..] and kind='markers'")
+    return [name for each in points for name in each], sizes == {3}
+
+
+def _kind_by_unit(content: Content, names: Sequence[str]) -> Kind:
+    unit = one_unit(content, names)
+    if unit is None:
+        raise InvalidInput("columns is given without kind", allowed="kind='angles' or kind='markers'")
+    return "angles" if unit in RADIANS else "markers"
+
+
+def _by_default(content: Content, kind: str | None) -> tuple[Kind, list[str], bool]:
+    """Return kind and channels where the caller names none, and whether these are places in space."""
+    if kind is not None:
+        checks.choice("kind", kind, KINDS)
+    angles, points = list(content.angles), list(content.points)
+    source, rest = content.source, list(content.strangers)
+    only = {"angles": bool(angles), "markers": bool(points)}
+    if kind is not None and not only[kind] and any(only.values()):
+        raise InvalidInput(
+            f"{source} holds {'markers' if points else 'angles'}", got=kind, fix="Omit kind, or name columns=[..]"
+        )
+    if not any(only.values()) or (all(only.values()) and kind is None) or (rest and (content.ordered or angles)):
+        named = f"Name them, such as columns={list(content.names[1:3])} and kind='angles' or 'markers'"
+        raise InvalidInput(
+            f"{source} does not say which columns to take"
+            + (", and has others" if rest and any(only.values()) else ""),
+            got=rest or list(content.names),
+            allowed="th1, th2, .. (and w1, w2, ..) or x0, y0, x1, y1, .. with the time, std_.. for their noise",
+            fix="Pass kind='angles' or 'markers'" if all(only.values()) and not rest else content.advice or named,
+        )
+    chosen = cast(Kind, kind or ("angles" if angles else "markers"))
+    if chosen == "angles":
+        return chosen, angles, False
+    if len(points) > 1 and not content.ordered:
+        example = ", ".join(map(repr, points[:3]))
+        raise InvalidInput(
+            f"{source} has several markers, and does not say in which order they are along the rope",
+            got=_listed(points),
+            fix=f"Name them from the pivot to the tip: markers=[{example}]",
+        )
+    return chosen, *_of_markers(content, points)
+
+
+def one_unit(content: Content, names: Sequence[str]) -> str | None:
+    """Return the unit of channels; None if the file does not give it, InvalidInput if they do not have the same."""
+    units = {name: unit_name(content.units[name]) if name in content.units else None for name in names}
+    unit, *others = set(units.values())
+    if others:
+        raise InvalidInput(
+            f"{content.source} does not give one unit to all columns", got=units, fix="Give all the same"
+        )
+    return unit
+
+
+def _beside(content: Content, what: str, names: Sequence[str]) -> Array | None:
+    """Return the rates, noise or likelihood (T, C) of channels; None if the file has none."""
+    by_name: Mapping[str, str] = getattr(content, what)
+    found = [by_name[name] for name in names if name in by_name]
+    if not found:
+        return None
+    if what == "likelihood":
+        sure = np.ones((content.t.size, 1))
+        return np.hstack([content.take([by_name[name]]) if name in by_name else sure for name in names])
+    if len(found) < len(names):
+        given = f"{content.source} gives the {what} of some columns only"
+        raise InvalidInput(given, got=found, allowed="such a column for each or none")
+    if what == "noise" and "noise" in content.declared:
+        fix = "Remove one of them"
+        raise InvalidInput(f"{content.source} gives its noise twice", got=[*found, "# noise: .."], fix=fix)
+    if what == "rates" and (units := {content.units[name] for name in found if name in content.units}):
+        expected = f"{content.units.get(names[0], '')}/s"
+        if names[0] in content.units and units != {expected}:
+            given = f"{content.source}: the unit of columns {', '.join(found)} does not fit"
+            raise InvalidInput(given, got=sorted(units), allowed=repr(expected))
+    return content.take(found)
