@@ -1,6 +1,6 @@
 """Pages for browsers of this machine: a server, and who may ask it."""
 
-import contextlib
+import sys
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Collection
@@ -55,7 +55,7 @@ class LocalServer(ABC):
 
     def __init__(self, port: int = 0, host: str = HOST, allow: Collection[str] = ()) -> None:
         for each in allow:
-            if urlsplit(f"//{each}").netloc != each:
+            if _authority(f"//{each}") != each:
                 fix = "Leave out http:// and what follows the port"
                 raise InvalidInput("allow is no host", got=each, allowed="host:port, as in robot.lan:8080", fix=fix)
         page = self
@@ -64,11 +64,13 @@ class LocalServer(ABC):
             timeout = _SILENCE
 
             def do_GET(self) -> None:
-                asked, origin = self.headers.get("Host"), self.headers.get("Origin")
-                if asked not in page._names or (origin is not None and urlsplit(origin).netloc not in page._names):
+                hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
+                asked = [*hosts, *map(_authority, origins)]
+                if len(hosts) != 1 or len(origins) > 1 or not page._names.issuperset(asked):
                     self.send_error(HTTPStatus.FORBIDDEN)
-                    return
-                with contextlib.suppress(OSError):  # the browser went away
+                elif _authority(self.path) is None:
+                    self.send_error(HTTPStatus.BAD_REQUEST)
+                else:
                     page.answer(self)
 
             do_POST = do_GET
@@ -77,13 +79,12 @@ class LocalServer(ABC):
                 """Do not print requests."""
 
         try:
-            self._server = ThreadingHTTPServer((host, port), Handler)
+            self._server = _Server((host, port), Handler)
         except (OSError, OverflowError) as error:
             why = str(error.strerror).lower() if isinstance(error, OSError) else "there is no such port"
             allowed = "an address of this machine, and a free port up to 65535, or 0 for any"
             got = f"{host}, port {port}"
             raise InvalidInput(f"no page can be shown there: {why}", got=got, allowed=allowed) from None
-        self._server.daemon_threads = True
         self.port = int(self._server.server_address[1])
         self.address = f"http://{HOST if host == '0.0.0.0' else host}:{self.port}/"
         self._names = {*allow, f"{HOST}:{self.port}", f"localhost:{self.port}"}
@@ -113,6 +114,25 @@ class LocalServer(ABC):
     def wait(self, seconds: float | None = None) -> None:
         """Wait until the server ends, or for a time, s."""
         self._thread.join(seconds)
+
+
+class _Server(ThreadingHTTPServer):
+    """A server that says nothing of browsers that went away, and does not wait for them."""
+
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print an error as a bug, unless the connection was lost."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
+def _authority(url: str) -> str | None:
+    """Return host and port of a URL, as ``name:port``; None if it is no URL."""
+    try:
+        return urlsplit(url).netloc
+    except ValueError:
+        return None
 
 
 def send_head(request: BaseHTTPRequestHandler, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:

@@ -1,10 +1,11 @@
 """The page in a browser: load, set a target, plan, cast, see turns counted, scrub; on a desk and a phone."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 
-from hyperflex.play import Folder, PlayServer, Session, Settings
+import hyperflex as hf
+from hyperflex.play import Folder, PlayServer, Session, Settings, read_opened
 from tests.planning.known import planned
 from tests.screens import compare
 
@@ -57,10 +58,13 @@ def test_a_target_is_set_planned_for_cast_at_and_scrubbed(page, server):
     page.press("p")
     wait(page, "play.scene.planning")
     wait(page, "play.scene.plan && !play.scene.planning")
-    assert page.evaluate("document.querySelector('[data-button=cast]').disabled") is False
-    plan = planned()  # one that winds; the search had two seconds
+    failed = not server.runner.plan.success  # the search had two seconds
+    assert page.evaluate("document.querySelector('[data-button=cast]').disabled") is failed
+    plan = planned()  # one that winds
     with server.runner.news:
         server.runner.plan = plan
+        server.runner.changed()
+    wait(page, "play.scene.plan.success")
     click(page, "wind")
     wait(page, "play.scene.activity === 'cast' && play.frames.length > 5")
     page.evaluate("set({speed: 2})")
@@ -96,6 +100,34 @@ def test_keys_and_sliders_do_what_they_say_and_errors_are_read_out(page, server)
     unnamed = "[...document.querySelectorAll('button, input, select')].filter((e) => !(e.ariaLabel || e.textContent || "
     assert page.evaluate(unnamed + "e.labels?.[0]?.textContent)).map((e) => e.outerHTML)") == []
     page.evaluate("set({length: 2})")
+    assert page.complaints == []
+
+
+def test_the_sliders_show_the_opened_rope(page, server, tmp_path):
+    cord = hf.Rope.uniform(length=1.2, mass=0.08, n_links=9, friction=2e-3, radius=0.003, name="my cord")
+    hf.Setup(cord, arm=hf.Arm(length=0.3)).to_toml(tmp_path / "my.toml")
+    server.runner.open(read_opened(tmp_path / "my.toml"))
+    wait(page, "play.scene.rope.startsWith('my cord')")
+    names = ["length", "mass", "links", "friction", "arm_length"]
+    assert [float(page.evaluate(f"document.getElementById('{name}').value")) for name in names] == [
+        1.2,
+        0.08,
+        9,
+        0.002,
+        0.3,
+    ]
+    slide = "(() => { const s = document.querySelector('[type=range][data-set=mass]'); s.value = 0.1; s.oninput(); })()"
+    page.evaluate(slide)
+    wait(page, "play.scene.rope === 'my cord, changed, 1.2 m, 100 g, 9 links'")
+    failed = replace(planned(), message="it slips")
+    with server.runner.news:
+        server.runner.plan = failed
+        server.runner.changed()
+    wait(page, "play.scene.plan && !play.scene.plan.success")
+    disabled = "['cast', 'wind'].map((name) => document.querySelector(`[data-button=${name}]`).disabled)"
+    assert page.evaluate(disabled) == [True, False]
+    with server.runner.news:
+        server.runner.session, server.runner.plan = Session(Settings().changed({"links": 12})), None
     assert page.complaints == []
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import socket
+import struct
 import sys
 import threading
 import time
@@ -140,6 +141,33 @@ def test_foreign_hosts_and_origins_get_403(server, headers):
     assert post(server, '{"button": "hang"}', **headers)[0] == 403
 
 
+@pytest.mark.parametrize(
+    ("lines", "status"),
+    [
+        (["GET / HTTP/1.1", "Host: {own}", "Host: {own}"], 403),
+        (["GET / HTTP/1.1", "Host: {own}", "Host: evil.example"], 403),
+        (["GET / HTTP/1.1", "Host: {own}", "Origin: http://{own}", "Origin: http://evil.example"], 403),
+        (["GET / HTTP/1.1", "Host: {own}", "Origin: http://["], 403),
+        (["GET / HTTP/1.1", "Host: {own}", "Origin: "], 403),
+        (["GET / HTTP/1.1", "Origin: http://{own}"], 403),
+        (["GET http://[/ HTTP/1.1", "Host: {own}"], 400),
+        (["GET / HTTP/1.1", "Host: {own}"], 200),
+    ],
+)
+def test_odd_requests_are_refused_in_silence(server, capfd, lines, status):
+    """Neither they nor a connection that is lost end as a traceback of the server."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE) as connection:
+        text = "\r\n".join(lines).format(own=f"127.0.0.1:{server.port}")
+        connection.sendall(f"{text}\r\n\r\n".encode())
+        assert connection.recv(12).decode() == f"HTTP/1.0 {status}"
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # reset, not closed
+    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE) as connection:
+        connection.sendall(b"GET / HT")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    get(server)
+    assert capfd.readouterr().err == ""
+
+
 def test_own_origins_and_allowed_hosts_are_answered(server, folder):
     for name in ("127.0.0.1", "localhost"):
         own = f"{name}:{server.port}"
@@ -147,6 +175,8 @@ def test_own_origins_and_allowed_hosts_are_answered(server, folder):
     with PlayServer(Folder(folder), allow=["lab.example:80"]) as other:
         assert get(other, Host="lab.example:80", Origin="http://lab.example:80")[0] == 200
         assert get(other, Host="lab.example:81")[0] == 403
+    with pytest.raises(InvalidInput, match="allow is no host"):
+        PlayServer(Folder(folder), allow=["["])
     with pytest.raises(InvalidInput, match="no page can be shown"):
         PlayServer(Folder(folder), port=server.port)
 
@@ -276,6 +306,10 @@ def test_a_plan_is_searched_in_a_separate_process_and_cancelled(server, page):
     plan = page.until(lambda scene: scene["plan"])["plan"]
     assert (plan["success"], plan["message"][:12]) == (False, "out of reach")
     assert "the plan fails" in page.ask(button="cast")["error"]
+    with runner.news:
+        runner.plan = replace(planned(), message="it slips")
+    assert "the plan fails: it slips" in page.ask(button="cast")["error"]
+    assert page.ask(button="wind") == {}  # why it fails can be seen
 
 
 def test_a_plan_that_succeeds_can_be_carried_out_while_a_better_one_is_sought(server, page):
@@ -338,8 +372,17 @@ def test_plans_keep_to_the_obstacles_and_the_motor_of_the_opened_file(server, pa
     planned().to_toml(folder / "cast.toml")
     page.ask(open="cast.toml")
     assert session.limits == planned().problem.limits
+    assert session.rope == planned().problem.rope  # not as it was cut to be verified
+    assert page.until(lambda scene: scene["plan"])["plan"] == {
+        "kind": "cast",
+        "success": True,
+        "message": "",
+        "simulated": True,
+    }
+    assert page.ask(button="cast") == {}
     page.ask(open="setup.toml")
     assert session.limits.torque == np.inf
+    assert "no plan has been made" in page.ask(button="cast")["error"]
     (folder / "wrong.toml").write_text(setup + "[limits]\npace = 4.0\n")
     assert "does not know this key" in page.ask(open="wrong.toml")["error"]
     page.ask(set={"motor_speed": Settings().motor_speed})

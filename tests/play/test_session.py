@@ -140,8 +140,12 @@ def test_a_set_up_is_played_to_its_end_and_on_and_its_peg_is_the_target():
     session.hang()
     assert (session.rope, session.arm) == (rope, arm)
     assert [type(each).__name__ for each in session.setup.pegs] == ["Peg", "Ground"]
+    shown = session.settings
+    assert [shown.length, shown.mass, shown.links, shown.friction, shown.arm_length] == pytest.approx(
+        [1.0, 0.05, 6, 1e-3, 0.2]
+    )
     session.change({"length": 1.5})
-    assert session.arm == Settings().arm
+    assert session.arm == arm
     assert session.obstacles == setup.pegs[1:]  # what is planned with
     refuses("starts inside an obstacle", session.change, {"length": 2.5})
     assert session.rope.total_length == 1.5
@@ -170,3 +174,44 @@ def test_hours_of_swinging_keep_a_bounded_memory():
     assert session.setup.motion.breaks.size <= 3 * MOST_MOVES
     assert session.recorded().duration <= MOST_RECORDED
     session.recorded().run()
+
+
+def test_a_control_changes_the_opened_rope_and_nothing_else_of_it():
+    """A tapered cord of 1 m with stiffness, a weight at its tip and other gravity: what is not set stays, or scales."""
+    cord = hf.Rope(
+        length=[0.2, 0.3, 0.5],
+        mass=[0.03, 0.02, 0.01],
+        friction=[1e-3, 2e-3, 3e-3],
+        stiffness=1e-3,
+        tip_mass=0.02,
+        gravity=(0.0, -3.7),
+        radius=0.002,
+        name="cord",
+    )
+    arm = hf.Arm(length=0.2, mass=0.1, com=0.1)
+    session = Session()
+    session.play(hf.Setup(cord, arm=arm), "file")
+    assert (session.rope, session.arm) == (cord, arm)
+    session.change({"length": 2.0, "mass": 0.16})
+    longer = cord.replace(
+        length=2.0 * cord.length,
+        com=2.0 * cord.com,
+        mass=2.0 * cord.mass,
+        tip_mass=0.04,
+        inertia=8.0 * cord.inertia,
+        name="cord, changed",
+    )
+    np.testing.assert_allclose(session.rope.inertia, longer.inertia, rtol=1e-12)
+    assert session.rope.replace(inertia=longer.inertia, mass=longer.mass, tip_mass=0.04) == longer
+    assert session.scene()["rope"] == "cord, changed, 2 m, 160 g, 3 links"
+    session.change({"length": 1.0, "mass": cord.total_mass})
+    assert session.rope == cord
+    session.change({"friction": 0.004, "arm_length": 0.3})
+    assert session.rope == cord.replace(friction=0.004, name="cord, changed")
+    assert session.arm == hf.Arm(length=0.3, mass=0.1, com=0.1)
+    session.change({"links": 20})
+    assert session.rope.n_links == 20
+    assert session.rope.total_mass == pytest.approx(cord.total_mass)
+    assert (session.rope.tip_mass, session.rope.gravity.tolist()) == (0.02, [0.0, -3.7])
+    session.hang()
+    assert session.setup.rope == session.rope

@@ -2,8 +2,11 @@
 
 import re
 
+import pytest
+
 from hyperflex.paper import READINGS, Claim
-from hyperflex.report.page import Picture, Section, TextTable, markdown, write_page
+from hyperflex.report.page import Film, Picture, Section, TextTable, markdown, write_page
+from hyperflex.report.player import player_html
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -28,7 +31,7 @@ def test_a_page_is_one_file_that_escapes_and_fetches_nothing(tmp_path):
     assert "<script>" not in text
     assert 'class="good"' in text
     assert re.findall(r'(?:src|href)="(?!data:)', text) == []
-    assert "http" not in text
+    assert not re.search("https?:", text)
 
 
 def test_on_a_phone_charts_scroll_and_other_pictures_fit(tmp_path):
@@ -40,3 +43,19 @@ def test_on_a_phone_charts_scroll_and_other_pictures_fit(tmp_path):
         ("", "a strobe"),
     ]
     assert ".chart { overflow-x: auto; }" in text
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_a_page_keeps_to_itself_and_to_the_browsers_theme(browser, short_cast, tmp_path, dark):
+    """Its policy lets nothing be fetched, and lets the player within it run; page and player are both light or dark."""
+    says = "<script>parent.postMessage([player.times.length, document.documentElement.dataset.theme], '*')</script>"
+    film = player_html(short_cast, title="a cast", autoplay=False).replace("</body>", f"{says}</body>")
+    sections = [Section("A", verdict=(True, "fine"), pictures=(Film(film, "film"), Picture(PNG, "a chart")))]
+    write_page(tmp_path / "page.html", "Title", "Lead", "simulated", sections)
+    browser.open((tmp_path / "page.html").as_uri(), dark=dark)
+    ground = "getComputedStyle(document.body).backgroundColor"
+    assert browser.evaluate(ground) == ("rgb(12, 19, 34)" if dark else "rgb(244, 246, 249)")
+    asked = "fetch('data:,x').then(() => 'fetched', () => 'refused')"
+    assert browser.evaluate(asked) == "refused"
+    again = "onmessage = (event) => done(event.data); document.querySelector('iframe').srcdoc += ' ';"
+    assert browser.evaluate(f"new Promise((done) => {{ {again} }})") == [short_cast.t.size, "dark" if dark else "light"]

@@ -144,18 +144,17 @@ def play(
     separate process. The page requests nothing from any other host, and serves this machine alone unless --host and
     --allow say otherwise: whoever can open it can save files in the folder.
     """
-    from hyperflex.model import Setup
-    from hyperflex.planning import read_limits
-    from hyperflex.play import Folder, PlayServer, Session
+    from hyperflex.play import Folder, PlayServer, read_opened
 
     if setup is not None and setup.suffix.lower() == ".nc":
         fix = f"View a run with hyperflex view {setup}; in the page, Open takes one from the folder"
         raise InvalidInput("play begins with a set-up", got=str(setup), allowed="a TOML file", fix=fix)
-    session = Session()
-    if setup is not None:
-        session.play(Setup.from_toml(setup), "file", limits=read_limits(setup))
-    with PlayServer(Folder(folder), session, port=port, host=host, allow=allow or ()) as server:
-        cable = f"the paper's cable ({session.scene()['rope']}); hyperflex play SETUP.toml shows another"
+    opened = None if setup is None else read_opened(setup)
+    with PlayServer(Folder(folder), port=port, host=host, allow=allow or ()) as server:
+        if opened is not None:
+            server.runner.open(opened)
+        shown = server.runner.session.scene()["rope"]
+        cable = f"the paper's cable ({shown}); hyperflex play SETUP.toml shows another"
         output.note(f"at {server.address}; Ctrl-C ends it. It shows {setup or cable}")
         if output.as_json():
             output.print_json({"address": server.address, "port": server.port, "folder": folder}, one_line=True)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         verify_cast,
     )
     from hyperflex.planning.plan import RATE, CastPlan, FallbackTarget
-    from hyperflex.planning.plan_files import read_limits, read_plan
+    from hyperflex.planning.plan_files import AnyPlan, read_limits, read_plan
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
     from hyperflex.planning.tasks.insert import (

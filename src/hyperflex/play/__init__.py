@@ -6,7 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.play.controls import Settings
-    from hyperflex.play.folder import Folder
+    from hyperflex.play.folder import Folder, read_opened
     from hyperflex.play.server import PlayServer
     from hyperflex.play.session import Session
 

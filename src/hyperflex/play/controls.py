@@ -1,4 +1,4 @@
-"""Settings of the page with units and ranges, and the rope, arm, target and motor that follow from them."""
+"""Settings of the page with units and ranges; the rope and arm that they shape, and their target and motor."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Peg, Rope
+from hyperflex.model import Arm, Peg, Rope, recut
 from hyperflex.planning import MotorLimits
 
 
@@ -70,15 +70,26 @@ class Settings:
             found[name] = float(round(value)) if each.step in (0, 1) and not each.unit else value
         return replace(self, **found)
 
-    @property
-    def rope(self) -> Rope:
-        """The rope, as thick as the paper's cable."""
-        return Rope.uniform(self.length, self.mass, int(self.links), 0.0025, friction=self.friction)
+    def of(self, rope: Rope, arm: Arm) -> "Settings":
+        """Return settings that show a rope and an arm, which may be out of the controls' ranges."""
+        shown = {"length": rope.total_length, "mass": rope.total_mass, "links": rope.n_links}
+        return replace(self, **shown, friction=_friction(rope), arm_length=arm.length)
 
-    @property
-    def arm(self) -> Arm:
-        """The arm."""
-        return Arm(length=self.arm_length)
+    def rope(self, like: Rope) -> Rope:
+        """Return a rope with what is set, and all else as of another, which is scaled along, in mass, or cut anew."""
+        made = like if self.links == like.n_links else recut(like, int(self.links))
+        long, heavy = self.length / made.total_length, self.mass / made.total_mass if made.total_mass else 1.0
+        if long != 1.0 or heavy != 1.0:
+            lengths = {"length": long * made.length, "com": long * made.com}
+            masses = {"mass": heavy * made.mass, "tip_mass": heavy * made.tip_mass}
+            made = made.replace(**lengths, **masses, inertia=heavy * long**2 * made.inertia)
+        if self.friction != _friction(like) or self.links != like.n_links:  # of each joint, as the control says
+            made = made.replace(friction=self.friction)
+        return made.replace(name=f"{like.name}, changed") if like.name and made is not like else made
+
+    def arm(self, like: Arm) -> Arm:
+        """Return an arm as long as is set, and else as another."""
+        return replace(like, length=self.arm_length)
 
     @property
     def target(self) -> Peg:
@@ -89,6 +100,11 @@ class Settings:
     def limits(self) -> MotorLimits:
         """Limits of the motor."""
         return MotorLimits(self.motor_speed, self.motor_acceleration)
+
+
+def _friction(rope: Rope) -> float:
+    """Return the friction of a rope's joints, N m s/rad; the mean where they differ."""
+    return float(rope.friction.mean())
 
 
 CONTROLS: dict[str, Control] = {each.name: each.metadata["control"] for each in fields(Settings)}

@@ -2,15 +2,34 @@
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.model import Setup
-from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, read_limits
+from hyperflex.model import PLAN, Rope, Setup
+from hyperflex.planning import AnyPlan, MotorLimits, read_limits, read_plan
 from hyperflex.play.session import Recorded
 from hyperflex.trajectory import read_trajectory
 
 OPENED, SAVED = (".nc", ".csv", ".toml"), (".nc", ".html", ".toml", ".csv")
+
+
+class Opened(NamedTuple):
+    """A set-up to begin with: of a file of its own, or of a plan, whose `rope` is the one before it was cut."""
+
+    setup: Setup
+    rope: Rope
+    limits: MotorLimits | None = None
+    plan: AnyPlan | None = None
+
+
+def read_opened(path: str | Path) -> Opened:
+    """Read the TOML file of a set-up, or of a plan; FileProblem or InvalidInput if it is neither."""
+    if PLAN in files.read_toml(path):
+        plan = read_plan(path)
+        return Opened(plan.setup(), plan.problem.rope, plan.problem.limits, plan)
+    setup = Setup.from_toml(path)
+    return Opened(setup, setup.rope, read_limits(path))
 
 
 class Folder:
@@ -45,12 +64,11 @@ class Folder:
             raise InvalidInput(f"{name} is a recording", fix="Choose the file (.toml) of its rope, too")
         return player_html(read_trajectory(path), title=f"{name}, simulated")
 
-    def setup(self, name: str) -> tuple[Setup, MotorLimits | None]:
-        """Return a set-up, or the verified one of a plan, and the motor limits of the file; None without any."""
-        path = self._existing(name, ".toml")
-        return Setup.from_toml(path), read_limits(path)
+    def opened(self, name: str) -> Opened:
+        """Return the set-up or plan of a file."""
+        return read_opened(self._existing(name, ".toml"))
 
-    def save(self, name: str, recorded: Recorded, plan: CastPlan | WhipPlan | None) -> str:
+    def save(self, name: str, recorded: Recorded, plan: AnyPlan | None) -> str:
         """Write a new file by its suffix; return its name.
 
         ``.nc``: the run; ``.html``: its player; ``.toml``: the set-up, from its beginning; ``.csv``: the motion of the

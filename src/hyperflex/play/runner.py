@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 from hyperflex.errors import HyperflexError, InvalidInput
-from hyperflex.model import Setup
-from hyperflex.planning import CastOutcome, CastPlan, MotorLimits, WhipPlan
+from hyperflex.planning import AnyPlan, CastOutcome
+from hyperflex.play.folder import Opened
 from hyperflex.play.planning_process import PlanningProcess, PlanningTask
 from hyperflex.play.session import Session
 
@@ -35,13 +35,13 @@ class Runner:
         Count frames, and changes of :meth:`scene`.
     watchers : int
         Number of open pages; without any the simulation pauses.
-    plan : CastPlan, WhipPlan or None
-        The last plan.
+    plan : CastPlan, WhipPlan, InsertPlan or None
+        The last plan that was made or opened.
     """
 
     def __init__(self, session: Session) -> None:
         self.session, self.frame, self.watchers, self.paused = session, session.frame(), 0, False
-        self.plan: CastPlan | WhipPlan | None = None
+        self.plan: AnyPlan | None = None
         self.number, self.version, self.news = 0, 0, threading.Condition()
         self._notice, self._late = "", False
         self._usual: float | None = None  # the speed, while a plan is shown in slow motion
@@ -66,6 +66,8 @@ class Runner:
             search = {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
             search["found"] = busy.best is not None
         shown = plan and {"kind": plan.kind, "success": plan.success, "message": plan.message}
+        if shown:
+            shown["simulated"] = plan is not None and plan.outcome is not None
         own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": shown, "planning": search}
         return self.session.scene() | own
 
@@ -75,7 +77,7 @@ class Runner:
         moves: dict[str, Callable[[], None]] = {
             "hang": session.hang,
             "swing": session.swing,
-            "cast": lambda: session.play(self._required().setup(), "cast"),
+            "cast": lambda: session.play(self._required(success=True).setup(), "cast"),
             "wind": self._wind,
         }
         actions = moves | {
@@ -102,11 +104,11 @@ class Runner:
             self.session.change(values)
             self.changed()
 
-    def open(self, setup: Setup, limits: MotorLimits | None = None) -> None:
-        """Start with the set-up of a file, and its motor limits."""
+    def open(self, given: Opened) -> None:
+        """Start with the set-up or plan of a file, and its motor limits."""
         with self.news:
-            self.session.play(setup, "file", limits=limits)
-            self.paused = False
+            self.session.play(given.setup, "file", limits=given.limits, rope=given.rope)
+            self.plan, self.paused = given.plan, False
             self.changed()
 
     def changed(self, picture: bool = True) -> None:
@@ -178,8 +180,9 @@ class Runner:
             self._usual = self.session.settings.speed
         self.session.change({"speed": 0.25})
 
-    def _required(self) -> CastPlan | WhipPlan:
-        if self.plan is None or self.plan.outcome is None:
+    def _required(self, *, success: bool = False) -> AnyPlan:
+        """Return the plan; InvalidInput if there is none, if it was not simulated, or, if required, if it fails."""
+        if self.plan is None or self.plan.outcome is None or (success and not self.plan.success):
             why = "no plan has been made yet" if self.plan is None else f"the plan fails: {self.plan.message}"
             raise InvalidInput(why, fix="Plan first, for a target that the rope reaches")
         return self.plan

@@ -129,7 +129,7 @@ class PlayServer(LocalServer):
                     recorded, plan = runner.session.recorded(), runner.plan
                 return {"saved": self.folder.save(checks.text("save", name), recorded, plan)}
             case {"open": name}:
-                runner.open(*self.folder.setup(checks.text("open", name)))
+                runner.open(self.folder.opened(checks.text("open", name)))
             case {"set": values}:
                 runner.change(checks.mapping("set", values))
             case {"button": name}:

@@ -23,6 +23,7 @@ from hyperflex.winding import rope_tension, turns
 MOST_MOVES = 120  # in one motion: each frame evaluates all of them
 MOST_RECORDED = 120.0  # s of a run that can be kept
 FRAME_TIME = 1.0  # s that a frame may take, usually some thousandths
+CABLE = Rope.uniform(2.0, 0.125, 50, radius=0.0025, friction=5e-4)  # of Suzuki and Ebihara, shown without a file
 _ROPE = {"length", "mass", "links", "friction", "arm_length"}  # settings that need another rope or arm
 NUMBERS = ("t", "arm_angle", "pseudo_energy", "x", "scaled_velocity", "tension", "turns", "tip_speed")
 
@@ -108,7 +109,7 @@ class Session:
         self.settings = settings or Settings()
         self.obstacles: tuple[Obstacle, ...] = ()
         self._motor = MotorLimits()  # whose torque and angles are kept to
-        self._given: Setup | None = None  # whose rope and arm are used until others are set
+        self._like = CABLE, Arm()  # opened rope and arm, which the settings change
         self.activity, self.t, self._begun = "hang", 0.0, 0.0
         self._program: ArmProgram | None = None  # None: the motion is that of a whole set-up
         self._goal: float | None = None  # rad, where the arm must go when it rests
@@ -121,12 +122,12 @@ class Session:
     @property
     def rope(self) -> Rope:
         """The current rope."""
-        return self.settings.rope if self._given is None else self._given.rope
+        return self.settings.rope(self._like[0])
 
     @property
     def arm(self) -> Arm:
         """The current arm."""
-        return self.settings.arm if self._given is None else self._given.arm or Arm()
+        return self.settings.arm(self._like[1])
 
     def hang(self) -> None:
         """Restart: the rope hangs at rest from the arm at its angle."""
@@ -145,17 +146,26 @@ class Session:
         """Motor limits: speed and acceleration from the settings, torque and angles from the last opened file."""
         return replace(self.settings.limits, torque=self._motor.torque, angles=self._motor.angles)
 
-    def play(self, setup: Setup, activity: str, skip: float = 0.0, limits: MotorLimits | None = None) -> None:
+    def play(
+        self,
+        setup: Setup,
+        activity: str,
+        *,
+        skip: float = 0.0,
+        limits: MotorLimits | None = None,
+        rope: Rope | None = None,
+    ) -> None:
         """Start a set-up; its first `skip` seconds are simulated immediately. Its first round peg is the target.
 
-        With the motor's `limits`, if the file has them.
+        With the motor's `limits`, if the file has them, and the `rope` as it was before links were cut for this set-up.
         """
         self._begin(setup, activity, None)
         if limits is not None:
             motor = {"motor_speed": limits.speed, "motor_acceleration": limits.acceleration}
             self.settings = replace(self.settings, **motor)
         if activity == "file":
-            self._motor, self._given = limits or MotorLimits(), setup
+            self._motor, self._like = limits or MotorLimits(), (rope or setup.rope, setup.arm or Arm())
+            self.settings = self.settings.of(*self._like)
             self.obstacles = tuple(each for each in setup.pegs if each not in setup.round_pegs[:1])
         if (peg := self._target(setup)) is not None:
             place = {"target_x": peg.x, "target_y": peg.y, "target_radius": peg.radius, "target_friction": peg.mu}
@@ -169,7 +179,7 @@ class Session:
         self.settings, self._next = self.settings.changed(values), None
         try:
             if changed & _ROPE:
-                swings, self._given = self.activity == "swing", None
+                swings = self.activity == "swing"
                 self.hang()
                 self.activity = "swing" if swings else "hang"
             elif any(name.startswith("target_") for name in changed):
@@ -212,7 +222,6 @@ class Session:
         return {
             "settings": asdict(self.settings),
             "activity": self.activity,
-            "given": self._given is not None,
             "rope": _in_short(self.setup.rope),
             "arm": self.setup.arm is not None,
             "radius": self.setup.rope.radius,
