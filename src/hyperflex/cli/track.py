@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.vision import BarDetector, Frame, Image, MarkerColour, VideoWriter
 
+_CLICKED = 1.0  # px, standard deviation of the hook's pixel, which a person reads from a picture
 _SAME = 1e-6  # s, by which two times may differ
 _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame, from a camera and a file, after which an estimate is given anyway
 Pixel = tuple[float, float] | None
@@ -78,9 +79,12 @@ class Markers:
             fix = "Give them, or to track a pendulum whose links are bars --bar and --pivot"
             raise InvalidInput("a rope with markers needs more options", got="no " + ", ".join(missing), fix=fix)
 
-    def task(self, images: "Iterable[Image]") -> "TrackingTask":
-        """Return what is tracked; the markers' colour is that of `images`."""
-        from hyperflex.estimate import ChangeTests, TrackingTask
+    def task(self, images: "Iterable[Image]", *, origin_doubt: float = 0.0) -> "TrackingTask":
+        """Return what is tracked; the markers' colour is that of `images`.
+
+        The camera's origin is estimated too if it is known to `origin_doubt`, px, only.
+        """
+        from hyperflex.estimate import ChangeTests, EstimatedParameter, TrackingTask
         from hyperflex.model import Rope
         from hyperflex.vision import read_camera
 
@@ -89,6 +93,10 @@ class Markers:
         named = tuple(words([self.changes]))
         tests = None if named == ("none",) else ChangeTests(named or None, self.false_alarm_interval)
         estimated = [_parameter(each) for each in words([self.estimate])]
+        if origin_doubt:
+            doubt = origin_doubt / lens.pixels_per_metre
+            unnamed = [name for name in ("offset_x", "offset_y") if all(name != each.name for each in estimated)]
+            estimated += [EstimatedParameter(name, doubt) for name in unnamed]
         return TrackingTask(line, arcs, lens, _marker_colour(images, self.click), parameters=estimated, tests=tests)
 
 
@@ -169,7 +177,7 @@ def track(
             detector = _bar_detector(video, [numbers("--bar", [each], "213,140") for each in bar], since)
             found, stopped = output.run(lambda: track_bars(video, detector, pivot or (), **follow))
         else:
-            tracker = markers.task(_images_since(video, since)).tracker()
+            tracker = markers.task(_images_since(video, since), origin_doubt=_CLICKED).tracker()
             found, stopped = output.run(lambda: track_video(video, tracker, **follow))
     kept = output.partial_path(out) if stopped else out
     result = {
@@ -186,12 +194,14 @@ def track(
             "markers": len(found.arc_lengths),
             "arc_lengths": found.arc_lengths,
         }
-        result |= _estimated(tracker.estimator.measurement_noise.value, found.parameters, found.changes)
+        result |= _estimated(found.errors.level, found.parameters, found.changes)
     files.rescued(found.to_netcdf, kept)
     result["notes"] = [each.replace("arc_lengths", "--arc-lengths") for each in found.notes]
     more = [("change", str(each)) for each in (() if bar else found.changes)]
+    doubted = [] if bar else [str(each) for each in found.doubts]
+    title = f"Tracked {video}" + (f", with doubts: {'; '.join(doubted)}" if doubted else "")
     text = f"Interrupted after {found.frames} frames; the part that was tracked is in {kept}."
-    output.show(result, output.rows(f"Tracked {video}", result, *more), interrupted=text if stopped else "")
+    output.show(result, output.rows(title, result, *more), interrupted=text if stopped else "")
 
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:

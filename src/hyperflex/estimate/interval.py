@@ -30,8 +30,8 @@ class Smoothed(NamedTuple):
         The same, given the frames before it alone.
     v : (r,) float64
         The state over its prior: ``mean = prior_mean + prior_rows^T v``.
-    noise : (r,) float64
-        Of the step to the next frame: w.
+    noise, noise_variance : (r,) float64
+        Of the step to the next frame: the mean of w, and its variances.
     log_likelihood : float
         Of the frame's measurement, given those before.
     """
@@ -42,6 +42,7 @@ class Smoothed(NamedTuple):
     prior_rows: Array
     v: Array
     noise: Array
+    noise_variance: Array
     log_likelihood: float
 
 
@@ -75,13 +76,14 @@ def smooth_linear(mean: Array, rows: Array, steps: Sequence[Step], measurements:
             rows = upper[: min(upper.shape)]
             turns.append(turn)
     v, wide = at, spread
-    found = [Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, np.zeros(0), likelihood)]
+    found = [Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, np.zeros(0), np.zeros(0), likelihood)]
     for (mean, rows, at, spread, likelihood), turn in zip(passes[-2::-1], turns[::-1], strict=True):
         left, known = len(spread), v.size
-        noise = turn[left:, :known] @ v
+        noise, unsure = turn[left:, :known] @ v, np.concatenate([wide @ turn[left:, :known].T, turn[left:, known:].T])
         rest = np.concatenate([wide @ turn[:left, :known].T, turn[:left, known:].T])
         v, wide = at + spread.T @ (turn[:left, :known] @ v), sr.triangular(rest @ spread)
-        found.append(Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, noise, likelihood))
+        variance = np.einsum("ij,ij->j", unsure, unsure)
+        found.append(Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, noise, variance, likelihood))
     return found[::-1]
 
 

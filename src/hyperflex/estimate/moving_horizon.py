@@ -334,22 +334,22 @@ def _allow(
     jumps: list[list[Array]],
 ) -> None:
     """Allow for a change from a time on until now: in which of the frames it happened is left to the fit."""
-    n, size = estimator.n_links, abs(change.size) + change.std
-    if change.arc_length is not None:
-        arms = lever_arms(estimator.process.rope, np.array([change.arc_length]))[1]
     for k in range(1, len(frames)):
         if frames[k].seen.t <= since:
             continue
         x, factor = states[k]
-        if change.arc_length is None:
-            rows, column = np.zeros((1, x.size)), 2 * n + estimator.parameters.names.index(change.name)
-            rows[0, column] = size
-            if k < len(frames) - 1 and frames[k].seen.t > change.time:
-                x = x.copy()
-                x[column] += change.size
-                states[k] = x, factor
-        else:
-            gap = frames[k].seen.t - frames[k - 1].seen.t
-            turned = size * np.abs(estimator.process.kicks(x[:n], arms)).max()
-            rows = estimator.process.noise(gap, turned / np.sqrt(gap))
-        jumps[k].append(rows)
+        if change.arc_length is None and k < len(frames) - 1 and frames[k].seen.t > change.time:
+            column = 2 * estimator.n_links + estimator.parameters.names.index(change.name)
+            states[k] = x + change.size * (np.arange(x.size) == column), factor
+        jumps[k].append(jump_rows(estimator, change, x, frames[k].seen.t - frames[k - 1].seen.t))
+
+
+def jump_rows(estimator: RopeFilter, change: Change, x: Array, gap: float) -> Array:
+    """Return rows (r, N) by which the process noise of a step of `gap` s allows for a change, in the state x (N,)."""
+    n, size = estimator.n_links, abs(change.size) + change.std
+    if change.arc_length is None:
+        column = 2 * n + estimator.parameters.names.index(change.name)
+        return np.asarray(size * (np.arange(x.size) == column)[None])
+    arms = lever_arms(estimator.process.rope, np.array([change.arc_length]))[1]
+    turned = size * np.abs(estimator.process.kicks(x[:n], arms)).max()
+    return estimator.process.noise(gap, turned / np.sqrt(gap))

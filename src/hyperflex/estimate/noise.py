@@ -31,6 +31,11 @@ class NoiseLevel:
     least : float
         Smallest value relative to the first guess.
 
+    Attributes
+    ----------
+    first : (c,) float64
+        The first guess.
+
     Notes
     -----
     Innovations nu have the covariance S. The derivatives of S and of the prediction by log(variance) of a noise are T
@@ -42,10 +47,10 @@ class NoiseLevel:
     LONGEST = 1.0  # largest change of a logarithm in one frame
 
     def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
-        self._first = np.atleast_1d(np.asarray(value, dtype=np.float64))
-        self._values, self._single = self._first.copy(), np.ndim(value) == 0
-        self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2
-        self._least = least * self._first
+        self.first = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        self._values, self._single = self.first.copy(), np.ndim(value) == 0
+        self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self.first.size) / (2.0 * doubt) ** 2
+        self._least = least * self.first
         self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
         self._known = self._prior
 
@@ -83,7 +88,7 @@ class NoiseLevel:
         self._count = self._keep * self._count + 1.0
         self._known = self._count * self._information / self._weight + self._prior
         change = np.minimum(np.maximum(np.linalg.solve(self._known, score), -self.LONGEST), self.LONGEST)
-        self._values = np.minimum(np.maximum(self._values * np.exp(0.5 * change), self._least), MOST * self._first)
+        self._values = np.minimum(np.maximum(self._values * np.exp(0.5 * change), self._least), MOST * self.first)
 
 
 class NoiseDerivatives:

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate.changes import Change
+from hyperflex.estimate.doubts import doubts, explained
 from hyperflex.estimate.filter import RopeFilter, each_covariance, spread
 from hyperflex.estimate.observations import Observations
-from hyperflex.estimate.process import swing_rate
 from hyperflex.interfaces import RopeState
 from hyperflex.vision import Camera, Frame, Image
 
@@ -119,8 +119,6 @@ class RopeTracker:
         If the filter has no camera that knows the swing plane, or other points than are measured.
     """
 
-    DOUBTFUL_NOISE = 3.0  # noise level of the measurements from which the set-up is doubted
-    DOUBTFUL_DISTURBANCE = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted
     KNOWN = 0.3  # largest standard deviation of the logarithm of a density that is known
 
     def __init__(self, estimator: RopeFilter, measurement: Measurement) -> None:
@@ -155,7 +153,7 @@ class RopeTracker:
         t, estimator = self.camera.middle_of(frame.time), self.estimator
         expected = self.expect(t)
         pixels, covariances = self.measurement.measure(frame.image, self, estimator.process.base(t)[0], expected)
-        rows = self._rows(pixels)
+        rows = self.rows(pixels)
         estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
         predicted, gates = np.full_like(pixels, np.nan), np.full_like(covariances, np.nan)
         if expected is not None:
@@ -180,27 +178,16 @@ class RopeTracker:
             return None
         found = estimator.expected()
         if estimator.model.reads_rows:
-            found = estimator.expected(self._rows(found[0]))
+            found = estimator.expected(self.rows(found[0]))
         return Prediction(*found)
 
     @property
     def warning(self) -> str:
         """Why the set-up may be wrong: measurements and possible motions of the rope disagree; empty if they agree."""
-        level, disturbance = self.estimator.measurement_noise.value, self.estimator.process_noise
-        density, known = float(disturbance.value[0]), float(disturbance.log_std[0]) < self.KNOWN
-        rate = swing_rate(self.estimator.process.rope)
-        reasons = []
-        if level >= self.DOUBTFUL_NOISE:
-            reasons = [f"distances of markers from possible places are {level:.1f} times as large as detection errors"]
-        if known and rate > 0.0 and density >= self.DOUBTFUL_DISTURBANCE * rate**1.5:
-            reasons += [f"the rope moves as if disturbed all along, by {density:.2g} rad/s^2 per root of Hz"]
-        if not reasons:
-            return ""
-        return (
-            f"{'; '.join(reasons)}: check the camera's scale, swing plane and origin (--estimate scale=0.01 or "
-            "offset_x=0.02,offset_y=0.02), the time stamps (slow motion stored at a usual rate), the arc lengths, and "
-            "the rope (more links if it swings fast)"
-        )
+        disturbance = self.estimator.process_noise
+        known = float(disturbance.log_std[0]) < self.KNOWN
+        density = disturbance.value if known else np.zeros(2)
+        return explained(doubts(self.estimator.process.rope, self.estimator.measurement_noise.value, density))
 
     def shape(self, state: RopeState) -> tuple[Array, Array]:
         """Return the rope's joints in a state in the picture (n + 1, 2), px, and their covariances (n + 1, 2, 2)."""
@@ -208,7 +195,7 @@ class RopeTracker:
         pixels, by_place = self.adjusted_camera.linearize(places)
         return pixels, spread(by_place @ slopes, state.covariance)
 
-    def _rows(self, pixels: Array) -> Array:
+    def rows(self, pixels: Array) -> Array:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 if not seen."""
         if not self.estimator.model.reads_rows:
             return np.zeros(len(pixels))

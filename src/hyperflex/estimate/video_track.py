@@ -5,13 +5,15 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import Change
+from hyperflex.estimate.doubts import ADVICE, Doubt, doubts
+from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.parameters import PICTURE_KINDS
 from hyperflex.estimate.picture import draw_frame
+from hyperflex.estimate.run_errors import RunErrors, run_errors
 from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.files import PathLike
 from hyperflex.interruption import interruptible
@@ -30,7 +32,8 @@ class VideoTrack:
     Attributes
     ----------
     recording : Recording
-        Places of the markers, m, NaN if not seen, from the frame on in which the rope was found. The final estimates of
+        Places of the markers, m, NaN if not seen, from the frame on in which the rope was found, with their standard
+        deviations as the whole run shows them. The final estimates of
         the plane's scale, roll and offset apply to all places, that of the delay to all times. Markers that were never
         seen are omitted.
     arc_lengths : (K,) float64
@@ -43,6 +46,10 @@ class VideoTrack:
         Part of all markers in all frames since that was seen.
     parameters : dict of str to (float, float)
         Estimates beside the state, and their standard deviations.
+    errors : RunErrors
+        What the whole run tells of its measurements: the noise of the recording is by it.
+    doubts : tuple of Doubt
+        Why the track is doubted; empty if its markers move as those of the rope.
     notes : tuple of str
         Problems of the video, and the use of the parameters.
     changes : tuple of Change
@@ -57,6 +64,8 @@ class VideoTrack:
     found_at: float
     seen: float
     parameters: dict[str, tuple[float, float]]
+    errors: RunErrors
+    doubts: tuple[Doubt, ...]
     notes: tuple[str, ...]
     changes: tuple[Change, ...] = ()
     interrupted: bool = False
@@ -79,11 +88,10 @@ class VideoTrack:
 class _Sighting(NamedTuple):
     """What is kept of a frame."""
 
-    t: float  # s, without an estimated delay
-    seen: Array  # (K, 2) px, where each marker was seen
-    still: Array  # (K, 2) px, where it would have been seen in the middle of the readout
-    covariances: Array  # (K, 2, 2) px^2
-    values: Array  # (P,) parameters until then
+    seen: Observations  # px, at a time without an estimated delay
+    still: Array  # (K, 2) px, where each marker would have been seen in the middle of the readout
+    x: Array  # (N,) the state, with the parameters until then
+    begun: bool  # whether the estimate started in this frame
     changes: tuple[Change, ...]
 
 
@@ -132,9 +140,10 @@ def track_video(
         tracked = tracker.look(frame)
         count += 1
         if tracked.state is not None:
-            still = tracker.adjusted_camera.project(tracked.places)
-            kept = tracked.pixels.copy(), still, tracked.covariances, tracker.values.copy()
-            found.append(_Sighting(tracked.t + tracker.delay, *kept, tracked.changes))
+            still, begun = tracker.adjusted_camera.project(tracked.places), bool(np.isnan(tracked.predicted).all())
+            pixels, covariances = tracked.pixels, tracked.covariances
+            seen = Observations(tracked.t + tracker.delay, pixels, rows=tracker.rows(pixels), covariances=covariances)
+            found.append(_Sighting(seen, still, tracker.estimator.x.copy(), begun, tracked.changes))
         return draw_frame(frame.image, tracker, tracked) if draw else None
 
     def result() -> VideoTrack:
@@ -171,11 +180,16 @@ def _check_timing(camera: Camera, reader: VideoReader) -> None:
 
 def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: VideoReader) -> VideoTrack:
     """Return the track of `count` frames."""
-    estimator, seen = tracker.estimator, np.array([np.isfinite(each.still[:, 0]) for each in found])
-    parameters, estimates, kept = estimator.parameters, estimator.values, np.asarray(seen.any(axis=0))
+    estimator, seen = tracker.estimator, np.array([each.seen.seen for each in found])
+    changes = tuple(change for each in found for change in each.changes)
+    begun = [k for k, each in enumerate(found) if each.begun]
+    errors = run_errors(estimator, [each.seen for each in found], np.array([each.x for each in found]), begun, changes)
+    parameters, estimates, kept = estimator.parameters, errors.estimates, np.asarray(seen.any(axis=0))
     prior = dict(zip(parameters.names, parameters.std.tolist(), strict=True))
-    arcs = estimator.model.arc_lengths
-    now = parameters.arc_lengths(arcs, np.where(parameters.std > 0.0, tracker.values, 0.0))[kept]
+    arcs, interval = estimator.model.arc_lengths, (found[-1].seen.t - found[0].seen.t) / (len(found) - 1)
+    now = parameters.arc_lengths(arcs, np.where(parameters.std > 0.0, errors.values[-1], 0.0))[kept]
+    alike = errors.correlated * interval if errors.correlated > 1.0 else 0.0
+    doubted = doubts(estimator.process.rope, errors.level, errors.density, shift=errors.shift, alike=alike)
     applied = [
         f"applied to the {'times' if name == 'delay' else 'places'} "
         f"{'of all frames' if prior[name] else 'since it changed'}: {name} {_with_std(estimates[name])}"
@@ -184,7 +198,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     ]
     where = ", ".join(f"{arc:.5g}" for arc in now)
     convention = f"positions in m, x right, y up from the camera's origin, of markers at {where} m along the rope"
-    notes = [*reader.notes, *([tracker.warning] if tracker.warning else []), *applied]
+    notes = [*reader.notes, *([ADVICE] if doubted else []), *applied]
     notes += [
         f"the marker at {arc:g} m was never seen: check its arc length, or omit it from arc_lengths; "
         f"it is not in the file, whose markers are those at {','.join(f'{each:g}' for each in arcs[kept])} m"
@@ -205,14 +219,16 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     if unknown:
         notes.append(f"the video does not determine {', '.join(unknown)}: as uncertain as before")
     return VideoTrack(
-        _recording(tracker, found, seen, "; ".join([convention, *applied]), str(reader.path)),
+        _recording(tracker, found, errors, "; ".join([convention, *applied]), str(reader.path)),
         now,
         count,
-        found[0].t - tracker.delay,
+        found[0].seen.t - parameters.value("delay", errors.values[-1]),
         float(seen.mean()),
         estimates,
+        errors,
+        tuple(doubted),
         tuple(notes),
-        tuple(change for each in found for change in each.changes),
+        changes,
     )
 
 
@@ -220,31 +236,21 @@ def _with_std(value: tuple[float, float]) -> str:
     return f"{value[0]:.5g} ± {value[1]:.2g}"
 
 
-def _final_values(tracker: RopeTracker, found: list[_Sighting]) -> Array:
-    """Return the parameters (T, P) of each frame: the final ones; before a change, those until it was noticed."""
-    names = tracker.estimator.parameters.names
-    times, values = np.array([each.t for each in found]), np.tile(tracker.values, (len(found), 1))
-    for row in range(len(found) - 1, 0, -1):
-        for change in found[row].changes:
-            if change.name in names:
-                k = names.index(change.name)
-                values[times < change.time, k] = found[row - 1].values[k]
-    return values
-
-
 def _recording(
-    tracker: RopeTracker, found: list[_Sighting], seen: npt.NDArray[np.bool_], convention: str, source: str
+    tracker: RopeTracker, found: list[_Sighting], errors: RunErrors, convention: str, source: str
 ) -> Recording:
-    """Return the markers of all frames as measured data, with the final estimates."""
+    """Return the markers of all frames as measured data, with the final estimates and the errors of the run."""
     parameters, readout = tracker.estimator.parameters, tracker.estimator.model.readout
+    seen = np.array([each.seen.seen for each in found])
     places, noise = np.empty((2, *seen.shape, 2))
-    for k, (frame, final) in enumerate(zip(found, _final_values(tracker, found), strict=True)):
-        before, now = (readout + parameters.value("readout", values) for values in (frame.values, final))
-        shift = (frame.seen - frame.still) * (now / before if before else 1.0)
-        camera, covariances = parameters.camera_at(tracker.camera, final), np.nan_to_num(frame.covariances, nan=1.0)
-        places[k], wide = camera.locate_with_covariance(frame.seen - shift, covariances)
+    first = 2 * tracker.estimator.n_links
+    for k, (frame, final, wide) in enumerate(zip(found, errors.values, errors.covariances, strict=True)):
+        before, now = (readout + parameters.value("readout", values) for values in (frame.x[first:], final))
+        shift = (frame.seen.places - frame.still) * (now / before if before else 1.0)
+        camera = parameters.camera_at(tracker.camera, final)
+        places[k], wide = camera.locate_with_covariance(frame.seen.places - shift, wide)
         noise[k] = np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
-    t = np.array([each.t for each in found]) - parameters.value("delay", tracker.values)
+    t = np.array([each.seen.t for each in found]) - parameters.value("delay", errors.values[-1])
     rows, columns = seen.any(axis=1), seen.any(axis=0)
     data, std = (each[rows][:, columns].reshape(int(rows.sum()), -1) for each in (places, noise))
     return Recording(t[rows], data, kind="markers", noise=std, convention=convention, source=source)

@@ -1,0 +1,323 @@
+"""What a track states and what its error is: a rope filmed by a renderer of its own, tracked as the docs say.
+
+python -m benchmarks.video_cases clean tilted    some cases (all without a name), each with --first and --runs seeds
+python -m benchmarks.video_cases page            the page from what there is
+
+Nothing of `hyperflex.vision` makes the pictures: the camera is written out here (pinhole, k1, k2), discs and rope are
+drawn in four times the resolution, the motion blur is the mean of sub-frames, boards are traced pixel by pixel. The
+user's part is done by the command line: `hyperflex calibrate` from a video of a board and a picture of it in the plane,
+the hook clicked to a whole pixel, then `hyperflex track`. The truth is a chain of 120 links, tracked with 24.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import numpy.typing as npt
+from benchmarks import log, machine
+from scipy.interpolate import CubicSpline
+
+import hyperflex as hf
+from hyperflex import files
+
+RESULTS = Path(__file__).parent / "results" / "video_cases.jsonl"
+Array = npt.NDArray[np.float64]
+
+SIZE = (640, 480)  # px
+FOCAL, CENTRE, RADIAL = 900.0, np.array([326.4, 233.7]), (-0.08, 0.02)  # px, px, k1 and k2
+LENGTH, MASS, TRUE_LINKS, LINKS = 1.2, 0.075, 120, 24
+ARCS = np.linspace(0.12, LENGTH, 10)
+RATE, EXPOSURE, SUBFRAMES, FINE = 30.0, 0.004, 5, 4  # frames/s, s, pictures a frame, pixels a pixel
+RADIUS, RED = 0.011, (40.0, 30.0, 205.0)  # m, blue, green and red of a marker
+SQUARES, SQUARE, MARKER = (8, 6), 0.08, 0.06  # of the board, m
+PLANE_AWAY = 3.0  # m, from the camera to the swing plane
+DIRECTIONS = ("x", "y")
+
+
+@dataclass(frozen=True)
+class Case:
+    """What differs from the plain video."""
+
+    tilt: float = 0.0  # degrees, of the swing plane about the vertical
+    rate: float = RATE
+    jitter: float = 0.0  # s, by which frames come early or late
+    flicker: float = 0.0  # relative amplitude of the light, at 10.3 Hz, followed by an exposure that lags
+    crf: int = 16
+    shake: float = 0.0  # px rms, of the whole picture in each frame
+    sway: float = 0.0  # out of the plane over the swing in it
+    wood: bool = False  # a wall of the markers' hue, red things on it, and a person who walks by
+    arm: float = 0.0  # m, of an arm that turns to and fro with the rope at its end, which the user does not declare
+    duration: float = 3.5
+    options: tuple[str, ...] = field(default=())
+
+
+CASES = {
+    "clean": Case(),
+    "clean, 60 frames/s": Case(rate=60.0),
+    "flicker": Case(flicker=0.15),
+    "uneven frame times": Case(jitter=0.008),
+    "plane tilted by 8 degrees": Case(tilt=8.0),
+    "compression (crf 38)": Case(crf=38),
+    "compression (crf 38), 60 frames/s": Case(crf=38, rate=60.0),
+    "camera shakes by 2 pixels": Case(shake=2.0),
+    "10 % sway out of the plane": Case(sway=0.1),
+    "wooden wall, clutter, one colour": Case(wood=True),
+    "the arm moves, undeclared": Case(arm=0.15),
+}
+
+
+def rope(n: int) -> hf.Rope:
+    """The rope of n links: friction of a joint grows with their number, so that the rope is the same."""
+    return hf.Rope.uniform(length=LENGTH, mass=MASS, n_links=n, radius=0.002, friction=2e-4 * n / 24)
+
+
+def places(case: Case, seed: int, times: Array) -> Array:
+    """Return the rope's joints (T, n + 1, 3), m, x right, y up, z to the viewer, at times (T,)."""
+    rng, s = np.random.default_rng((seed, 1)), np.linspace(0.0, 1.0, TRUE_LINKS)
+    q0 = (
+        0.5 + 0.1 * rng.normal() + 0.15 * rng.normal() * np.sin(np.pi * s) + 0.08 * rng.normal() * np.sin(2 * np.pi * s)
+    )
+    t = np.arange(0.0, case.duration + 0.1, 1.0 / 600.0)
+    motion, arm = None, None
+    if case.arm:
+        motion, arm = hf.sampled_motion(t, 0.7 * np.sin(2 * np.pi * 1.1 * t)), hf.Arm(case.arm)
+    run = hf.simulate(rope(TRUE_LINKS), motion, arm=arm, q0=q0, duration=t[-1], t_eval=t, tol=1e-7)
+    flat = CubicSpline(run.t, run.joints)(times)  # (T, n + 1, 2)
+    along = np.linspace(0.0, 1.0, TRUE_LINKS + 1)
+    phase = 2.0 * np.pi * np.sqrt(9.81 * 1.45 / LENGTH) / (2.0 * np.pi) * times[:, None]
+    out = case.sway * np.abs(np.sin(0.5)) * LENGTH * along * np.sin(phase)
+    return np.concatenate([flat, out[:, :, None]], axis=2)
+
+
+class Lens:
+    """The camera, and where the swing plane is before it."""
+
+    def __init__(self, tilt: float, seed: int) -> None:
+        rng = np.random.default_rng((seed, 2))
+        turn, roll = np.radians(tilt), np.radians(rng.normal(0.0, 0.5))
+        about_y = np.array([[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]])
+        about_z = np.array([[np.cos(roll), -np.sin(roll), 0.0], [np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]])
+        self.turn = np.diag([1.0, -1.0, -1.0]) @ about_y @ about_z  # of plane to camera
+        self.move = np.array([*rng.uniform(-0.05, 0.05, 2) + [0.0, -0.62], PLANE_AWAY])  # m, of the hook
+
+    def pixels(self, points: Array) -> Array:
+        """Return pixels (..., 2) of points (..., 3) of the plane's frame; (0, 0) is the middle of the first pixel."""
+        return seen(points @ self.turn.T + self.move)
+
+
+def seen(points: Array) -> Array:
+    """Return pixels (..., 2) of points (..., 3) of the camera's frame."""
+    ideal = points[..., :2] / points[..., 2:]
+    square = (ideal**2).sum(axis=-1, keepdims=True)
+    return np.asarray(FOCAL * ideal * (1.0 + RADIAL[0] * square + RADIAL[1] * square**2) + CENTRE)
+
+
+def rays() -> Array:
+    """Return directions (480, 640, 16, 3) of the lines of sight of 16 points of each pixel."""
+    fine = (np.arange(FINE) + 0.5) / FINE - 0.5
+    u = (np.arange(SIZE[0])[:, None] + fine).ravel()
+    v = (np.arange(SIZE[1])[:, None] + fine).ravel()
+    target = (np.stack(np.meshgrid(u, v), axis=-1) - CENTRE) / FOCAL
+    ideal = target.copy()
+    for _ in range(20):
+        square = (ideal**2).sum(axis=-1, keepdims=True)
+        ideal = target / (1.0 + RADIAL[0] * square + RADIAL[1] * square**2)
+    return np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=2)
+
+
+def board_picture(sight: Array, turn: Array, move: Array, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    """Return a picture of the board; `turn` and `move` take its frame (x right, y up, its top left corner) to ours."""
+    pattern = board_pattern()
+    side = pattern.shape[0] / SQUARES[1] / SQUARE  # pixels of the pattern a metre
+    normal = turn[:, 2]
+    points = sight * (normal @ move / (sight @ normal))[..., None] - move
+    x, y = points @ turn[:, 0], -(points @ turn[:, 1])
+    column, row = np.floor(x * side).astype(int), np.floor(y * side).astype(int)
+    margin = round(0.4 * SQUARE * side)
+    on = (column >= -margin) & (row >= -margin)
+    on &= (column < pattern.shape[1] + margin) & (row < pattern.shape[0] + margin)
+    inside = (column >= 0) & (row >= 0) & (column < pattern.shape[1]) & (row < pattern.shape[0])
+    level = np.where(on, 235.0, 105.0)
+    level[inside] = 30.0 + 205.0 / 255.0 * pattern[row[inside], column[inside]]
+    gray = level.reshape(SIZE[1], FINE, SIZE[0], FINE).mean(axis=(1, 3))
+    gray = cv2.GaussianBlur(gray, (0, 0), 0.5) + rng.normal(0.0, 2.0, gray.shape)
+    return np.repeat(np.clip(np.rint(gray), 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def board_pattern() -> npt.NDArray[np.uint8]:
+    """Return the board as it is printed, 96 pixels a square."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard(SQUARES, SQUARE, MARKER, dictionary)
+    return np.asarray(board.generateImage((96 * SQUARES[0], 96 * SQUARES[1])))
+
+
+def film_board(folder: Path, lens: Lens, seed: int) -> None:
+    """Write board.mp4 and plane.png: the board held at many angles, and in the swing plane."""
+    rng, sight = np.random.default_rng((seed, 3)), rays()
+    pictures, middle = [], np.array([0.5 * SQUARES[0] * SQUARE, -0.5 * SQUARES[1] * SQUARE, 0.0])
+    for k in range(16):
+        turn = cv2.Rodrigues(0.6 * np.array([np.cos(k), np.sin(k), 0.0]) + rng.normal(0.0, 0.1, 3))[0]
+        turn = turn @ np.diag([1.0, -1.0, -1.0])
+        place = np.array([*rng.uniform([-0.22, -0.15], [0.22, 0.15]), rng.uniform(1.2, 1.7)])
+        pictures.append(board_picture(sight, turn, place - turn @ middle, rng))
+    write_video(folder / "board.mp4", pictures, np.arange(16) * 0.5, 16)
+    corner = lens.move + lens.turn @ np.array([-0.3, -0.35, 0.0])
+    cv2.imwrite(str(folder / "plane.png"), board_picture(sight, lens.turn, corner, rng))
+
+
+def write_video(path: Path, pictures: list[npt.NDArray[np.uint8]], stamps: Array, crf: int) -> None:
+    """Write an MP4 file (H.264, PyAV)."""
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream("libx264", rate=30, options={"crf": str(crf), "preset": "fast"})
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        stream.codec_context.time_base = stream.time_base = Fraction(1, 90_000)
+        for picture, stamp in zip(pictures, stamps, strict=True):
+            frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+            frame.pts = round(90_000 * stamp)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+def film(case: Case, lens: Lens, seed: int) -> tuple[list[npt.NDArray[np.uint8]], Array, Array]:
+    """Return frames, their time stamps, and where the markers are (T, K, 2) in the plane in the middle of each."""
+    rng = np.random.default_rng((seed, 4))
+    stamps = np.arange(0.02, case.duration, 1.0 / case.rate)
+    stamps = stamps + rng.uniform(-case.jitter, case.jitter, stamps.size)
+    stamps = np.round(stamps * 90_000) / 90_000
+    parts = (np.arange(SUBFRAMES) + 0.5) / SUBFRAMES - 0.5
+    times = (stamps[:, None] + EXPOSURE * parts).ravel()
+    joints = places(case, seed, times)
+    shakes = np.repeat(rng.normal(0.0, case.shake, (stamps.size, 2)), SUBFRAMES, axis=0)
+    wall, pictures = wall_of(case, seed), []
+    light = 1.0
+    for k, stamp in enumerate(stamps):
+        own = slice(k * SUBFRAMES, (k + 1) * SUBFRAMES)
+        picture = np.zeros((SIZE[1], SIZE[0], 3))
+        for line, shake in zip(joints[own], shakes[own], strict=True):
+            picture += drawn(wall(stamp, shake), lens, line, shake) / SUBFRAMES
+        wanted = 1.0 + case.flicker * np.sin(2.0 * np.pi * 10.3 * stamp)
+        gain, light = wanted / light, light + 0.3 * (wanted - light)
+        picture = cv2.GaussianBlur(picture * gain, (0, 0), 0.5) + rng.normal(0.0, 2.0, picture.shape)
+        pictures.append(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+    middle = joints[SUBFRAMES // 2 :: SUBFRAMES]
+    return pictures, stamps, on_rope(middle)[:, :, :2]
+
+
+def on_rope(joints: Array) -> Array:
+    """Return the markers' places (..., K, D) on a line of joints (..., n + 1, D)."""
+    where = ARCS / LENGTH * TRUE_LINKS
+    first = np.minimum(np.floor(where).astype(int), TRUE_LINKS - 1)
+    part = (where - first)[:, None]
+    return np.asarray((1.0 - part) * joints[..., first, :] + part * joints[..., first + 1, :])
+
+
+def wall_of(case: Case, seed: int) -> Callable[[float, Array], Array]:
+    """Return what is behind the rope, at a time and shifted by some pixels."""
+    rng = np.random.default_rng((seed, 5))
+    width, height = SIZE[0] + 40, SIZE[1] + 40
+    slope = np.linspace(-12.0, 12.0, width)[None, :, None]
+    level = np.array([186.0, 192.0, 198.0]) + slope + np.zeros((height, 1, 1))
+    if case.wood:
+        grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (height, width)), (0, 0), sigmaX=30.0, sigmaY=1.5)
+        level = np.array([70.0, 110.0, 165.0]) + 14.0 * (grain / grain.std())[..., None] * [0.8, 1.0, 1.1]
+        for _ in range(9):  # red things, some as large as markers
+            u, v, r = rng.uniform([20, 20, 3], [width - 20, height - 20, 9])
+            cv2.circle(level, (int(u), int(v)), int(r), RED, -1, cv2.LINE_AA)
+
+    def shown(time: float, shake: Array) -> Array:
+        matrix = np.array([[1.0, 0.0, shake[0] - 20.0], [0.0, 1.0, shake[1] - 20.0]])
+        picture = cv2.warpAffine(level, matrix, SIZE, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        if case.wood:  # somebody walks by behind the rope
+            u = int(-60 + 220 * time)
+            cv2.rectangle(picture, (u, 90), (u + 55, 480), (60.0, 55.0, 50.0), -1)
+            cv2.circle(picture, (u + 27, 65), 25, (120.0, 150.0, 200.0), -1)
+        return np.asarray(picture)
+
+    return shown
+
+
+def drawn(picture: Array, lens: Lens, joints: Array, shake: Array) -> Array:
+    """Draw rope and markers on a picture: the share of each pixel that they cover counts."""
+    line = lens.pixels(joints) + shake
+    thickness = FOCAL * 0.004 / PLANE_AWAY
+    left, top = np.floor(line.min(axis=0)).astype(int) - 4
+    right, bottom = np.ceil(line.max(axis=0)).astype(int) + 5
+    left, top, right, bottom = max(left, 0), max(top, 0), min(right, SIZE[0]), min(bottom, SIZE[1])
+    mask = np.zeros(((bottom - top) * FINE, (right - left) * FINE), np.uint8)
+    fine = ((line - [left, top] + 0.5) * FINE - 0.5) * 16.0
+    cv2.polylines(mask, [np.rint(fine).astype(np.int32)], False, 255, round(thickness * FINE), cv2.LINE_AA, 4)
+    share = mask.reshape(bottom - top, FINE, right - left, FINE).mean(axis=(1, 3))[..., None] / 255.0
+    region = picture[top:bottom, left:right]
+    region += share * (np.array([70.0, 72.0, 75.0]) - region)
+    points = on_rope(joints)
+    centres, sides = lens.pixels(points) + shake, lens.pixels(points + [RADIUS, 0.0, 0.0]) + shake
+    grid = (np.arange(-14 * 8, 15 * 8) + 0.5) / 8.0 - 0.5  # px about the pixel of the centre, eighths
+    for centre, radius in zip(centres, np.linalg.norm(sides - centres, axis=1), strict=True):
+        u, v = np.rint(centre).astype(int)
+        if not (14 <= u < SIZE[0] - 14 and 14 <= v < SIZE[1] - 14):
+            continue
+        inside = (grid + u - centre[0]) ** 2 + (grid[:, None] + v - centre[1]) ** 2 < radius**2
+        share = inside.reshape(29, 8, 29, 8).mean(axis=(1, 3))[..., None]
+        region = picture[v - 14 : v + 15, u - 14 : u + 15]
+        region += share * (np.array(RED) - region)
+    return picture
+
+
+def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
+    """Film a case, do what the docs say, and compare."""
+    case = CASES[name]
+    lens = Lens(case.tilt, seed)
+    film_board(folder, lens, seed)
+    pictures, stamps, true = film(case, lens, seed)
+    write_video(folder / "swing.mp4", pictures, stamps, case.crf)
+    np.savez(folder / "truth.npz", stamps=stamps, true=true)
+    rope(LINKS).to_toml(folder / "rope.toml")
+    hook = [str(round(each)) for each in lens.pixels(np.zeros(3)).tolist()]
+    board = ["--squares", "8", "6", "--square", str(SQUARE), "--marker", str(MARKER), "--exposure", str(EXPOSURE)]
+    command(folder, "calibrate", "board.mp4", *board, "--plane", "plane.png", "--origin-pixel", *hook)
+    return tracked(name, seed, folder)
+
+
+def tracked(name: str, seed: int, folder: Path) -> dict[str, Any]:
+    """Track the video in a folder, and compare."""
+    arcs = ",".join(f"{arc:.3f}" for arc in ARCS)
+    given = ["--rope", "rope.toml", "--camera", "camera.toml", "--arc-lengths", arcs, *CASES[name].options]
+    result = json.loads(command(folder, "track", "swing.mp4", *given, "--preview", "seen.mp4", "--json"))
+    recording, known = hf.read_recording(folder / "markers.nc"), np.load(folder / "truth.npz")
+    at = [int(np.abs(known["stamps"] - t).argmin()) for t in recording.t]
+    columns = [int(np.abs(ARCS - arc).argmin()) for arc in result["arc_lengths"]]
+    error = recording.data.reshape(len(at), -1, 2) - known["true"][np.ix_(at, columns)]
+    stated = np.broadcast_to(recording.noise, recording.data.shape).reshape(error.shape)
+    there, scaled = np.isfinite(error), np.abs(error) / stated
+    return {
+        "case": name,
+        "seed": seed,
+        "seen": result["seen"],
+        "error": float(np.sqrt(2.0 * np.nanmean(error**2))),
+        "shift": np.nanmean(error, axis=(0, 1)).tolist(),
+        "tip": float(np.sqrt(2.0 * np.nanmean(error[:, -1] ** 2))),
+        "stated": float(np.sqrt(2.0 * np.mean(stated[there] ** 2))),
+        "inside": float((scaled[there] < 1.96).mean()),
+        "wrong": float((np.linalg.norm(error, axis=2)[there[:, :, 0]] > 0.06).mean()),
+        "notes": result["notes"],
+        "changes": result["changes"],
+    }
+
+
+def command(folder: Path, *words: str) -> str:
+    """Run a command of hyperflex in a folder, and return what it prints."""
+    program = [sys.executable, "-m", "hyperflex", *words]
+    done = subprocess.run(program, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(words)}: {done.stderr.strip()}")
+    return done.stdout

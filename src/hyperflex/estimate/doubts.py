@@ -1,0 +1,75 @@
+"""Reasons to doubt a track: how its measurements and the possible motions of its rope disagree."""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+from hyperflex.checks import Array
+from hyperflex.estimate.process import swing_rate
+from hyperflex.model import Rope
+
+LARGE = 3.0  # errors over those of detection from which the set-up is doubted
+DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted
+SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: three times a detection error
+ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
+
+
+class DoubtKind(StrEnum):
+    """What is wrong, and its text with a number."""
+
+    SHAKE = "the whole picture moves by {:.1f} px from frame to frame: the camera shakes, or stabilises its pictures"
+    IMPOSSIBLE = (
+        "the markers move as those of no hanging rope: off by {:.1f} times the detection errors, alike from frame to "
+        "frame, as with a swing out of the plane"
+    )
+    NOISE = (
+        "distances of markers from possible places are {:.1f} times as large as detection errors, as with strong "
+        "compression or little light"
+    )
+    DISTURBED = "the rope moves as if disturbed all along, by {:.2g} rad/s^2 per root of Hz"
+    BASE_MOVES = "the rope's first joint is not at the camera's origin but moves, {:.2g} m from it rms: the arm moves"
+
+
+class Doubt(NamedTuple):
+    """A reason to doubt a track, and how large it is (in its text)."""
+
+    kind: DoubtKind
+    size: float
+
+    def __str__(self) -> str:
+        return self.kind.format(self.size)
+
+
+ADVICE = (
+    "check the camera's scale, swing plane and origin (--estimate scale=0.01 or offset_x=0.02,offset_y=0.02), the time "
+    "stamps (slow motion stored at a usual rate), the arc lengths, and the rope (more links if it swings fast)"
+)
+
+
+def doubts(rope: Rope, level: float, density: Array, *, shift: float = 0.0, alike: float = 0.0) -> list[Doubt]:
+    """Return why a track is doubted.
+
+    Parameters
+    ----------
+    rope : Rope
+    level : float
+        Errors of the markers over those of detection.
+    density : (2,) float64
+        Of disturbances, as of :meth:`Process.noise`.
+    shift : float
+        Of whole pictures, px.
+    alike : float
+        Time over which residuals are alike, s.
+    """
+    rate, found = swing_rate(rope), []
+    if shift >= SHAKING:
+        found.append(Doubt(DoubtKind.SHAKE, shift))
+    if level >= LARGE:
+        found.append(Doubt(DoubtKind.IMPOSSIBLE if alike * rate >= ALIKE else DoubtKind.NOISE, level))
+    if rate > 0.0 and float(density[0]) >= DISTURBED * rate**1.5:
+        found.append(Doubt(DoubtKind.DISTURBED, float(density[0])))
+    return found
+
+
+def explained(found: list[Doubt]) -> str:
+    """Return doubts as a text with what to check; empty if there are none."""
+    return f"{'; '.join(map(str, found))}: {ADVICE}" if found else ""

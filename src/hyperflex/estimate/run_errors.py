@@ -1,0 +1,313 @@
+"""How large the errors of a run's markers are: by what a smoother of the whole run finds that no rope could do."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.errors import SimulationError
+from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.changes import MISFIT, Change
+from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.interval import Smoothed, smooth_linear
+from hyperflex.estimate.moving_horizon import EARLIER, jump_rows
+from hyperflex.estimate.noise import MOST, QUIET
+from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.process import BEYOND
+from hyperflex.status import Status
+
+LINEARISED, ROUNDS = 3, 6  # rounds: about new states; of all levels, before a last one of the markers' alone
+LONGEST = 300  # frames that are smoothed together: some 100 MB with 50 links
+ALIKE = 10.0  # observations that count for "a marker's errors are like those of the others"
+FADED = 0.05  # correlation of residuals from which later ones are independent
+
+
+class RunErrors(NamedTuple):
+    """What a whole run tells of its measurements and of its rope.
+
+    Attributes
+    ----------
+    covariances : (T, K, 2, 2) float64
+        Of the places of the markers, in the unit of the observations squared.
+    level : float
+        Errors of the markers over those that the detector states, without the shift.
+    shift : float
+        Standard deviation of a motion of all markers of a frame together: of the picture, same unit.
+    density : (2,) float64
+        Of disturbances of the whole rope and of its end, as of :meth:`Process.noise`.
+    correlated : float
+        Number of frames over which the residuals are alike, at least 1.
+    values : (T, P) float64
+        Parameters of the estimator at each frame.
+    estimates : dict of str to (float, float)
+        Value and standard deviation of each that is not fixed, in the end.
+    """
+
+    covariances: Array
+    level: float
+    shift: float
+    density: Array
+    correlated: float
+    values: Array
+    estimates: dict[str, tuple[float, float]]
+
+
+class _Levels(NamedTuple):
+    """Standard deviations of the three kinds of errors.
+
+    Attributes
+    ----------
+    marker : (K, 2) float64
+        Of each marker along u and v, over those of the detector.
+    shift : (2,) float64
+        Of a motion of all markers of a frame together, in the unit of the observations.
+    density : (2,) float64
+        Of disturbances, as of :meth:`Process.noise`.
+    jump : float
+        Of the changes that were noticed, over what was noticed: 0 if there was none.
+    """
+
+    marker: Array
+    shift: Array
+    density: Array
+    jump: float = 1.0
+
+    def stated(self, covariances: Array) -> Array:
+        """Return the covariances (K, 2, 2) of places, from those of a detector."""
+        scaled = np.linalg.cholesky(covariances) * self.marker[:, None, :]
+        return np.asarray(scaled @ scaled.transpose(0, 2, 1) + np.diag(self.shift**2))
+
+
+class _Linear(NamedTuple):
+    """A frame's observations, linearised: places (2 k,) = slope (2 k, N) x + own (k, 2, 2) e, of the markers used."""
+
+    used: npt.NDArray[np.int64]
+    places: Array
+    slope: Array
+    own: Array
+
+    def covariance(self, levels: _Levels) -> tuple[Array, Array]:
+        """Return the covariance (2 k, 2 k) of the errors, and which of u and v each row is (2 k, 2)."""
+        count = len(self.used)
+        both, scaled = np.tile(np.eye(2), (count, 1)), self.own * levels.marker[self.used][:, None, :]
+        wide, each = both * levels.shift**2 @ both.T, np.arange(count)
+        wide.reshape(count, 2, count, 2)[each, :, each] += scaled @ scaled.transpose(0, 2, 1)
+        return wide, both
+
+
+def run_errors(
+    estimator: RopeFilter,
+    seen: Sequence[Observations],
+    states: Array,
+    begun: Sequence[int] = (),
+    changes: Sequence[Change] = (),
+) -> RunErrors:
+    """Find the errors of a run's observations, and its parameters, by smoothing it.
+
+    Parameters
+    ----------
+    estimator : RopeFilter
+        After the run.
+    seen : sequence of T Observations
+        Those that it used.
+    states : (T, N) float64
+        Its estimates: the equations are linearised about them at first.
+    begun : sequence of int
+        Frames in which it started anew.
+    changes : sequence of Change
+        Those that were noticed: there the state may jump.
+
+    Notes
+    -----
+    Errors have three parts: of each marker along u and v, a shift of the whole picture, and disturbances of the rope.
+    Their variances are the likeliest ones, by expectation maximisation (Shumway and Stoffer 1982, J. Time Series
+    Analysis 3(4), 253), for disturbances in the faster form of MacKay (1992, Neural Computation 4(3), 415). Errors that
+    continue from frame to frame (a swing out of the plane) determine the states less well than independent ones: in the
+    last round the information of the observations is divided by the number of frames over which residuals are alike.
+    Where the rope's equations cannot follow the estimates, the estimator's own levels remain.
+    """
+    parameters, first = estimator.parameters, 2 * estimator.n_links
+    prior, values, covariances = (parameters.start, np.diag(parameters.std)), states[:, first:].copy(), []
+    windows = [
+        part
+        for run in np.split(np.arange(len(seen)), [k for k in begun if k])
+        for part in np.array_split(run, -(-run.size // LONGEST))
+    ]
+    solved = []
+    for part in windows:
+        own = slice(part[0], part[-1] + 1)
+        window = _Window(estimator, seen[own], states[own], prior, changes)
+        with suppress(SimulationError, np.linalg.LinAlgError):
+            window.solve()
+        if window.smoothed:
+            values[own] = window.states[:, first:]
+            prior = values[own][-1], sr.triangular(window.smoothed[-1].rows[:, first:])
+        covariances += [window.levels.stated(each.covariances) for each in seen[own]]
+        solved.append(window)
+
+    def mean(squares: list[Any]) -> Array:
+        return np.asarray(np.sqrt(np.average(squares, axis=0, weights=[part.size for part in windows])))
+
+    return RunErrors(
+        np.array(covariances),
+        float(mean([np.mean(each.levels.marker**2) for each in solved])),
+        float(mean([np.mean(each.levels.shift**2) for each in solved])),
+        mean([each.levels.density**2 for each in solved]),
+        float(mean([np.square(each.correlated) for each in solved])),
+        values,
+        parameters.estimates(np.append(np.zeros(first), values[-1]), np.pad(prior[1], ((0, 0), (first, 0)))),
+    )
+
+
+class _Window:
+    """Frames that are smoothed together, and the levels of their errors."""
+
+    def __init__(
+        self,
+        estimator: RopeFilter,
+        seen: Sequence[Observations],
+        states: Array,
+        prior: tuple[Array, Array],
+        changes: Sequence[Change],
+    ) -> None:
+        self.estimator, self.process, self.seen, self.states = estimator, estimator.process, seen, states
+        rope, first, many = self.process.rope, 2 * estimator.n_links, len(estimator.parameters)
+        self.mean = np.concatenate([states[0, :first], prior[0]])
+        free = estimator.disturbances.starting_rows(rope, np.zeros(many))
+        self.rows = np.concatenate([free[: len(free) - many], np.pad(prior[1], ((0, 0), (first, 0)))])
+        level = estimator.measurement_noise.value
+        there = [each.covariances[each.seen].trace(axis1=1, axis2=2).mean() for each in seen if each.seen.any()]
+        self.dark, detected = not there, float(np.median(there or [0.0]))
+        self.levels = _Levels(
+            np.full((len(seen[0].places), 2), level),
+            np.full(2, 0.5 * level * np.sqrt(0.5 * detected)),
+            np.asarray(estimator.process_noise.value),
+        )
+        self.gaps = np.diff([each.t for each in seen]).tolist()
+        self.jumps = [
+            [
+                jump_rows(estimator, change, states[k], gap)
+                for change in changes
+                if change.name != MISFIT and change.time - EARLIER < seen[k + 1].t <= change.noticed
+            ]
+            for k, gap in enumerate(self.gaps)
+        ]
+        self.smoothed: list[Smoothed] = []
+        self.correlated = 1.0
+
+    def solve(self) -> None:
+        """Smooth, and find the levels."""
+        first = 2 * self.estimator.n_links
+        for k in range(0 if self.dark else ROUNDS + 1):
+            if k < LINEARISED:
+                steps, linear = self._linearised()
+            noises = [self.process.noise(gap, self.levels.density) for gap in self.gaps]
+            moves = [
+                (*step, np.concatenate([noise, *(self.levels.jump * each for each in jumps)]))
+                for step, noise, jumps in zip(steps, noises, self.jumps, strict=True)
+            ]
+            wide = [each.covariance(self.levels) for each in linear]
+            self.smoothed = smooth_linear(
+                self.mean,
+                self.rows,
+                moves,
+                [_whitened(each, self.correlated * errors[0]) for each, errors in zip(linear, wide, strict=True)],
+            )
+            self.states = np.array([each.mean for each in self.smoothed])
+            self.states[:, first:] = self.estimator.parameters.possible(self.states[:, first:])
+            residuals = self._learn(linear, wide, k < ROUNDS)
+            if k == ROUNDS - 1:
+                self.correlated = correlation_time(residuals / self.levels.marker)
+
+    def _linearised(self) -> tuple[list[tuple[Array, Array]], list[_Linear]]:
+        """Return transitions and offsets of the steps, and the observations, about the states."""
+        steps, linear = [], []
+        for k, (x, seen) in enumerate(zip(self.states, self.seen, strict=True)):
+            if k < len(self.gaps):
+                found = self.process.predict(x, seen.t, self.seen[k + 1].t)
+                if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
+                    raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=seen.t)
+                steps.append((found.transition, found.x - found.transition @ x))
+            used = np.flatnonzero(seen.seen)
+            at, slope = self.estimator.model.predict(
+                x, self.process.base(seen.t, x), seen.rows, self.process.accelerations(x, seen.t)
+            )
+            flat = slope[used].reshape(-1, x.size)
+            places = (seen.places[used] - at[used]).ravel() + flat @ x
+            linear.append(_Linear(used, places, flat, np.asarray(np.linalg.cholesky(seen.covariances[used]))))
+        return steps, linear
+
+    def _learn(self, linear: list[_Linear], wide: list[tuple[Array, Array]], everything: bool) -> Array:
+        """Set the levels by the smoothed states; return the residuals (T, K, 2) over the detector's errors.
+
+        If not `everything`, those of the markers alone.
+        """
+        squares, counts = np.zeros_like(self.levels.marker), np.zeros_like(self.levels.marker)
+        shifts, residuals = np.zeros(2), np.full((len(linear), *squares.shape), np.nan)
+        variance = np.diag(self.levels.shift**2)
+        for k, (each, smoothed, (covariance, both)) in enumerate(zip(linear, self.smoothed, wide, strict=True)):
+            if not each.used.size:
+                continue
+            off, moves = each.places - each.slope @ smoothed.mean, smoothed.rows @ each.slope.T
+            errors = np.outer(off, off) + moves.T @ moves
+            gain = np.linalg.solve(covariance, both @ variance).T  # of the shift, from the errors
+            doubt, own = variance - gain @ both @ variance, np.eye(off.size) - both @ gain
+            shifts += np.diag(gain @ errors @ gain.T + doubt)
+            errors = own @ errors @ own.T + both @ doubt @ both.T
+            index, count = np.arange(each.used.size), each.used.size
+            blocks, back = errors.reshape(count, 2, count, 2)[index, :, index], np.linalg.inv(each.own)
+            squares[each.used] += np.diagonal(back @ blocks @ back.transpose(0, 2, 1), axis1=1, axis2=2)
+            counts[each.used] += 1.0
+            residuals[k, each.used] = (back @ off.reshape(-1, 2, 1))[:, :, 0]
+        marker = np.sqrt((squares + ALIKE * squares.sum() / counts.sum()) / (counts + ALIKE))
+        if everything:
+            frames = sum(each.used.size > 0 for each in linear)
+            self.levels = _Levels(marker, np.sqrt(shifts / frames), *self._disturbed())
+        else:
+            self.levels = self.levels._replace(marker=marker)
+        return residuals
+
+    def _disturbed(self) -> tuple[Array, float]:
+        """Return the likeliest density of disturbances and level of the changes.
+
+        The squares of a kind are compared with the number of them that the run determines.
+        """
+        kinds, levels, steps = np.append(0, self.process.noise_ends), self.levels, self.smoothed[:-1]
+        most = self.process.noise(1.0, 1.0).shape[0]  # rows of a step, before those of changes
+
+        def factor(first: int, end: int | None) -> float:
+            squares = sum(float(np.sum(each.noise[first:end] ** 2)) for each in steps)
+            known = sum(float(np.sum(1.0 - each.noise_variance[first:end])) for each in steps)
+            return float(np.sqrt((1.0 + squares) / (1.0 + known)))
+
+        density = levels.density * [factor(first, end) for first, end in pairwise(kinds.tolist())]
+        first = self.estimator.process_noise.first
+        return np.clip(density, QUIET * first, MOST * first), levels.jump * factor(most, None)
+
+
+def _whitened(each: _Linear, covariance: Array) -> tuple[Array, Array]:
+    """Return the observations of a frame with errors of variance 1, for errors of a covariance."""
+    if not each.used.size:
+        return each.places, each.slope
+    lower = np.linalg.cholesky(covariance)
+    return np.linalg.solve(lower, each.places), np.linalg.solve(lower, each.slope)
+
+
+def correlation_time(residuals: Array) -> float:
+    """Return the number of frames (T, ...) over which residuals are alike, at least 1: 1 + 2 sum of correlations.
+
+    NaN: not seen. The sum ends where the correlation has faded.
+    """
+    known, there = np.nan_to_num(residuals), np.isfinite(residuals)
+    variance, frames = (known**2).sum() / max(there.sum(), 1), 1.0
+    for lag in range(1, len(known) // 2):
+        pairs = np.count_nonzero(there[lag:] & there[:-lag])
+        likeness = (known[lag:] * known[:-lag]).sum() / max(pairs, 1) / variance
+        if likeness < FADED:
+            break
+        frames += 2.0 * likeness
+    return float(frames)
