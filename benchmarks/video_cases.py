@@ -1,7 +1,8 @@
 """What a track states and what its error is: a rope filmed by a renderer of its own, tracked as the docs say.
 
-python -m benchmarks.video_cases clean tilted    some cases (all without a name), each with --first and --runs seeds
-python -m benchmarks.video_cases page            the page from what there is
+python -m benchmarks.video_cases                   all cases
+python -m benchmarks.video_cases clean "flicker"   some of them; --seed for another rope, camera and calibration
+python -m benchmarks.video_cases page              the page from what there is
 
 Nothing of `hyperflex.vision` makes the pictures: the camera is written out here (pinhole, k1, k2), discs and rope are
 drawn in four times the resolution, the motion blur is the mean of sub-frames, boards are traced pixel by pixel. The
@@ -14,7 +15,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -29,6 +30,7 @@ from scipy.interpolate import CubicSpline
 
 import hyperflex as hf
 from hyperflex import files
+from hyperflex.core.cache import SOURCE_HASH
 
 RESULTS = Path(__file__).parent / "results" / "video_cases.jsonl"
 Array = npt.NDArray[np.float64]
@@ -41,7 +43,6 @@ RATE, EXPOSURE, SUBFRAMES, FINE = 30.0, 0.004, 5, 4  # frames/s, s, pictures a f
 RADIUS, RED = 0.011, (40.0, 30.0, 205.0)  # m, blue, green and red of a marker
 SQUARES, SQUARE, MARKER = (8, 6), 0.08, 0.06  # of the board, m
 PLANE_AWAY = 3.0  # m, from the camera to the swing plane
-DIRECTIONS = ("x", "y")
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class Lens:
         about_y = np.array([[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]])
         about_z = np.array([[np.cos(roll), -np.sin(roll), 0.0], [np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]])
         self.turn = np.diag([1.0, -1.0, -1.0]) @ about_y @ about_z  # of plane to camera
-        self.move = np.array([*rng.uniform(-0.05, 0.05, 2) + [0.0, -0.62], PLANE_AWAY])  # m, of the hook
+        self.move = np.append(rng.uniform([-0.05, -0.67], [0.05, -0.57]), PLANE_AWAY)  # m, of the hook
 
     def pixels(self, points: Array) -> Array:
         """Return pixels (..., 2) of points (..., 3) of the plane's frame; (0, 0) is the middle of the first pixel."""
@@ -260,7 +261,7 @@ def drawn(picture: Array, lens: Lens, joints: Array, shake: Array) -> Array:
     region = picture[top:bottom, left:right]
     region += share * (np.array([70.0, 72.0, 75.0]) - region)
     points = on_rope(joints)
-    centres, sides = lens.pixels(points) + shake, lens.pixels(points + [RADIUS, 0.0, 0.0]) + shake
+    centres, sides = lens.pixels(points) + shake, lens.pixels(points + np.array([RADIUS, 0, 0])) + shake
     grid = (np.arange(-14 * 8, 15 * 8) + 0.5) / 8.0 - 0.5  # px about the pixel of the centre, eighths
     for centre, radius in zip(centres, np.linalg.norm(sides - centres, axis=1), strict=True):
         u, v = np.rint(centre).astype(int)
@@ -301,6 +302,7 @@ def tracked(name: str, seed: int, folder: Path) -> dict[str, Any]:
     there, scaled = np.isfinite(error), np.abs(error) / stated
     return {
         "case": name,
+        "kernels": SOURCE_HASH,
         "seed": seed,
         "seen": result["seen"],
         "error": float(np.sqrt(2.0 * np.nanmean(error**2))),
@@ -309,8 +311,7 @@ def tracked(name: str, seed: int, folder: Path) -> dict[str, Any]:
         "stated": float(np.sqrt(2.0 * np.mean(stated[there] ** 2))),
         "inside": float((scaled[there] < 1.96).mean()),
         "wrong": float((np.linalg.norm(error, axis=2)[there[:, :, 0]] > 0.06).mean()),
-        "notes": result["notes"],
-        "changes": result["changes"],
+        "said": result["doubts"],
     }
 
 
@@ -321,3 +322,42 @@ def command(folder: Path, *words: str) -> str:
     if done.returncode:
         raise RuntimeError(f"{' '.join(words)}: {done.stderr.strip()}")
     return done.stdout
+
+
+def main() -> None:
+    """Run what is asked for, and write a line for each; or the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join([*CASES, "page"]).replace("%", "%%"))
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    for name in [] if options.cases == ["page"] else options.cases or CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            row = run(name, options.seed, Path(folder))
+        log.append(RESULTS, row)
+        print(row, flush=True)
+    files.write_text(RESULTS.with_suffix(".md"), page(log.read(RESULTS)))
+
+
+def page(rows: list[log.Row]) -> str:
+    """The results as Markdown."""
+    kept = {(row["case"], row["seed"]): row for row in rows}
+    lines = [
+        "# What a track states, and what its error is",
+        "",
+        __doc__.split("\n\n")[2].replace("\n", " ").strip(),
+        "",
+        "| case | seed | seen, % | error, mm rms | tip | stated | inside 95 %, % | wrong marker, % | first line |",
+        "|---" * 9 + "|",
+    ]
+    for name in CASES:
+        for (case, seed), row in sorted(kept.items()):
+            if case == name:
+                numbers = [1e2 * row["seen"], *(1e3 * row[key] for key in ("error", "tip", "stated"))]
+                numbers += [1e2 * row["inside"], 1e2 * row["wrong"]]
+                cells = [name, str(seed), *(f"{number:.3g}" for number in numbers), "; ".join(row["said"])]
+                lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "", f"{log.made(kept.values())} {machine.sentence(machine.describe())}\n"])
+
+
+if __name__ == "__main__":
+    main()

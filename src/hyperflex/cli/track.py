@@ -196,12 +196,13 @@ def track(
         }
         result |= _estimated(found.errors.level, found.parameters, found.changes)
     files.rescued(found.to_netcdf, kept)
+    doubted = [] if bar else [str(each) for each in found.doubts]
     result["notes"] = [each.replace("arc_lengths", "--arc-lengths") for each in found.notes]
     more = [("change", str(each)) for each in (() if bar else found.changes)]
-    doubted = [] if bar else [str(each) for each in found.doubts]
     title = f"Tracked {video}" + (f", with doubts: {'; '.join(doubted)}" if doubted else "")
     text = f"Interrupted after {found.frames} frames; the part that was tracked is in {kept}."
-    output.show(result, output.rows(title, result, *more), interrupted=text if stopped else "")
+    rows = output.rows(title, result, *more)
+    output.show({**result, "doubts": doubted}, rows, interrupted=text if stopped else "")
 
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
