@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.chain.drive import Segment, base_state, segment
+from hyperflex.core.chain.drive import Segment, base_size, base_state, segment
 from hyperflex.core.chain.lanes import COLUMNS, load, rows, set_slip
 from hyperflex.core.integrate import steps as steppers
 from hyperflex.core.integrate.rollout import JOINT, LENGTH, MODES
@@ -47,7 +47,7 @@ class Frozen:
         self.t, self.y, self.n = 0.0, np.concatenate([*it.start(), np.zeros(2)]), n
 
     def base(self, part: Segment, t: float) -> Array:
-        base = np.empty(9)
+        base = np.empty(base_size(self.drive))
         base_state(self.drive, part, t, base)
         return base
 
@@ -58,7 +58,7 @@ class Frozen:
             new_substeps(n)[0],
             self.lanes,
             self.tip,
-            np.zeros((9, len(COLUMNS))),
+            np.zeros((base_size(self.drive), len(COLUMNS))),
             np.empty(6 * n),
         )
         steppers.extrapolate(
@@ -74,7 +74,9 @@ class Frozen:
         n, out, base = self.n, self.step(part, order, length, grip), self.base(part, self.t + length)
         if grip[joint]:
             return float(out[n + joint] - (out[n + joint - 1] if joint else base[3]))
-        torque = base_state(self.drive, part, self.t + length, base)
+        torque = np.zeros(max(1, base.size - 9))
+        torque[0] = base_state(self.drive, part, self.t + length, base)
+        torque[: base.size - 9] += base[9:]
         held = dense.accelerations(self.links, out[:n], out[n : 2 * n], base[:7], torque=torque, grip=grip).held[joint]
         return float((abs(held) - self.links.dry[joint]) / self.links.dry[joint])
 

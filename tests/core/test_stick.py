@@ -121,7 +121,7 @@ COURSES: list[tuple[Course, float, float]] = [  # and the step, and when the eve
 
 
 def new_search(margins: int, locked: float = 0.0) -> events.Search:
-    search = events.search_of(events.new_searches(1, margins + 1, 1), 0)  # the last one: no end of the run
+    search = events.search_of(events.new_searches(1, margins + 1, 1, 9), 0)  # the last one: no end of the run
     search.locked[:margins], search.span[events.HIGH] = locked, np.inf
     return search
 

@@ -83,7 +83,11 @@ def test_the_arm_of_a_failed_run_is_handed_over_too():
 def test_two_errors_of_a_step_are_told_apart_and_none_that_is_not_a_number_is_taken():
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
-    limits, workspace, rng = rollout_limits(setup, chain, 1.0), rollout.new_workspace(chain), np.random.default_rng(3)
+    limits, workspace, rng = (
+        rollout_limits(setup, chain, 1.0),
+        rollout.new_workspace(chain, 9),
+        np.random.default_rng(3),
+    )
     y, errors = rng.normal(size=22), 1e-6 * rng.normal(size=(2, 22))
     errors[:, 20:] *= np.array([[1.0], [1e3]])  # the second errs most in energy
 

@@ -137,7 +137,7 @@ def accelerations(
     q: Real,
     w: Real,
     base: Real,
-    torque: float = 0.0,
+    torque: Any = 0.0,
     h: float = 0.0,
     dtype: Any = np.longdouble,
     grip: Real | None = None,
@@ -151,7 +151,7 @@ def accelerations(
     ----------
     q, w : (n,) rad, rad/s
     base : (7,) acceleration x, y of the first joint; alpha, rate and angle of the parent; velocity x, y of the joint.
-    torque : N m on link 0
+    torque : N m on link 0, or (m,) on the first m links
     h : s
     """
     q, w, base = (np.asarray(value, dtype) for value in (q, w, base))
@@ -162,7 +162,8 @@ def accelerations(
     right = np.zeros_like(q)
     for axis in range(2):
         right = right + (reach * across[:, axis]).T @ (mass * (g[axis] - drift[:, axis]))
-    right[0] += dtype(torque)
+    external = np.atleast_1d(np.asarray(torque, dtype))
+    right[: external.size] += external
     j = joints(links, q, w, (base[4], base[3]), h, dtype, grip)
     right = right + j.friction_work @ j.friction + j.spring_work @ j.spring
     airy = bool(np.any(np.asarray(links.drag) != 0.0))

@@ -12,7 +12,15 @@ import numpy as np
 from hyperflex.core import joint_law
 from hyperflex.core.assign import assign
 from hyperflex.core.chain.air import air_loads
-from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, accelerations, joint_of, relative, with_dry
+from hyperflex.core.chain.articulated_body import (
+    ONE_SIDED,
+    Array,
+    accelerations,
+    joint_of,
+    motor_torque,
+    relative,
+    with_dry,
+)
 from hyperflex.core.jit import kernel, non_allocating, zeros
 
 
@@ -89,7 +97,7 @@ def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ign
         px, py = work[i], work[n + i]
         mass, com, length = chain.mass[i], chain.com[i], chain.length[i]
         spring = joint_law.spring(joint_of(chain, i), relative(q, i, base[4]))
-        external = work[2 * n + i] + (torque if i == 0 else 0.0)
+        external = work[2 * n + i] + motor_torque(base, torque, i)
         turn = (chain.inertia[i] + mass * com * com) * alpha[i]
         turn += mass * com * (cos * px + sin * py) + length * (cos * fx + sin * fy) + back
         size += mass * abs(com) * (abs(px) + abs(py)) + length * (abs(fx) + abs(fy)) + abs(spring) + abs(external)

@@ -141,6 +141,11 @@ def _refuse(setup: Setup) -> None:
         (f"a chain of {depth} bodies, each within the one before", depth > MOST_BODIES, f"at most {MOST_BODIES}"),
         ("one-sided joint friction", rope.friction_model != "relative", "friction_model='relative'"),
         ("this air drag, quadratic in a link's normal velocity", rope.drag.any(), "rope.replace(drag=0.0)"),
+        (
+            "motors in the rope's joints",
+            setup.torque is not None and (setup.arm is None or setup.torque.joints > 1),
+            "an arm",
+        ),
         ("a pivot that moves", pivot is not None and pivot[..., 1:].any() | np.ptp(pivot, axis=0).any(), "an arm"),
         ("a constant tip force", any(setup.tip_force), "tip_force=(0, 0), and data.xfrc_applied in MuJoCo"),
         ("a wall without thickness", any(isinstance(each, Wall) for each in setup.pegs), "pegs and grounds"),

@@ -66,7 +66,8 @@ class Setup:
         The arm; without one the rope hangs from the point itself.
     torque : Motion, float or callable, optional
         Drives the arm by a torque, N m: a ``torque_profile``, a constant, or ``torque(t, arm_angle, arm_rate, q, qd)``,
-        which becomes `control`.
+        which becomes `control`. Without an arm it turns the first link, against the point that the rope hangs from. A
+        ``torque_profile`` with several columns has motors in the joints beyond as well.
     duration : float
         Simulated time, s.
     q0, qd0 : (n,) array_like, optional
@@ -162,6 +163,12 @@ class Setup:
                 got=self.rope.friction_model,
                 allowed="friction_model='relative'",
             )
+        if self.torque is not None and self.torque.joints > 1:
+            raise InvalidInput(
+                "contact and joint limits know the motor of the first joint alone",
+                got=f"torques of {self.torque.joints} joints",
+                allowed="one column, or a set-up without pegs and joint limits",
+            )
         if self.method != METHODS[0]:
             raise InvalidInput(
                 "contact and joint limits have a stepper of their own",
@@ -176,17 +183,24 @@ class Setup:
         if self.arm is None and turning:
             raise InvalidInput("motion turns an arm, but there is none", fix="Give arm=Arm(length=...)")
         if self.torque is not None:
-            if self.arm is None:
-                raise InvalidInput("a torque needs an arm to act on", fix="Give arm=Arm(length=..., inertia=...)")
+            if self.arm is None and self.control is not None:
+                raise InvalidInput(
+                    "a torque callback needs an arm to act on", fix="Give arm=Arm(length=..., inertia=...)"
+                )
             if self.motion is not None:
                 raise InvalidInput(
                     "the arm cannot both follow a motion and be driven by a torque", fix="Give one of them"
                 )
             if self.torque.coef[:, :TORQUE].any():
                 raise InvalidInput("torque moves the arm or the pivot", allowed="a torque_profile(t, torque)")
+            joints = self.rope.n_links + (self.arm is not None)
+            if self.torque.joints > joints:
+                raise InvalidInput(
+                    "torque has more columns than there are joints", got=self.torque.joints, allowed=f"at most {joints}"
+                )
 
     def __repr__(self) -> str:
-        drive = "torque" if self.torque_driven else "motion" if self.motion is not None else "at rest"
+        drive = "torque" if self.torque is not None else "motion" if self.motion is not None else "at rest"
         arm = "" if self.arm is None else f"arm of {self.arm.length:g} m, "
         pegs = f", {len(self.pegs)} obstacle{'' if len(self.pegs) == 1 else 's'}" if self.pegs else ""
         return f"Setup({self.rope!r}, {arm}{drive}, {self.duration:g} s{pegs})"
@@ -199,7 +213,7 @@ class Setup:
     @property
     def torque_driven(self) -> bool:
         """Whether the arm is moved by a torque, not by a prescribed motion."""
-        return self.torque is not None
+        return self.torque is not None and self.arm is not None
 
     def start(self) -> tuple[Array, Array]:
         """Return angles and rates (n,) at the start; with a torque-driven arm (n + 1,), the arm first."""

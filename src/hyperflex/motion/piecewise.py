@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
 from hyperflex.errors import InvalidInput
 
-CHANNELS = 4  # arm angle, pivot x, pivot y, torque
+CHANNELS = 4  # arm angle, pivot x, pivot y, torque of the first joint; then those of the joints beyond it
 POWERS = 6  # coefficients of a piece: up to the fifth power, which minimum jerk needs
 MEET = 1e-9  # rad, m or s: greatest difference of two values that are meant to be equal
 
@@ -31,8 +31,9 @@ class Motion:
     ----------
     breaks : (k + 1,) array
         Times at which the pieces begin and end, s.
-    coef : (k, 4, 6) array
-        Coefficients of the pieces for angle, x, y and torque, ascending powers of the time since the piece began.
+    coef : (k, 4 or more, 6) array
+        Coefficients of the pieces for angle, x, y and torque, ascending powers of the time since the piece began; of
+        motors in several joints one torque for each joint from the first.
     switch : (k + 1,) array of bool
         Whether the acceleration (or torque), or its rate of change, jumps at a break; the integration restarts there.
     loop : int
@@ -54,7 +55,9 @@ class Motion:
 
     def __post_init__(self) -> None:
         breaks = checks.times("motion breaks", self.breaks, least=2)
-        coef = checks.array("motion coefficients", self.coef, (breaks.size - 1, CHANNELS, POWERS))
+        coef = checks.array("motion coefficients", self.coef, (breaks.size - 1, -1, POWERS))
+        if coef.shape[1] < CHANNELS:
+            raise InvalidInput("motion coefficients lack channels", got=coef.shape[1], allowed=f"at least {CHANNELS}")
         switch = checks.array("motion switch", np.asarray(self.switch, object), breaks.shape).astype(np.bool_)
         loop = checks.count("motion loop", self.loop, least=-1)
         if loop >= breaks.size - 1:
@@ -102,9 +105,14 @@ class Motion:
         """Displacement of the pivot at times t (T,): (T, 2), m."""
         return np.stack([self._evaluate(t, X, 0), self._evaluate(t, Y, 0)], axis=-1)
 
-    def torque(self, t: npt.ArrayLike) -> Array:
-        """Motor torque at times t (T,), N m."""
-        return self._evaluate(t, TORQUE, 0)
+    @property
+    def joints(self) -> int:
+        """Number of joints, from the first, that have a torque."""
+        return int(self.coef.shape[1]) - TORQUE
+
+    def torque(self, t: npt.ArrayLike, joint: int = 0) -> Array:
+        """Torque of the motor in a `joint`, by default the first, at times t (T,), N m."""
+        return self._evaluate(t, TORQUE + checks.count("joint", joint, least=0, most=self.joints - 1), 0)
 
     def _evaluate(self, t: npt.ArrayLike, channel: int, derivative: int) -> Array:
         time = checks.array("t", t, None, unit="s", infinite=True)
@@ -122,7 +130,7 @@ class Motion:
         for power in range(POWERS - 1, derivative - 1, -1):
             value = value * local + math.perm(power, derivative) * self.coef[piece, channel, power]
         still = (time < start) | (after & (self.loop < 0))
-        return np.where(still & (derivative > 0 or channel == TORQUE), 0.0, value)
+        return np.where(still & (derivative > 0 or channel >= TORQUE), 0.0, value)
 
     def switches(self, start: float, end: float) -> Array:
         """Instants in start..end (s) at which the acceleration or torque jumps, increasing, (m,)."""
@@ -158,9 +166,11 @@ class Motion:
         if keep == 0:  # nothing of this motion has begun
             return other._since(at)
         second = other._since(at)
+        channels = max(coef.shape[1], second.coef.shape[1])
+        pieces = [np.pad(each, ((0, 0), (0, channels - each.shape[1]), (0, 0))) for each in (coef[:keep], second.coef)]
         return Motion(
             np.concatenate([breaks[:keep], second.breaks]),
-            np.concatenate([coef[:keep], second.coef]),
+            np.concatenate(pieces),
             np.concatenate([switch[:keep], second.switch]),
             second.loop + keep if second.loop >= 0 else -1,
         )

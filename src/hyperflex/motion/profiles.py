@@ -303,20 +303,24 @@ def moving_pivot(t: ArrayLike, x: ArrayLike, y: ArrayLike) -> Motion:
 
 
 def torque_profile(t: ArrayLike, torque: ArrayLike) -> Motion:
-    """Return a motor torque that runs straight between its samples and is 0 outside.
+    """Return the torque of a motor, or of several, that runs straight between its samples and is 0 outside.
+
+    The first joint is the arm's shaft or, without an arm, the joint that the rope hangs from.
 
     Parameters
     ----------
     t : (T,) array_like
         Increasing times, s, at least two.
-    torque : (T,) array_like
-        Motor torque, N m.
+    torque : (T,) or (T, k) array_like
+        Torque of the first joint's motor, or of the motors in the first k joints, N m; 0 in one without. A motor turns
+        its joint's link, and the link before it the other way.
     """
     time = checks.times("t", t, least=2)
-    values = checks.array("torque", torque, (time.size,), unit="N m")
-    coef = np.zeros((time.size - 1, CHANNELS, POWERS))
-    coef[:, TORQUE, 0] = values[:-1]
-    coef[:, TORQUE, 1] = np.diff(values) / np.diff(time)
+    values = checks.array("torque", torque, (time.size, -1) if np.ndim(torque) == 2 else (time.size,), unit="N m")
+    columns = values.reshape(time.size, -1)
+    coef = np.zeros((time.size - 1, TORQUE + columns.shape[1], POWERS))
+    coef[:, TORQUE:, 0] = columns[:-1]
+    coef[:, TORQUE:, 1] = np.diff(columns, axis=0) / np.diff(time)[:, None]
     spec = {"kind": "torque", "t": time.tolist(), "torque": values.tolist()}
     return Motion(time, coef, np.ones(time.size, dtype=np.bool_), -1, spec)
 
@@ -402,9 +406,11 @@ def to_spec(motion: Motion) -> dict[str, Any]:
 
 def _from_pieces(breaks: list[float], coef: list[float], switch: list[bool], loop: int) -> Motion:
     flat = checks.array("coef", coef, (-1,))
-    if flat.size != (np.size(breaks) - 1) * CHANNELS * POWERS:
-        raise InvalidInput("coef has the wrong size", got=flat.size, allowed=f"{CHANNELS * POWERS} numbers a piece")
-    return Motion(np.array(breaks), flat.reshape(-1, CHANNELS, POWERS), np.array(switch), loop)
+    channels, rest = divmod(flat.size, max(np.size(breaks) - 1, 1) * POWERS)
+    if rest or channels < CHANNELS:
+        allowed = f"{CHANNELS * POWERS} numbers a piece, {POWERS} more for each further joint with a motor"
+        raise InvalidInput("coef has the wrong size", got=flat.size, allowed=allowed)
+    return Motion(np.array(breaks), flat.reshape(-1, channels, POWERS), np.array(switch), loop)
 
 
 _TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
@@ -437,12 +443,15 @@ def motion_parameters(motion: Motion) -> list[str]:
     names = ["delay"]
     for name in MOTIONS[kind].varies if (kind := motion.spec.get("kind")) in MOTIONS else ():
         value = motion.spec[name]
-        names += [f"{name}[{i}]" for i in range(len(value))] if isinstance(value, list) else [name]
+        if not isinstance(value, list):
+            names.append(name)
+        elif np.ndim(value) == 1:  # not the torques of several joints
+            names += [f"{name}[{i}]" for i in range(len(value))]
     return names
 
 
 def motion_derivatives(motion: Motion, name: str) -> tuple[Array, Array]:
-    """Return the derivatives of a motion's breaks (k + 1,) and coefficients (k, 4, 6) with respect to a parameter.
+    """Return the derivatives of a motion's breaks (k + 1,) and coefficients (k, 4 or more, 6) by a parameter.
 
     Parameters
     ----------

@@ -111,6 +111,12 @@ def starts_of(setups: Sequence[Setup]) -> Array:
 
 def members_of(setups: Sequence[Setup], drives: list[Drive]) -> Members:
     """Return chains, drives and starts of the members as kernel arrays."""
+    if any(setup.torque is not None and setup.torque.joints > 1 for setup in setups):
+        raise InvalidInput(
+            "a batch knows the motor of the first joint alone",
+            got="torques of several joints",
+            fix="Give a torque_profile with one column, or simulate the members one by one",
+        )
     chains = [setup.chain() for setup in setups]
     links = np.stack([np.stack([*c[:LEVER], lever(c)]) for c in chains])
     whole = np.array(

@@ -15,7 +15,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
 from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick, mass_matrix, sticks_often
-from hyperflex.core.chain.drive import Drive, motion_at
+from hyperflex.core.chain.drive import Drive, base_size, motion_at
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.events import NEVER, Until
 from hyperflex.core.integrate.observation import senses
@@ -411,7 +411,7 @@ def starting_clock(t: float) -> Array:
 def link_accelerations(chain: Chain, drive: Drive, t: float, q: Array, qd: Array) -> Array:
     """Return the links' accelerations (n,), rad/s^2, at time t, s; joints that dry friction holds are locked."""
     n = q.size
-    y, base, alphas = np.concatenate([q, qd]), np.empty(9), np.empty(n)
+    y, base, alphas = np.concatenate([q, qd]), np.empty(base_size(drive)), np.empty(n)
     torque = motion_at(drive, t, base)
     slip = senses(chain, drive, np.array([t]), y[None])
     y.setflags(write=False)  # the kernel is compiled for one kind

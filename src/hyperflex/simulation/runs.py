@@ -182,7 +182,7 @@ def conclude(
         torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)
     else:
         angle, rate, place, velocity = base[:, 4], base[:, 3], base[:, 7:9], base[:, 5:7]
-        torque = np.zeros(t.size)
+        torque = np.zeros(t.size) if setup.torque is None else setup.torque.torque(t)
         if setup.arm is not None:  # of the rope, and of the arm's own inertia, weight and friction
             torque = setup.arm.rope_torque(angle, scalars[:, 2:])
             torque = torque + setup.arm.shaft_torque(setup.rope.gravity, angle, rate, base[:, 2])

@@ -86,7 +86,7 @@ class ParameterDirections:
 
     def directions(self, chain: Chain, drive: Drive) -> Directions:
         """The same for the kernels, at the parameters of `chain` and for a drive."""
-        n, pairs, pieces = chain.length.size, self.width // 2, drive.coef.shape[0]
+        n, pairs, pieces = chain.length.size, self.width // 2, len(drive.coef)
         links, whole = np.zeros((self.width, n, tg.SEEDS)), np.zeros((self.width, 3))
         driven = np.full(self.width, -1, dtype=np.int64)
         rows: list[ParameterChange] = []
@@ -101,11 +101,15 @@ class ParameterDirections:
         if can_stick(chain) and drive.coef[..., 1:].any():
             driven[driven < 0] = len(rows)
             rows.append({})
-        breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))
+        breaks, coef, arm = (
+            np.zeros((len(rows), pieces + 1)),
+            np.zeros((len(rows), *drive.coef.shape)),
+            np.zeros(len(rows)),
+        )
         for m, part in enumerate(rows):
             breaks[m], coef[m] = part.get("breaks", 0.0), part.get("coef", 0.0)
             arm[m] = part.get("arm_length", np.zeros(1))[0]
-        own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
+        own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE:].any())
         return Directions(
             links.reshape(pairs, 2, n, tg.SEEDS),
             whole,

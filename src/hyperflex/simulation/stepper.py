@@ -113,7 +113,7 @@ def commanded_accelerations(command: str, setup: Setup, q: Array, qd: Array, u: 
     y, part = np.concatenate([q[-n:], qd[-n:]]), segment(drive, 0.0)
     varied, seeds = command_directions(command, chain, drive)
     set_commands(command, seeds, powers)
-    workspace = new_tangent_workspace(chain, seeds.parameters.size)
+    workspace = new_tangent_workspace(chain, drive, seeds.parameters.size)
     set_slip(COLUMNS, workspace.lanes, senses(chain, drive, np.zeros(1), y[None])[0])
     workspace.ys[:, : 2 * n], workspace.nodes[:] = y, varied.start(n)
     acceleration_derivatives(chain, drive, part, 0.0, 0.0, seeds, workspace)

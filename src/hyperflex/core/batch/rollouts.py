@@ -13,6 +13,7 @@ import numpy.typing as npt
 from hyperflex.core import status
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import (
+    BASE_SIZE,
     SLIDING,
     STICKING,
     Array,
@@ -248,7 +249,7 @@ def new_lane_stiction(n):  # type: ignore[no-untyped-def]
     """Arrays for chains of n links in all lanes."""
     k = len(MEMBERS)
     states = zeros((k, 2 * n + 2), (k, 2 * n + 2))
-    return LaneStiction(new_searches(k, n + 1, n), np.ones((k, n)), *states, new_stiction_workspace(n))  # type: ignore[call-arg]
+    return LaneStiction(new_searches(k, n + 1, n, BASE_SIZE), np.ones((k, n)), *states, new_stiction_workspace(n))  # type: ignore[call-arg]
 
 
 @non_allocating

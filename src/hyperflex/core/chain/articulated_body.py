@@ -46,6 +46,9 @@ class Chain(NamedTuple):
 MUTUAL = (0, 0)  # the link and its parent
 ONE_SIDED = (0,)  # the link alone, as printed in the paper's (4)
 
+BASE_SIZE = (
+    9  # numbers of the first joint's motion, before the torques of motors in inner joints (``drive.base_state``)
+)
 WAY_BACK = tuple(range(4))  # of ``accelerations``' scratch, for each link
 MANY_DRY = 16  # joints with dry friction from which their events set the length of steps
 
@@ -194,6 +197,12 @@ def relative(values, i, parent):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def motor_torque(base, torque, i):  # type: ignore[no-untyped-def]
+    """Torque of all motors on link i, N m: `torque` of the first joint's, and those that `base` has of inner joints."""
+    return (torque if i == 0 else 0.0) + (base[BASE_SIZE + i] if BASE_SIZE + i < base.size else 0.0)
+
+
+@inlined
 def joint_of(chain, i):  # type: ignore[no-untyped-def]
     """Joint i as ``joint_law`` takes it."""
     return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
@@ -208,7 +217,7 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
     chain : Chain
     q, w : (n,) angles, rad, and rates, rad/s
     slip : (n,) sense in which each joint slips, 1.0 or -1.0; 0.0: it is stuck. Without dry friction 1.0
-    base : (7,) acceleration x, y of the first joint, m/s^2; alpha, rate, angle of the parent; velocity x, y, m/s
+    base : (9 or more,) motion of the first joint and torques on the links, as ``drive.base_state`` writes it
     torque : float, external torque on link 0, N m
     h : float, 0.0 for the exact accelerations of (1); a step, s, for implicit joints (M.13)
     alpha : (n,) out, rad/s^2
@@ -228,7 +237,7 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
         angle = relative(q, i, base[4])
         rate = relative(w, i, base[3])
         t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), reaction_factor, angle, rate, slip[i], h)
-        t += work[4 * i] + (torque if i == 0 else 0.0)
+        t += work[4 * i] + motor_torque(base, torque, i)
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
         joint = (t, t_back, kappa, kappa_back)

@@ -5,27 +5,27 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.core.chain.articulated_body import sincos
+from hyperflex.core.chain.articulated_body import BASE_SIZE, sincos
 from hyperflex.core.jit import inlined, non_allocating
 
-ANGLE, X, Y, TORQUE = range(4)  # channels of Drive.coef
+ANGLE, X, Y, TORQUE = range(4)  # channels of Drive.coef; then the torques of motors in joints 1, 2, ...
 ROUNDING = 1e-12  # relative; some thousand times that of the arithmetic
 
 
 class Drive(NamedTuple):
-    """Piecewise polynomials of arm angle (rad), pivot x, y (m) and torque (N m).
+    """Piecewise polynomials of arm angle (rad), pivot x, y (m) and torques of the chain's joints from the first (N m).
 
-    Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j]: 4 channels, 6 ascending powers of the time
-    since breaks[j]. After the last break the pieces from `loop` on repeat for ever; where `loop` is negative, and
-    before the first break, the end values are constant.
+    Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j]: 4 channels, one more for each joint up to
+    the last that has a motor, 6 ascending powers of the time since breaks[j]. After the last break the pieces from
+    `loop` on repeat for ever; where `loop` is negative, and before the first break, the end values are constant.
     """
 
     breaks: npt.NDArray[np.float64]  # (k + 1,), s
-    coef: npt.NDArray[np.float64]  # (k, 4, 6)
+    coef: npt.NDArray[np.float64]  # (k, 4 or more, 6)
     switch: npt.NDArray[np.bool_]  # (k + 1,) where acceleration or torque jumps: integration restarts there
     loop: int  # first piece of those that repeat, -1: none
     arm_length: float  # m, from the pivot to the first joint
-    torque_limit: float  # N m
+    torque_limit: float  # N m, of the first joint's motor
 
 
 class Segment(NamedTuple):
@@ -90,6 +90,13 @@ def within(drive, part, t):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def base_size(drive):  # type: ignore[no-untyped-def]
+    """Size of what :func:`base_state` writes: of the motion, and of torques on links up to the last with a motor."""
+    motors = drive.coef.shape[1] - TORQUE - 1
+    return BASE_SIZE + motors + 1 if motors > 0 else BASE_SIZE
+
+
+@inlined
 def polynomial(c, t):  # type: ignore[no-untyped-def]
     """Value, first and second derivative at t of the polynomial with ascending coefficients c (6,)."""
     value = c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
@@ -125,14 +132,20 @@ def motion_at(drive, t, base):  # type: ignore[no-untyped-def]
 def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
     """Motion of the first joint at time t within the Segment `part`.
 
-    Writes ``base`` (9,): acceleration x, y (m/s^2); alpha, rate, angle of the arm (rad/s^2, rad/s, rad); velocity x, y
-    (m/s); position x, y (m). Returns the motor torque, N m.
+    Writes ``base`` (9 or more,): acceleration x, y (m/s^2); alpha, rate, angle of the arm (rad/s^2, rad/s, rad);
+    velocity x, y (m/s); position x, y (m); then, if there is room (:func:`base_size`), the torque of motors in inner
+    joints on each link from the first, N m. Returns the torque of the first joint's motor, N m.
     """
     j, s, still = within(drive, part, t)
     angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
     x, vx, ax = polynomial(drive.coef[j, X], s)
     y, vy, ay = polynomial(drive.coef[j, Y], s)
     torque, _, _ = polynomial(drive.coef[j, TORQUE], s)
+    beyond = 0.0
+    for i in range(base.size - 1, BASE_SIZE - 1, -1):  # a motor turns its link, and the parent the other way
+        own = polynomial(drive.coef[j, TORQUE + i - BASE_SIZE], s)[0] if i > BASE_SIZE and not still else 0.0
+        base[i] = own - beyond
+        beyond = own
     if still:
         rate = alpha = vx = ax = vy = ay = torque = 0.0
     write_base(drive.arm_length, (angle, rate, alpha), (x, vx, ax), (y, vy, ay), base, 0, 1)

@@ -19,7 +19,7 @@ import numpy as np
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
-from hyperflex.core.chain.articulated_body import joint_of, link_step, mutual, sincos
+from hyperflex.core.chain.articulated_body import BASE_SIZE, joint_of, link_step, mutual, sincos
 from hyperflex.core.jit import inlined, kernel, non_allocating, read, write
 
 COLUMNS = (0,) * 4
@@ -116,8 +116,10 @@ def set_state(j, q, w, trig, lanes):  # type: ignore[no-untyped-def]
 
 @inlined
 def set_base(j, chain, motion, base):  # type: ignore[no-untyped-def]
-    """Write the motion (9,) of the first joint to lane j of `base` (9, k), less gravity."""
-    for s in range(9):
+    """Write the motion of the first joint, and torques on the links, (9 or more,) to lane j of `base`, less gravity."""
+    for s in range(BASE_SIZE):
+        base[s, j] = motion[s]
+    for s in range(BASE_SIZE, motion.size):
         base[s, j] = motion[s]
     base[0, j] -= chain.gx
     base[1, j] -= chain.gy
@@ -151,7 +153,7 @@ def store_answer(row, k, at, reaction_factor, answer):  # type: ignore[no-untype
 def air(width, lanes, base):  # type: ignore[no-untyped-def]
     """Add the torques of the air to EXTERNAL of the links, (M.32); its force and power go to FX, FY and S of row 0.
 
-    `base` (9, k) as in :func:`euler`. Velocities of the joints pass through PX and PY, forces through BX, BY and BETA.
+    `base` as in :func:`euler`. Velocities of the joints pass through PX and PY, forces through BX, BY and BETA.
     """
     k = len(width)
     n = lanes.size // (ROW * k) - 2
@@ -165,7 +167,7 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
             write(row, k, at, (PX, PY), (vx + length * w * cos, vy + length * w * sin))
     for way in range(n):
         i = n - way
-        first = 1.0 if i == 1 else 0.0
+        motor = 1.0 if i == 1 or base.shape[0] > BASE_SIZE else 0.0
         row = lanes[(i - 1) * ROW * k : (i + 2) * ROW * k]
         for j in range(k):
             up, at, down = UP * k + j, AT * k + j, DOWN * k + j
@@ -173,7 +175,7 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
             (vx, vy), (fx, fy, power) = read(row, k, up, (PX, PY)), read(row, k, down, (BX, BY, BETA))
             across = vx * cos + vy * sin
             force, moment = link_drag(drag, length, across, length * w)
-            row[at + EXTERNAL * k] = length * (cos * fx + sin * fy) - moment + first * external
+            row[at + EXTERNAL * k] = length * (cos * fx + sin * fy) - moment + motor * external
             whole = fx - force * cos, fy - force * sin, power + force * across + moment * w
             write(row, k, at, (BX, BY, BETA), whole)
     for j in range(k):
@@ -241,7 +243,7 @@ def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
 
 @inlined
 def base_load(top, answers, k, j, reaction_factor, base):  # type: ignore[no-untyped-def]
-    """Force x, y on lane j's chain at its first joint, which moves as `base` (9, k), and torque through it."""
+    """Force x, y on lane j's chain at its first joint, which moves as `base` (9 or more, k), and torque through it."""
     px, py, up = base[0, j], base[1, j], base[2, j]
     axx, axy, ayy, fx, fy, bx, by, s, beta, ayx, ux, uy = load_answer(answers, k, j, reaction_factor)
     air_x, air_y = read(top, k, j, (FX, FY))
@@ -259,14 +261,19 @@ def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-d
     more : MORE or LAST
     lanes : ((n + 2) ROW k,), advanced in place; WORK and LOST of row 0 grow
     tip : (ROW k,) the last row, see :func:`rows`; EXTERNAL (N m) and STEP (s) are read from it
-    base : (9, k) motion of the first joint at the beginning of each lane's step, as ``drive.base_state`` writes it,
-        with gravity taken off its acceleration
+    base : (9 or more, k) motion of the first joint, and torques on the links, at the beginning of each lane's step, as
+        ``drive.base_state`` writes them, with gravity taken off the acceleration
     """
     k = len(width)
     top = lanes[: ROW * k]
     for j in range(k):
         write(top, k, j, (W, Q), (base[3, j], base[4, j]))
         lanes[(ROW + EXTERNAL) * k + j] = tip[EXTERNAL * k + j]
+    for i in range(base.shape[0] - BASE_SIZE):
+        for j in range(k):
+            lanes[((i + 1) * ROW + EXTERNAL) * k + j] = base[BASE_SIZE + i, j] + (
+                tip[EXTERNAL * k + j] if i == 0 else 0.0
+            )
     if top[DRAG * k : (DRAG + 1) * k].any():
         air(width, lanes, base)
     sweep(width, reaction, lanes, tip)
@@ -277,6 +284,8 @@ def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-d
     for j in range(k):
         fx, fy, moment = base_load(top, answers, k, j, len(reaction) - 1.0, base)
         power = fx * base[5, j] + fy * base[6, j] + moment * base[3, j] + tip[EXTERNAL * k + j] * row[W * k + j]
+        for i in range(base.shape[0] - BASE_SIZE):
+            power += base[BASE_SIZE + i, j] * lanes[((i + 1) * ROW + W) * k + j]
         h = answers[STEP * k + j]
         top[WORK * k + j] += h * power
         top[LOST * k + j] += answers[DISSIPATED * k + j] + h * top[S * k + j]

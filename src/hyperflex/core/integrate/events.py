@@ -163,16 +163,19 @@ class Search(NamedTuple):
     locked: Array  # (m,) 1.0 where a margin comes without slope (stuck joints), else 0.0
     alpha: Array  # (n,) accelerations at the beginning of the step
     power: Array  # (3,) of stuck joints, see stiction.stuck_loss
-    before: Array  # (9,) motion of the first joint at the beginning of the step, in the middle and at the end
+    before: Array  # (9 or more,) motion of the first joint at the beginning of the step, in the middle and at the end
     between: Array
     after: Array
 
 
 @kernel
-def new_searches(count, m, n):  # type: ignore[no-untyped-def]
-    """Searches over m margins of chains of n links: a Search whose arrays have `count` rows, see :func:`search_of`."""
+def new_searches(count, m, n, base):  # type: ignore[no-untyped-def]
+    """Searches over m margins of chains of n links: a Search whose arrays have `count` rows, see :func:`search_of`.
+
+    `base` is the size of the motion of the first joint (``drive.base_size``).
+    """
     margins = np.full((4, count, 2, m), np.inf)
-    others = zeros((count, m), (count, m), (count, n), (count, 3), (count, 9), (count, 9), (count, 9))
+    others = zeros((count, m), (count, m), (count, n), (count, 3), (count, base), (count, base), (count, base))
     return Search(np.zeros((count, 4)), margins[0], margins[1], margins[2], margins[3], *others)
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import energies
-from hyperflex.core.chain.drive import motion_at
+from hyperflex.core.chain.articulated_body import BASE_SIZE, energies
+from hyperflex.core.chain.drive import base_size, motion_at
 from hyperflex.core.jit import inlined, kernel
 from hyperflex.core.stiction import find_modes, new_stiction_workspace
 
@@ -13,7 +14,8 @@ from hyperflex.core.stiction import find_modes, new_stiction_workspace
 def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type: ignore[no-untyped-def]
     """Put a state into lane j, for its accelerations: ``lanes.euler`` takes no step of it.
 
-    `trig` (2 n,) holds sines and cosines of q; `base` (9,) goes to `motion` (9, k), and `torque` is the motor's, N m.
+    `trig` (2 n,) holds sines and cosines of q; `base` (9 or more,) goes to `motion` (9 or more, k), and `torque` is
+    that of the first joint's motor, N m.
     """
     k = len(ln.COLUMNS)
     ln.set_state(j, q, w, trig, lanes)
@@ -37,7 +39,7 @@ def senses(chain, drive, t, y):  # type: ignore[no-untyped-def]
 def write_senses(chain, drive, t, y, slip):  # type: ignore[no-untyped-def]
     """Write to `slip` what :func:`senses` returns for a chain with dry friction."""
     n = chain.length.size
-    base, workspace = np.empty(9), new_stiction_workspace(n)
+    base, workspace = np.empty(base_size(drive)), new_stiction_workspace(n)
     for m in range(t.size):
         torque = motion_at(drive, t[m], base)
         find_modes(chain, y[m, :n], y[m, n : 2 * n], base, torque, 1.0, slip[m], workspace)
@@ -57,12 +59,13 @@ def observe(chain, drive, t, y, slip, qdd, base_out, scalars):  # type: ignore[n
     n, k = chain.length.size, len(ln.COLUMNS)
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    trig, motion = np.empty(2 * n), np.zeros((9, k))
+    base, trig, motion = np.empty(base_size(drive)), np.empty(2 * n), np.zeros((base_size(drive), k))
     for first in range(0, t.size, k):
         last = min(first + k, t.size)
         for m in range(first, last):  # lanes that are left over hold what they held, or a chain at rest
-            base, q, w = base_out[m], y[m, :n], y[m, n : 2 * n]
+            q, w = y[m, :n], y[m, n : 2 * n]
             torque = motion_at(drive, t[m], base)
+            assign(base_out[m], base[:BASE_SIZE])
             scalars[m, 0], scalars[m, 1] = energies(chain, q, w, base, trig)
             enter_state(m - first, chain, q, w, trig, base, torque, lanes, tip, motion)
             if slip.shape[0] == t.size:  # else all slip, as in the lanes

@@ -9,7 +9,7 @@ from hyperflex.core import status
 from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, can_stick, energies, has_limits, sticks_often
-from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.drive import base_size, base_state, segment
 from hyperflex.core.integrate.events import (
     AGAIN,
     EVENT,
@@ -146,11 +146,11 @@ class Workspace(NamedTuple):
 
     out: Array  # (2 n + 2,) state after the step
     errors: Array  # (2, 2 n + 2), as in steps.extrapolate
-    still: Array  # (9,) a first joint at rest
+    still: Array  # (9 or more,) a first joint at rest
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
     dys: Array
     stage: Array  # (3, 2 n + 2)
-    base: Array  # (9, lanes)
+    base: Array  # (9 or more, lanes)
     lanes: Array  # ((n + 2) ROW lanes,)
     tip: Array  # (ROW lanes,)
     stiction: StictionWorkspace
@@ -160,14 +160,14 @@ class Workspace(NamedTuple):
 
 
 @kernel
-def new_workspace(chain):  # type: ignore[no-untyped-def]
-    """Working arrays for a chain, its parameters loaded into the lanes."""
+def new_workspace(chain, base):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, its parameters loaded into the lanes; `base` is of ``drive.base_size``."""
     n = chain.length.size
     m = 2 * n + 1 if has_limits(chain) else n + 1
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    width, stiction, search = 2 * n + 2, new_stiction_workspace(n), search_of(new_searches(1, m, n), 0)
-    states = zeros(width, (2, width), 9, (3, width), (3, width), (3, width), (9, len(ln.COLUMNS)))
+    width, stiction, search = 2 * n + 2, new_stiction_workspace(n), search_of(new_searches(1, m, n, base), 0)
+    states = zeros(width, (2, width), base, (3, width), (3, width), (3, width), (base, len(ln.COLUMNS)))
     return Workspace(*states, lanes, tip, stiction, search, *new_substeps(n))  # type: ignore[call-arg]
 
 
@@ -446,7 +446,7 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
         `progress` tells how far it came.
     """
     y, slip, clock = progress.y, progress.slip, progress.clock
-    workspace = new_workspace(chain)
+    workspace = new_workspace(chain, base_size(drive))
     fixed = limits.fixed
     sticks, often = can_stick(chain), sticks_often(chain)
     airy = fixed == 0.0 and chain.drag.any()

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, accelerations, lost_power, sines
-from hyperflex.core.chain.drive import base_state
+from hyperflex.core.chain.articulated_body import BASE_SIZE, Array, accelerations, lost_power, motor_torque, sines
+from hyperflex.core.chain.drive import base_size, base_state
 from hyperflex.core.jit import inlined, kernel, non_allocating, read, summing, write, zeros
 
 MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
@@ -166,7 +166,7 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
     Arguments as for ``extrapolate``; `trig` holds the sines and cosines of the angles in `y`.
     """
     k, n = len(ln.COLUMNS), chain.length.size
-    motion = np.empty(9)
+    motion = np.empty(base.shape[0])
     for j in range(k):
         col, done = table.column[turn, j], table.done[turn, j]
         if col > 0 and done == 0:
@@ -206,7 +206,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
     errors : (2, 2 n + 2) out, error estimates of the result, and of the one that an order less would have given
     kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`write_increments`); (0, ...) where they are not needed
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
-    base, work : (9, lanes), (6 n,) scratch
+    base, work : (base_size(drive), lanes), (6 n,) scratch
     """
     assign(out, y)  # the weights, up to 389 in size, multiply increments, lest their rounding scales the state itself
     errors[:] = 0.0
@@ -225,12 +225,14 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
 def rates(chain, drive, part, t, y, slip, dy, work):  # type: ignore[no-untyped-def]
     """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (6 n,) scratch."""
     n = chain.length.size
-    base = np.empty(9)
+    base = np.empty(base_size(drive))
     torque = base_state(drive, part, t, base)
     w = y[n : 2 * n]
     fx, fy, moment = accelerations(chain, y[:n], w, slip, base, torque, 0.0, dy[n : 2 * n], work)
     assign(dy[:n], w)
-    dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
+    dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3]
+    for i in range(max(1, base.size - BASE_SIZE)):
+        dy[2 * n] += motor_torque(base, torque, i) * w[i]
     dy[2 * n + 1] = lost_power(chain, w, slip, base, work)
 
 

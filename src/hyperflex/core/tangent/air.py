@@ -100,12 +100,14 @@ def inward(row, j, d, longer):  # type: ignore[no-untyped-def]
 def write_torques(lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 
+    Where inner joints have motors, RHS holds the changes of their torques before.
+
     Parameters
     ----------
     lanes, links : as in ``tangent.step.step``, which adds them
     air : ((n + 2) ROW K,) after :func:`begin`; row 0 holds the changes of the first joint's velocity, DVX and DVY
     """
-    n = air.size // (ROW * K) - 2
+    n, motors = air.size // (ROW * K) - 2, lanes[tg.MOTORS * K] > 0.0
     for i in range(1, n + 1):
         for x in range(4 * K):  # DQ and DW, both directions
             air[(i * ROW + DQ) * K + x] = lanes[(i * ln.ROW + tg.DQ) * K + x]
@@ -125,4 +127,5 @@ def write_torques(lanes, air, links):  # type: ignore[no-untyped-def]
             inward(row, j, K, longer_two)
     for i in range(1, n + 1):
         for x in range(2 * K):
-            lanes[(i * ln.ROW + tg.RHS) * K + x] = air[(i * ROW + TORQUE) * K + x]
+            motor = lanes[(i * ln.ROW + tg.RHS) * K + x] if motors else 0.0
+            lanes[(i * ln.ROW + tg.RHS) * K + x] = air[(i * ROW + TORQUE) * K + x] + motor

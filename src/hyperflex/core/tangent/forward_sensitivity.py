@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, sincos, sines
-from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, base_state, polynomial, segment, within
+from hyperflex.core.chain.articulated_body import BASE_SIZE, Array, sincos, sines
+from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, base_size, base_state, polynomial, segment, within
 from hyperflex.core.integrate.observation import enter_state
 from hyperflex.core.integrate.rollout import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import basis, begin_columns, end_columns, rates
@@ -50,7 +50,7 @@ class Directions(NamedTuple):
     parameters: npt.NDArray[np.bool_]  # (b,) whether links, or the torque on the first one, change
     driven: npt.NDArray[np.int64]  # (p,) row of the following that changes the drive, -1: none does
     breaks: Array  # (m, k + 1), s
-    coef: Array  # (m, k, 4, 6)
+    coef: Array  # (m, k, 4 or more, 6)
     arm: Array  # (m,) of the arm's length, m
 
 
@@ -82,8 +82,8 @@ def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-u
     drive, part, directions : Drive, Segment, Directions
     t, shift : float, s, and its own change
     m : int, row of ``directions.breaks``, ``coef`` and ``arm``
-    out : (CHANGES,) out: acceleration x, y (m/s^2); of the arm alpha (rad/s^2), rate, angle; motor torque (N m);
-        position x, y (m); velocity x, y (m/s)
+    out : (CHANGES or more,) out: acceleration x, y (m/s^2); of the arm alpha (rad/s^2), rate, angle; motor torque
+        (N m); position x, y (m); velocity x, y (m/s); then, if there is room, torques on the links as in ``base_state``
     """
     j, s, still = within(drive, part, t)
     breaks = directions.breaks[m]
@@ -98,6 +98,13 @@ def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-u
     y, vy, ay = moved(drive.coef[j, Y], directions.coef[m, j, Y], s, ds)
     torque = polynomial(drive.coef[j, TORQUE], s)[0]
     motor = moved(drive.coef[j, TORQUE], directions.coef[m, j, TORQUE], s, ds)[0]
+    beyond = 0.0
+    for i in range(out.size - 1, CHANGES - 1, -1):
+        channel = TORQUE + i - CHANGES
+        change = moved(drive.coef[j, channel], directions.coef[m, j, channel], s, ds)[0]
+        own = change if i > CHANGES and not still else 0.0
+        out[i] = own - beyond
+        beyond = own
     if still:
         rate = alpha = d_rate = d_alpha = vx = vy = ax = ay = motor = 0.0
     if abs(torque) >= drive.torque_limit:
@@ -139,7 +146,7 @@ class TangentWorkspace(NamedTuple):
 
     lanes: Array  # ((n + 2) ROW K,), and its last row
     tip: Array
-    base: Array  # (9, K)
+    base: Array  # (9 or more, K)
     work: Array  # (6 n,)
     errors: Array  # (2, 2 n + 2)
     store: Array  # (b, n PARTS CELL) derivatives in every lane: at the start of the step, now, summed over the columns
@@ -150,7 +157,7 @@ class TangentWorkspace(NamedTuple):
     stretch: Array  # (p,) the same as a part of its length
     into: Array  # (K,) how far each lane is within the step, as a part of it
     when: Array  # (K,) time of each lane, s
-    moved: Array  # (CHANGES,)
+    moved: Array  # (CHANGES or more,)
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives in time
     dys: Array
     nodes: Array  # (3, 2 n, p) derivatives of angles and rates there
@@ -158,28 +165,30 @@ class TangentWorkspace(NamedTuple):
     out: Array  # (2 n + 2,) result of a step
     air: Array  # ((n + 2) ROW K,) as in tangent.air; empty without drag
     stiction: StictionWorkspace
-    base_before: Array  # (9,) motion of the first joint at the beginning of the step, and at another time
+    base_before: Array  # (9 or more,) motion of the first joint at the beginning of the step, and at another time
     base_after: Array
-    moves_before: Array  # (p, CHANGES) its changes
+    moves_before: Array  # (p, CHANGES or more) its changes
     moves: Array
 
 
 @kernel
-def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
-    """Working arrays for a chain and a number of pairs."""
+def new_tangent_workspace(chain, drive, pairs):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, its drive and a number of pairs."""
     n = chain.length.size
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    p, width, of_pairs = 2 * pairs, 2 * n + 2, (pairs, n * PARTS * CELL)
-    step = zeros((9, K), 6 * n, (2, width), of_pairs, CELL, CELL, p, p, p, K, K, CHANGES, (3, width), (3, width))
+    p, width, of_pairs, base = 2 * pairs, 2 * n + 2, (pairs, n * PARTS * CELL), base_size(drive)
+    changes = CHANGES + base - BASE_SIZE
+    lanes[tg.MOTORS * K] = base - BASE_SIZE
+    step = zeros((base, K), 6 * n, (2, width), of_pairs, CELL, CELL, p, p, p, K, K, changes, (3, width), (3, width))
     nodes = zeros((3, 2 * n, p), (3, n, p), width)
-    ends = new_stiction_workspace(n), *zeros(9, 9, (p, CHANGES), (p, CHANGES))
+    ends = new_stiction_workspace(n), *zeros(base, base, (p, changes), (p, changes))
     return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain), *ends)  # type: ignore[call-arg]
 
 
 @non_allocating
 def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-def]
-    """Put the changes of the base's motion and of the tip mass into the first and the last row of the lanes."""
+    """Put the changes of the base's motion, the motors' torques and the tip mass into the rows of the lanes."""
     lanes, moved, air = workspace.lanes, workspace.moved, workspace.air
     beyond = lanes.size - ln.ROW * K
     far = lanes[beyond - ln.ROW * K : beyond]
@@ -194,6 +203,8 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
             at = d * K + j
             write(lanes, K, at, (tg.DQ, tg.DW, tg.RHS), (moved[TURN], moved[RATE], moved[MOTOR]))
             write(lanes, K, at, (tg.PX, tg.PY, tg.ALPHA), (moved[ACC_X] - gx, moved[ACC_Y] - gy, moved[ALPHA]))
+            for i in range(moved.size - CHANGES):
+                lanes[((i + 1) * ln.ROW + tg.RHS) * K + at] = moved[CHANGES + i]
             if air.size > 0:
                 write(air, K, at, (dg.DVX, dg.DVY), (moved[SPEED_X], moved[SPEED_Y]))
             px, py = read(far, K, j, (ln.PX, ln.PY))
@@ -328,7 +339,7 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
     n = chain.length.size
     lanes, ys, dys = workspace.lanes, workspace.ys, workspace.dys
     workspace.anew[:] = 1.0
-    motion = np.empty(9)
+    motion = np.empty(base_size(drive))
     for j in range(K):
         node = min(j, 2)
         workspace.into[j] = 0.5 * node
@@ -453,7 +464,7 @@ def with_step_length(directions):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-untyped-def]
-    """Write the changes (p, CHANGES) of the base's motion at a time t, s, that itself changes by `late` (p,)."""
+    """Write the changes (p, CHANGES or more) of the base's motion at a time t, s, that changes by `late` (p,)."""
     for x in range(moved.shape[0]):
         m = directions.driven[x]
         moved[x] = 0.0
@@ -615,7 +626,7 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
     dy_out : (T, 2 n, p) out, but for row 0
     halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
-    workspace = new_tangent_workspace(chain, directions.parameters.size)
+    workspace = new_tangent_workspace(chain, drive, directions.parameters.size)
     sticks = steps.shape[1] > JOINT
     slip, joint = np.ones(chain.length.size), -1
     y = y_out[0].copy()

@@ -25,6 +25,7 @@ BY_STATE = BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.
 # the seeds of a direction for one link: changes of its parameters
 LENGTH, MASS, MA, INERTIA, VISCOUS, STIFFNESS, REST, DRY, DRAG = range(9)
 SEEDS = 9
+MOTORS = ln.EXTERNAL  # in row 0: more than 0.0 where inner joints have motors, whose torques RHS of the links holds
 STATE, ALL = (), (0,)  # tuples, for the compiler to know: see ``step``
 
 
@@ -170,14 +171,14 @@ def step(reaction, sources, lanes, links, stretch):  # type: ignore[no-untyped-d
     sources : ALL, or STATE where nothing changes but state, base and tip mass: `links` and `stretch` are all zero then
     lanes : ((n + 2) ROW K,) DQ and DW of the links are advanced in place. Row 0 holds what the base does: DQ, DW of its
         angle and rate, PX, PY, ALPHA of its accelerations, and RHS, the change of the torque on link 0, N m; the last
-        row BX, BY of what hangs beyond the tip. With drag RHS of the links is the change of the air's torques, see
-        ``tangent.air``
+        row BX, BY of what hangs beyond the tip. With drag or motors in inner joints RHS of the links is the change of
+        the air's torques, see ``tangent.air``, and of the motors'
     links : (2, n, SEEDS) changes of the links' parameters
     stretch : (2,) relative change of the step's length in every lane
     """
     reaction_factor, still = len(reaction) - 1.0, (0.0, 0.0, 0.0, 0.0, 0.0)
     n = lanes.size // (ln.ROW * K) - 2
-    airy = 1.0 if lanes[ln.DRAG * K] > 0.0 else 0.0
+    loaded = 1.0 if lanes[ln.DRAG * K] > 0.0 or lanes[MOTORS * K] > 0.0 else 0.0
     for way in range(n):
         i = n - way
         first = 1.0 if i == 1 else 0.0
@@ -189,9 +190,9 @@ def step(reaction, sources, lanes, links, stretch):  # type: ignore[no-untyped-d
             factors, source, second = link_factors(row, at, down, reaction_factor), still, still
             if len(sources) > 0:
                 bend, rate = joint_motion(row, up, at, first)
-                torque = first * row[up + RHS * K] + airy * row[at + RHS * K]
+                torque = first * row[up + RHS * K] + loaded * row[at + RHS * K]
                 source = link_sources(row, up, at, down, one, bend, rate, torque, reaction_factor)
-                torque = first * row[up + RHS * K + K] + airy * row[at + RHS * K + K]
+                torque = first * row[up + RHS * K + K] + loaded * row[at + RHS * K + K]
                 second = link_sources(row, up, at, down, two, bend, rate, torque, reaction_factor)
             up_one(row, up, at, down, factors, source)
             up_one(row, up + K, at + K, down + K, factors, second)
