@@ -116,10 +116,8 @@ def set_state(j, q, w, trig, lanes):  # type: ignore[no-untyped-def]
 
 @inlined
 def set_base(j, chain, motion, base):  # type: ignore[no-untyped-def]
-    """Write the motion of the first joint, and torques on the links, (9 or more,) to lane j of `base`, less gravity."""
+    """Write the motion (9,) of the first joint to lane j of `base` (9 or more, k), less gravity."""
     for s in range(BASE_SIZE):
-        base[s, j] = motion[s]
-    for s in range(BASE_SIZE, motion.size):
         base[s, j] = motion[s]
     base[0, j] -= chain.gx
     base[1, j] -= chain.gy
@@ -284,10 +282,12 @@ def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-d
     for j in range(k):
         fx, fy, moment = base_load(top, answers, k, j, len(reaction) - 1.0, base)
         power = fx * base[5, j] + fy * base[6, j] + moment * base[3, j] + tip[EXTERNAL * k + j] * row[W * k + j]
-        for i in range(base.shape[0] - BASE_SIZE):
-            power += base[BASE_SIZE + i, j] * lanes[((i + 1) * ROW + W) * k + j]
         h = answers[STEP * k + j]
         top[WORK * k + j] += h * power
         top[LOST * k + j] += answers[DISSIPATED * k + j] + h * top[S * k + j]
         write(start, k, j, MOTION, (base[0, j], base[1, j], base[2, j]))
+    for i in range(base.shape[0] - BASE_SIZE):
+        for j in range(k):
+            power = base[BASE_SIZE + i, j] * lanes[((i + 1) * ROW + W) * k + j]
+            top[WORK * k + j] += answers[STEP * k + j] * power
     advance(width, more, lanes, tip)
