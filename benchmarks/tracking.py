@@ -72,7 +72,7 @@ def bounds(truth: Truth, moved: bool, density: tuple[float, float]) -> dict[str,
         rows_since = [at.factor @ found.transition.T, at.process.noise(t - begin, density)]
         at.factor = square_root.triangular(np.concatenate(rows_since))
         slope = at.model.predict(at.x, at.process.base(t), rows)[1].reshape(20, -1)
-        _, across, upper = square_root.whitened_gain(at.factor, slope / NOISE)
+        across, upper = square_root.innovation_factor(at.factor, slope / NOISE)
         at.factor = square_root.updated(at.factor, across, upper)
         if t >= SINCE:
             for name, (_, covariance) in seen_errors(at, arcs, ends, np.zeros((n + 1, 4))).items():

@@ -145,6 +145,8 @@ def test_bad_input():
     refuses("time goes backwards", tracker.update, Observations(0.5, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
     for std in (0.0, -1.0):
         refuses(r"std of an observation is not positive.*> 0", Observations, 0.0, [[0.0, 0.0]], std)
+    for wide in ([[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, -1.0]], [[1.0, 0.0], [0.0, 0.0]]):
+        refuses("uncertainty of an observation is not", Observations, 0.0, [[0.0, 0.0]], covariances=[wide])
     for arcs in ([1.0, 1.0], [2.0, 1.0]):
         refuses("arc lengths of markers do not increase", RopeFilter, rope(5), arcs)
     horizon = MovingHorizon(rope(5), [1.0, 2.0], starts=1)

@@ -16,9 +16,9 @@ def test_update_is_the_kalman_filters(rank):
     rng = np.random.default_rng(0)
     S, H = rng.normal(size=(rank, 12)), rng.normal(size=(5, 12))
     P = S.T @ S
-    gain, across, upper = sr.whitened_gain(S, H)
+    across, upper = sr.innovation_factor(S, H)
     inverse = np.linalg.inv(H @ P @ H.T + np.eye(5))
-    np.testing.assert_allclose(S.T @ gain, P @ H.T @ inverse, atol=1e-11)
+    np.testing.assert_allclose(S.T @ sr.weighted(upper, across.T).T, P @ H.T @ inverse, atol=1e-11)
     np.testing.assert_allclose(upper.T @ upper, H @ P @ H.T + np.eye(5), atol=1e-11)
     after = sr.updated(S, across, upper)
     np.testing.assert_allclose(after.T @ after, P - P @ H.T @ inverse @ H @ P, atol=1e-10)
@@ -27,7 +27,7 @@ def test_update_is_the_kalman_filters(rank):
 def test_update_keeps_what_is_left_of_a_wide_prior():
     """Deviations of 1e6 before and about 1 after: a difference of covariances would lose all its digits."""
     S, H = 1e6 * np.eye(3), np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
-    _, across, upper = sr.whitened_gain(S, H)
+    across, upper = sr.innovation_factor(S, H)
     after = sr.updated(S, across, upper)
     np.testing.assert_allclose(after.T @ after, np.linalg.inv(H.T @ H), rtol=1e-6)
 
@@ -85,7 +85,7 @@ def test_an_update_is_never_worse_than_the_state_before():
 
     def begun(compared):
         left, jacobian = compared(before)
-        return left, jacobian, sr.whitened_gain(factor, jacobian)
+        return left, jacobian, *sr.innovation_factor(factor, jacobian)
 
     for rounds in (1, 2, 4):
         after, _ = sr.iterated_update(before, factor, compared, rounds, begun(compared))

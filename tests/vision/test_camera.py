@@ -47,9 +47,9 @@ def test_an_adjusted_plane_is_a_similarity_of_the_one_before():
 def test_gaps_and_points_behind_the_camera_are_nan():
     camera = tilted()
     behind = [0.0, 0.0, 2.0 * camera.translation[2]]
-    pixels = camera.project([[0.1, 0.2, 0.0], [np.nan, 0.0, 0.0], behind])
-    assert np.isfinite(pixels[0]).all()
-    assert np.isnan(pixels[1:]).all()
+    for found in camera.linearize([[0.1, 0.2, 0.0], [np.nan, 0.0, 0.0], behind]):
+        assert np.isfinite(found[0]).all()
+        assert np.isnan(found[1:]).all()
     assert np.isnan(camera.locate([[np.nan, 3.0]])).all()
     assert camera.project(np.zeros((0, 2))).shape == (0, 2)
 

@@ -232,8 +232,7 @@ class RopeFilter:
         n, camera = self.n_links, self.model.camera
         moved = base[1] if camera is None else camera.linearize(base[:1])[1][0] @ base[1]
         velocity = slope[:, :, :n] @ self.x[n : 2 * n] + moved
-        moves = self.factor @ slope.reshape(places.size, -1).T
-        return places, moves.T @ moves, np.hypot(velocity[:, 0], velocity[:, 1])
+        return places, self._joint_covariance(slope), np.hypot(velocity[:, 0], velocity[:, 1])
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
         """Return how far markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
@@ -244,7 +243,12 @@ class RopeFilter:
             return np.zeros((len(rows), 2)), np.zeros((len(rows), 2, 2))
         base = self.base
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
-        return late[0] - now[0], spread(late[1] - now[1], self.factor.T @ self.factor)
+        return late[0] - now[0], each_covariance(self._joint_covariance(late[1] - now[1]))
+
+    def _joint_covariance(self, slopes: Array) -> Array:
+        """Return the covariance (2 K, 2 K) of K places with derivatives (K, 2, N) by the state."""
+        moves = self.factor @ slopes.reshape(-1, self.x.size).T
+        return moves.T @ moves
 
     @property
     def _now(self) -> float:
@@ -312,7 +316,7 @@ class RopeFilter:
         places, slope = predicted(self.x)
         used, level = seen.seen & self.model.possible(seen.places, self.base), self.measurement_noise.value
         if not first:
-            wide = spread(slope, self.factor.T @ self.factor) + level**2 * seen.covariances
+            wide = each_covariance(self._joint_covariance(slope)) + level**2 * seen.covariances
             used &= self._gate.accepted(seen.places - places, wide)
         self.used = used
         if not used.any():
@@ -320,11 +324,11 @@ class RopeFilter:
         self.age, found = 0.0, None
         frame = InputFrame(seen, used, level)
         residual, jacobian = frame.residuals(places, slope)
-        gain = sr.whitened_gain(self.factor, jacobian)
+        across, upper = sr.innovation_factor(self.factor, jacobian)
         # noise levels and tests use the innovation before the state is corrected
-        self.innovation = sr.compared(gain[2], residual)
+        self.innovation = sr.compared(upper, residual)
         self.log_likelihood += self.innovation.log_likelihood + frame.log_determinant
-        innovation = jacobian, self.factor.T @ gain[0], gain[2], self.innovation.whitened
+        innovation = jacobian, self.factor.T @ sr.weighted(upper, across.T).T, upper, self.innovation.whitened
         if not first:
             self._learn(*innovation)
         if self._detector is not None:
@@ -332,7 +336,7 @@ class RopeFilter:
             self.changes = self._detector.misfit(seen.t, self.measurement_noise)
         rounds = self.START_UPDATE_ROUNDS if first else self.UPDATE_ROUNDS
         self.x, self.factor = sr.iterated_update(
-            self.x, self.factor, lambda x: frame.residuals(*predicted(x)), rounds, (residual, jacobian, gain)
+            self.x, self.factor, lambda x: frame.residuals(*predicted(x)), rounds, (residual, jacobian, across, upper)
         )
         own = 2 * self.n_links
         self.x[own:] = self.parameters.possible(self.x[own:])

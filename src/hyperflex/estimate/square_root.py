@@ -80,29 +80,26 @@ def compressed(rows: Array, least: Array) -> Array:
 
 
 def updated(factor: Array, across: Array, upper: Array) -> Array:
-    """Return the factor S after a measurement; ``S H^T`` and the factor of H P H^T + 1 as from :func:`whitened_gain`.
+    """Return the factor S after a measurement, for A and U of :func:`innovation_factor`.
 
-    S - A (U + 1)^-1 U^-T A^T S, for A = S H^T and U^T U = A^T A + 1 (Andrews 1968, AIAA Journal 6(6), 1165).
+    S - A (U + 1)^-1 U^-T A^T S (Andrews 1968, AIAA Journal 6(6), 1165).
     """
     half = solved(upper, across.T @ factor, transposed=True)
     return np.asarray(factor - across @ solved(upper + np.eye(len(upper)), half))
 
 
-def whitened_gain(factor: Array, jacobian: Array) -> tuple[Array, Array, Array]:
-    """Return the gain of a measurement of unit noise with derivatives H (m, n).
+def innovation_factor(factor: Array, jacobian: Array) -> tuple[Array, Array]:
+    """Return A = S H^T (r, m), and the upper triangular U (m, m) with U^T U = H P H^T + 1.
 
-    Returns
-    -------
-    gain : (r, m) float64
-        S H^T (H P H^T + 1)^-1; ``S^T`` times it is the Kalman gain.
-    across : (r, m) float64
-        S H^T.
-    upper : (m, m) float64
-        The upper triangular factor of H P H^T + 1.
+    `jacobian` are the derivatives H (m, n) of a measurement of unit noise.
     """
     across = factor @ jacobian.T
-    upper = triangular(np.concatenate([across, np.eye(len(jacobian))]))
-    return solved(upper, solved(upper, across.T, transposed=True)).T, across, upper
+    return across, triangular(np.concatenate([across, np.eye(len(jacobian))]))
+
+
+def weighted(upper: Array, right: Array) -> Array:
+    """Return (U^T U)^-1 B for an upper triangular U (m, m)."""
+    return solved(upper, solved(upper, right, transposed=True))
 
 
 def compared(upper: Array, innovation: Array) -> Innovation:
@@ -112,15 +109,12 @@ def compared(upper: Array, innovation: Array) -> Innovation:
     return Innovation(whitened, float(-0.5 * (whitened @ whitened + size)))
 
 
-Gain = tuple[Array, Array, Array]  # as of :func:`whitened_gain`
-
-
 def iterated_update(
     before: Array,
     factor: Array,
     compared: Callable[[Array], tuple[Array, Array]],
     rounds: int,
-    first: tuple[Array, Array, Gain],
+    first: tuple[Array, Array, Array, Array],
 ) -> tuple[Array, Array]:
     """Return the mode of the posterior, by Gauss-Newton with a line search, and rows of the covariance about it.
 
@@ -134,18 +128,18 @@ def iterated_update(
         Of a state, returns whitened differences (m,) and the whitened derivatives (m, N).
     rounds : int
         At most.
-    first : (m,), (m, N) float64, Gain
-        What `compared` returns of the state before, and the gain for these derivatives.
+    first : (m,), (m, N), (r, m), (m, m) float64
+        What `compared` returns of the state before, and :func:`innovation_factor` of these derivatives.
 
     Notes
     -----
     A step that does not reduce the cost is halved; if no part of it does, the state is not changed.
     Bell, Cathey 1993, IEEE Transactions on Automatic Control 38, 294-297: the iterated extended Kalman filter.
     """
-    u, x, (left, jacobian, gain) = np.zeros(len(factor)), before, first  # the state is before + factor' u
+    u, x, (left, jacobian, across, upper) = np.zeros(len(factor)), before, first  # the state is before + factor' u
     cost = float(left @ left)
     for _ in range(rounds):
-        step, part = gain[0] @ (left + jacobian @ (x - before)) - u, 1.0
+        step, part = across @ weighted(upper, left + jacobian @ (x - before)) - u, 1.0
         while part >= SHORTEST:
             tried = before + factor.T @ (u + part * step)
             there = compared(tried)
@@ -156,7 +150,7 @@ def iterated_update(
         else:  # rounding, or what is seen is not smooth: nothing better is near
             break
         x, u, cost, (left, jacobian) = tried, u + part * step, now, there
-        gain = whitened_gain(factor, jacobian)
+        across, upper = innovation_factor(factor, jacobian)
         if part * np.abs(step).max() < CLOSE:
             break
-    return x, updated(factor, *gain[1:])
+    return x, updated(factor, across, upper)

@@ -270,8 +270,9 @@ class ClutterMap:
         missed = np.ones(len(self._places), bool)
         if gates is not None:
             off = np.abs(self._places[:, None] - np.array([gate.centre for gate in gates]).reshape(-1, 2))
-            wide = np.array([np.diag(np.asarray(gate.covariance)) for gate in gates]).reshape(-1, 2)
-            missed = (off < self.WITHIN * np.sqrt(wide)).all(axis=2).any(axis=1)
+            wide = np.array([gate.covariance for gate in gates]).reshape(-1, 2, 2)
+            reach = self.WITHIN * np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
+            missed = (off < reach).all(axis=2).any(axis=1)
         missed[nearest[known]] = False
         self._counts[missed, 1] += 1.0
         again, new = known & ~markers, seen.places[~known & ~markers]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
+from hyperflex.core.image.projection import project
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 
@@ -299,6 +300,19 @@ class Camera:
 
         return np.asarray(cv2.Rodrigues(self.rotation)[0], dtype=np.float64), self.translation
 
+    @cached_property
+    def _lens(self) -> tuple[Array, Array, Array]:
+        """The pose (3, 4), the camera matrix (3, 3) and eight coefficients of distortion: arguments of ``project``."""
+        rotation, translation = self.axes
+        distortion = np.pad(self.distortion, (0, 8 - self.distortion.size))
+        return np.column_stack([rotation, translation]), self.matrix, distortion
+
+    @cached_property
+    def _to_plane(self) -> Array:
+        """Matrix (3, 3) that leads from a picture without distortion to the swing plane, homogeneous coordinates."""
+        rotation, translation = self.axes
+        return np.asarray(np.linalg.inv(np.column_stack([rotation[:, :2], translation])))
+
     @property
     def pixels_per_metre(self) -> float:
         """Scale at the plane's origin, px/m: the square root of the area of a square metre there."""
@@ -346,31 +360,25 @@ class Camera:
         given = np.asarray(points, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] not in (2, 3):
             raise InvalidInput("points have the wrong shape", got=given.shape, allowed="shape (K, 2) or (K, 3), m")
-        size, (rotation, translation) = given.shape[1], self.axes
-        if not len(given):
-            return np.empty((0, 2)), np.empty((0, 2, size))
-        import cv2
-
-        places = np.zeros((len(given), 3))
-        places[:, :size] = given
-        pixels, slopes = cv2.projectPoints(places, rotation, translation, self.matrix, self.distortion)
-        pixels[~(places @ rotation[2] + translation[2] > 0.0)] = np.nan
-        return pixels[:, 0], (slopes[:, 3:6] @ rotation[:, :size]).reshape(-1, 2, size)
+        pixels, slopes = np.empty((len(given), 2)), np.empty((len(given), 2, given.shape[1]))
+        project(np.ascontiguousarray(given), *self._lens, pixels, slopes)
+        return pixels, slopes
 
     def locate(self, pixels: npt.ArrayLike) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN if a pixel shows no point of the plane."""
-        import cv2
-
         seen = np.array(pixels, dtype=np.float64).reshape(-1, 2)
         if not len(seen):
             return seen
-        rotation, translation = self.axes
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-        ideal = cv2.undistortPoints(seen[:, None], self.matrix, self.distortion, criteria=criteria)[:, 0]
-        plane = np.linalg.inv(np.column_stack([rotation[:, :2], translation]))
-        x, y, w = plane @ np.column_stack([ideal, np.ones(len(seen))]).T
+        _, matrix, distortion = self._lens
+        ideal = (seen - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+        if distortion.any():
+            import cv2
+
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+            ideal = cv2.undistortPoints(seen[:, None], matrix, distortion, criteria=criteria)[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
-            places = np.column_stack([x / w, y / w])
+            across = ideal @ self._to_plane[:, :2].T + self._to_plane[:, 2]
+            places = across[:, :2] / across[:, 2:]
             places[~(np.abs(self.project(places) - seen).max(axis=1) <= _MISSED)] = np.nan
         return places
 

@@ -167,8 +167,10 @@ class MarkerDetector:
         if self.colour.area is not None:
             whole &= np.abs(table[:, blobs.AREA] / self.colour.area - 1.0) < 0.3
         if whole.any():
-            middle = np.median(table[whole, blobs.COLOUR : blobs.COLOUR + 3], axis=0)
-            self.colour = self.colour.adapted(middle, 0.1)
+            colours = np.sort(table[whole, blobs.COLOUR : blobs.COLOUR + 3], axis=0)
+            # np.median would take five times as long, 1 % of a frame's time
+            median = 0.5 * (colours[(len(colours) - 1) // 2] + colours[len(colours) // 2])
+            self.colour = self.colour.adapted(median, 0.1)
 
     def _blobs(self, table: Array) -> Blobs:
         """Return blobs as markers, with what is known of each; those of two areas as two."""
@@ -187,7 +189,8 @@ class MarkerDetector:
             added = 0.25 * np.pi * np.clip(share - 1.12, 0.0, None) * self.radius
             variance += (missing * (self.radius + np.sqrt(3.0 * np.maximum(values[:, 1], 0.0)))) ** 2 + added**2
         covariances = variance[:, None, None] * np.eye(2) + 1e-4 * streaks[:, :, None] * streaks[:, None, :]
-        return _separated(Blobs(places, covariances, streaks, share, merged), self.radius)
+        seen = Blobs(places, covariances, streaks, share, merged)
+        return _separated(seen, self.radius) if merged.any() else seen
 
 
 def _separated(seen: Blobs, radius: float) -> Blobs:

@@ -1,1 +1,1 @@
-"""Pictures: how moving shapes cover them during an exposure, and moments of blobs."""
+"""Pictures: where points are seen, how moving shapes cover pixels during an exposure, and moments of blobs."""
