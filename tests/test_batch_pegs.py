@@ -31,7 +31,7 @@ def test_members_are_runs_of_their_own():
     ropes, motions = family()
     q0 = np.linspace(1.0, 1.3, 3)[:, None] + np.zeros(10)
     t = np.array([0.4, 0.8, DURATION])
-    keep = ("tip", "q", "qd", "motor_work", "dissipated_energy", "turns")
+    keep = ("tip", "q", "qd", "motor_torque", "motor_work", "dissipated_energy", "turns")
     batch = hf.simulate_batch(ropes, motions, pegs=PEGS, q0=q0, t_eval=t, keep=keep, threads=3, **HOW)
     touched = 0
     for m, (rope, motion, pegs) in enumerate(zip(ropes, motions, PEGS, strict=True)):
@@ -39,7 +39,7 @@ def test_members_are_runs_of_their_own():
         n = alone.q.shape[1]
         np.testing.assert_array_equal(batch.q[m, :, :n], alone.q)
         assert np.isnan(batch.q[m, :, n:]).all()  # ropes of other lengths are cut otherwise
-        for name in ("tip", "motor_work", "dissipated_energy"):
+        for name in ("tip", "motor_torque", "motor_work", "dissipated_energy"):
             np.testing.assert_array_equal(getattr(batch, name)[m], getattr(alone, name))
         np.testing.assert_array_equal(batch.turns[m, :, 0], turns(alone, pegs[0]))
         touched += int(alone.attrs["contact_steps"] > 0 and alone.contact_loss[-1] > 0.0)

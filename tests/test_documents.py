@@ -13,7 +13,9 @@ from dataclasses import fields
 from inspect import signature
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 from typer.main import get_command
 
 import hyperflex
@@ -25,6 +27,7 @@ from hyperflex.model.rope import TOTALS
 from hyperflex.model.setup import PLANNING
 from hyperflex.motion.profiles import MOTIONS
 from hyperflex.planning import MotorLimits, TipTarget
+from hyperflex.report import save_png
 from hyperflex.simulation.rollouts import status_of
 from hyperflex.status import Status
 from tests.names import code_names
@@ -155,6 +158,19 @@ def test_page_on_accuracy_has_a_row_for_every_status_of_a_run():
     ends = {status_of(code) for code in status.NAMES if code != status.RUNNING}  # a run never ends as running
     found = set(re.findall(r"^\| `([^`]+)` \|", table, re.M))
     assert found == {*ends, Status.OUT_OF_TIME, Status.INTERRUPTED} - {Status.SUCCESS}
+
+
+def test_the_picture_of_readme_is_what_its_program_draws(tmp_path, monkeypatch):
+    """All but the smoothing of edges, which differs between versions of Matplotlib."""
+    monkeypatch.chdir(tmp_path)
+    (program,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    made = {}
+    exec(program, made)
+    save_png(made["again"].plot(), tmp_path / "drawn.png", dpi=100)  # as docs/draw.py does
+    pictures = [Image.open(path) for path in (tmp_path / "drawn.png", ROOT / "docs" / "images" / "cast.png")]
+    one, other = (np.asarray(each.convert("L").reduce(4), int) for each in pictures)
+    assert one.shape == other.shape
+    assert (np.abs(one - other) > 25).mean() < 0.01
 
 
 @pytest.mark.parametrize("page", ["README.md", "CHANGELOG.md", "ARCHITECTURE.md"])

@@ -17,6 +17,7 @@ from hyperflex.status import Status
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["State", "Trajectory", "interpolated", "read_trajectory", "swept"]
@@ -283,15 +284,44 @@ class Trajectory:
         start: float | None = None,
         end: float | None = None,
         title: str = "",
+        ax: "Axes | None" = None,
     ) -> "Figure":
-        """Draw the run between `start` and `end`, s, with a `title`: return a Matplotlib figure.
+        """Draw the run: return a Matplotlib figure.
 
-        `kind` is ``"strobe"``, many instants in one picture, or ``"course"``: arm, speed of the tip, energies and
-        torque over time. Its method ``savefig`` writes it to a file; a notebook shows it.
+        Parameters
+        ----------
+        kind : {"strobe", "course"}
+            Many instants in one picture; or arm, speed of the tip, energies and torque over time.
+        start, end : float, optional
+            Time to show, s; by default the last sweep of the rope in a strobe, and all of a course.
+        title : str
+        ax : matplotlib.axes.Axes, optional
+            Axes for the strobe, in place of a new figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Its method ``savefig`` writes it to a file; a notebook shows it. pyplot does not know it, so that nothing is
+            kept and no screen is needed: for a window, pass axes of pyplot.
+
+        Raises
+        ------
+        InvalidInput
+            If the kind is unknown, the times are not in the run, or a course is to be drawn into one axes.
+
+        Examples
+        --------
+        >>> import matplotlib.pyplot as plt
+        >>> import hyperflex as hf
+        >>> rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=10, friction=1e-3)
+        >>> _, (left, right) = plt.subplots(1, 2)
+        >>> for ax, angle in ((left, 0.3), (right, 1.2)):
+        ...     figure = hf.simulate(rope, duration=1.0, q0=angle).plot(ax=ax)
+        >>> plt.close(figure)
         """
         from hyperflex.report import run_figure
 
-        return run_figure(self, kind, start=start, end=end, title=title)
+        return run_figure(self, kind, start=start, end=end, title=title, ax=ax)
 
     def animate(self, path: str | Path, **options: Any) -> None:
         """Write a film of the run to `path`, whose suffix, .gif or .mp4, says the kind.

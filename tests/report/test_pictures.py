@@ -10,7 +10,7 @@ from PIL import Image
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.report.pictures import animate, strobe_figure
-from hyperflex.report.scene import Overlay, shapes
+from hyperflex.report.scene import Overlay, last_sweep, shapes
 from hyperflex.report.style import png
 from hyperflex.vision import VideoReader
 from tests.planning.known import PEG as TARGET
@@ -37,6 +37,26 @@ def test_strobe_draws_ropes_on_a_dark_ground(short_cast):
     drawn = (np.abs(pixels.astype(int) - background).max(axis=1) > 40).mean()
     assert 0.005 < drawn < 0.5  # lines, neither an empty nor a full picture
     assert image.width == 540  # 9 inches at 60 dots
+
+
+def test_a_strobe_shows_the_last_sweep(short_cast):
+    """A pendulum of 1 m, let go at 1 rad, is back after 2.14 s: its last whole sweep of 5 s begins after three."""
+    rod = hf.Rope(length=[1.0], mass=[0.1], com=[1.0], inertia=[1e-9])
+    swing = hf.simulate(rod, duration=5.0, q0=1.0)
+    np.testing.assert_allclose(
+        last_sweep(swing), [3.21, 4.28], atol=0.02
+    )  # s: half periods of 1.07 s; samples of 10 ms
+    low, high = run_key(swing.plot()), run_key(swing.plot(start=0.0))
+    assert (low, high) == (["3.21 s", "4.28 s"], ["0.00 s", "5.00 s"])
+    hit = hf.simulate(rod, duration=0.9, q0=1.0)  # it does not turn back
+    assert last_sweep(hit) == (0.0, 0.9)
+    settled = hf.simulate(rod.replace(friction=0.3), duration=9.0, q0=1.0)  # small ones at the end do not count
+    assert last_sweep(settled)[1] < 4.0
+
+
+def run_key(figure):
+    """The first and the last time that a strobe shows."""
+    return [each.get_text() for each in figure.axes[0].child_axes[0].get_xticklabels()]
 
 
 def test_strobe_says_which_time_a_colour_is_and_hides_no_wraps(short_cast):

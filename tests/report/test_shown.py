@@ -3,8 +3,10 @@
 import pickle
 import re
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
@@ -80,6 +82,26 @@ def test_a_figure_shows_itself_in_a_notebook_and_can_be_copied():
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert pickle.loads(pickle.dumps(figure)).axes[0].get_xlim() == (0.5, 1.0)
     assert [axis.get_ylabel() for axis in figure.axes] == ["degrees", "m/s", "J", "N m"]
+
+
+def test_results_draw_into_axes_that_are_given_and_pyplot_keeps_none_of_their_own(found):
+    plan, recording = planned_whip(), hf.Recording(found.residual_t, found.residuals, name="what is left")
+    figure = Figure()
+    axes = figure.subplots(1, 3)
+    for result, ax in ((plan, axes[0]), (plan.run, axes[1])):
+        assert result.plot(ax=ax) is figure
+        assert ax.get_aspect() == 1.0
+        assert len(ax.collections) > 3
+    assert found.plot(recording, axes[2]) is figure
+    worst = int(np.argmax(found.residual_rms))
+    assert axes[2].get_title("left").startswith(f"link {worst}: ")
+    assert len(found.plot(recording).axes) == 2
+    assert plan.plot() is not figure
+    with pytest.raises(InvalidInput, match="a course has four panels"):
+        plan.run.plot("course", ax=axes[0])
+    with pytest.raises(InvalidInput, match="the plan has no run"):
+        unreachable().plot()
+    assert plt.get_fignums() == []
 
 
 def test_a_setup_with_a_field_replaced_is_checked_again(found):

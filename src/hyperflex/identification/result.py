@@ -1,7 +1,7 @@
 """The result of an identification."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,12 @@ from hyperflex.identification.findings import Finding, Grade, Kind, Severity, gr
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
+from hyperflex.recording import Recording
 from hyperflex.status import Status
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SHOWN = (  # of a summary
     *("grade", "success", "status", "message", "identifiable", "unit", "values", "std", "model_std", "ratios"),
@@ -219,6 +224,20 @@ class Identification:
 
     def __repr__(self) -> str:
         return f"Identification({self.grade}, {self.status}, {', '.join(self.values)} of {self.rope!r})"
+
+    def plot(self, recording: Recording, ax: "Axes | None" = None) -> "Figure":
+        """Draw measurement, fit and held-out prediction over time: return a Matplotlib figure.
+
+        Parameters
+        ----------
+        recording : Recording
+            The one that was identified from.
+        ax : matplotlib.axes.Axes, optional
+            Axes for the channel that fits worst; by default a new figure shows the most informative ones.
+        """
+        from hyperflex.report import FittedChannels, fit_figure
+
+        return fit_figure(FittedChannels(recording, self), ax)
 
     def _repr_html_(self) -> str:
         from hyperflex.report import identification_html

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -23,6 +23,10 @@ from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import verified_setup
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 T = TypeVar("T")
 
@@ -153,6 +157,16 @@ class Plan(ABC):
             ended += f": {self.outcome.in_short()}"
         place = f"target ({self.target.x:.4g}, {self.target.y:.4g}) m"
         return f"{type(self).__name__}({place}, {self.problem.rope!r}, {self.runs} runs, {ended})"
+
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the verified run about the strike, the peak or the entry: return a Matplotlib figure.
+
+        It is drawn into the axes `ax` if given. Raises InvalidInput if there is no run: a plan that is read from a file
+        has none, and ``hyperflex.simulate(plan.setup()).plot()`` draws it.
+        """
+        from hyperflex.report import plan_figure
+
+        return plan_figure(self, ax)  # type: ignore[arg-type] # all plans are casts, whips or insertions
 
     def _repr_html_(self) -> str:
         from hyperflex.report import plan_html

@@ -18,6 +18,7 @@ from hyperflex.report.scene import Line, Overlay, Plot
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, png
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -68,11 +69,15 @@ class CastReport(PlanReport[CastPlan]):
         """When the arm stops, s."""
         return 0.0 if self.plan.motion is None else float(self.plan.motion.breaks[-1])
 
+    def strobe_of_event(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the rope about the strike, or before the arm stops."""
+        middle = self.event if math.isfinite(self.event) else self.stop - 0.8
+        red = "the target, and pegs before it" if self.plan.problem.criteria.behind else "the target"
+        return self.strobe_at(middle, 0.6, 0.8, f"red: {red}", ax)
+
     def figures(self) -> "dict[str, Figure]":
         """Draw strike, time course, and tug if there was one."""
-        middle = self.event if math.isfinite(self.event) else self.stop - 0.8  # before the arm stops
-        red = "the target, and pegs before it" if self.plan.problem.criteria.behind else "the target"
-        drawn = {"strike": self.strobe_at(middle, 0.6, 0.8, f"red: {red}"), "course": self._course()}
+        drawn = {"strike": self.strobe_of_event(), "course": self._course()}
         return drawn if self.held is None else drawn | {"tug": tug_figure(self.held)}
 
     def overlay(self) -> Overlay:

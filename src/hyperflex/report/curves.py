@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.errors import InvalidInput
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.scene import Line, Plot, span
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -70,11 +72,20 @@ def time_course(
 
 
 def run_figure(
-    run: Trajectory, kind: str = "strobe", *, start: float | None = None, end: float | None = None, title: str = ""
+    run: Trajectory,
+    kind: str = "strobe",
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    title: str = "",
+    ax: "Axes | None" = None,
 ) -> "Figure":
     """Draw a run between two times, s: its ``"strobe"``, or its ``"course"``; InvalidInput for another kind or span."""
     if checks.choice("kind", kind, KINDS) == "strobe":
-        return strobe_figure(run, start=start, end=end, title=title)
+        return strobe_figure(run, start=start, end=end, title=title, ax=ax)
+    if ax is not None:
+        fix = "Draw on the axes of the figure that it returns"
+        raise InvalidInput("a course has four panels", got="one ax", allowed="ax of a strobe", fix=fix)
     shown = span(run, start, end)
     figure = time_course(run, title or "the run", (speed_plot(run), energy_plot(run)))
     figure.axes[0].set_xlim(shown)  # all axes share it

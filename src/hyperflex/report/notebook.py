@@ -1,7 +1,7 @@
-"""Representation of results in notebooks: short text, a table, and a run as a player."""
+"""Representation of results in notebooks: short text, a table, and a run as a player; plans in a picture."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,10 @@ from hyperflex.report.player import FRAME_RATE, player_html
 from hyperflex.report.tip import InsertReport, WhipReport
 from hyperflex.report.units import readable_unit
 from hyperflex.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def rope_html(rope: Rope) -> str:
@@ -41,10 +45,20 @@ def identification_html(found: Identification) -> str:
 
 def plan_html(plan: Plan) -> str:
     """Return a plan's result, key figures and verified run."""
-    kinds: dict[str, type[PlanReport[Any]]] = {"cast": CastReport, "whip": WhipReport, "insert": InsertReport}
-    report = kinds[plan.kind](plan)
+    report = _report_of(plan)
     document = "" if plan.run is None else _player(plan.run, **report.film())
     return _shown(report.title, (report.verdict, *report.advice), TextTable(("", ""), report.tiles), document)
+
+
+def plan_figure(plan: Plan, ax: "Axes | None" = None) -> "Figure":
+    """Draw the rope of a plan's verified run at many instants about its event, into given axes or a new figure."""
+    plan.required(plan.run, "run")
+    return _report_of(plan).strobe_of_event(ax)
+
+
+def _report_of(plan: Plan) -> PlanReport[Any]:
+    kinds: dict[str, type[PlanReport[Any]]] = {"cast": CastReport, "whip": WhipReport, "insert": InsertReport}
+    return kinds[plan.kind](plan)
 
 
 def _player(run: Trajectory, **options: object) -> str:

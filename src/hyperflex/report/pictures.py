@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +12,12 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Obstacle, Peg, Wall
-from hyperflex.report.scene import PLAIN, Overlay, shapes, span, view, wall_ends
-from hyperflex.report.style import new_figure
+from hyperflex.report.scene import PLAIN, Overlay, last_sweep, shapes, span, view, wall_ends
+from hyperflex.report.style import new_figure, style_context
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from PIL import Image
 
@@ -35,6 +37,7 @@ def strobe_figure(
     title: str = "",
     width: float = 9.0,
     overlay: Overlay = PLAIN,
+    ax: "Axes | None" = None,
 ) -> "Figure":
     """Draw the rope at `count` instants of a run, early ones dark, late ones bright, with the path of the tip.
 
@@ -44,7 +47,7 @@ def strobe_figure(
     ----------
     run : Trajectory
     start, end : float, optional
-        First and last instant, s; the whole run by default.
+        First and last instant, s; with neither, the last sweep of the rope (:func:`last_sweep`).
     count : int
         Number of instants, at least 2.
     title : str
@@ -53,6 +56,8 @@ def strobe_figure(
         Width of the picture, inches; the height follows from the rope's reach.
     overlay : Overlay
         Targets, and obstacles, whose colour the title then explains.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into, in place of a new figure.
 
     Raises
     ------
@@ -63,14 +68,15 @@ def strobe_figure(
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    first, last = span(run, start, end)
+    first, last = last_sweep(run) if start is None and end is None else span(run, start, end)
     times = np.linspace(first, last, checks.count("count", count, least=2))
     drawn, along = shapes(run, times), np.linspace(first, last, 800)
     trail = shapes(run, along).joints[:, -1]
     points = np.concatenate([drawn.joints.reshape(-1, 2), trail, drawn.pivots, overlay.targets])
     low, high = view(run, points, above=1.5)
-    with new_figure(width, width * (high[1] - low[1]) / (high[0] - low[0]), layout=None) as figure:
-        axis, fade = _stage(figure, run, low, high, overlay), np.linspace(0.35, 1.0, count) ** 1.5
+    with _dark_axes(ax, width, width * (high[1] - low[1]) / (high[0] - low[0])) as axis:
+        _stage(axis, run, low, high, overlay)
+        fade = np.linspace(0.35, 1.0, count) ** 1.5
         dusk: Any = {
             "cmap": LinearSegmentedColormap.from_list("dusk", _FIRST_TO_LAST),
             "norm": Normalize(first, last),
@@ -79,7 +85,8 @@ def strobe_figure(
             glowing = {"array": times, "alpha": opacity * fade, "capstyle": "round", **dusk}
             axis.add_collection(LineCollection(list(drawn.joints), linewidths=glow, **glowing))
         axis.add_collection(LineCollection(pieces(trail), array=along[:-1], linewidths=0.7, alpha=0.55, **dusk))
-        axis.scatter(*drawn.joints[:, -1].T, s=7.0, c=times, zorder=3, lw=0, **dusk)
+        tips = drawn.joints[:, -1].T
+        axis.scatter(tips[0], tips[1], s=7.0, c=times, zorder=3, lw=0, **dusk)
         if run.setup.arm is not None:
             arms = list(np.stack([drawn.pivots, drawn.joints[:, 0]], axis=1))
             axis.add_collection(LineCollection(arms, colors=PALE, linewidths=1.0, alpha=0.12))
@@ -92,11 +99,14 @@ def strobe_figure(
         axis.text(np.mean(scale), 0.057, f"{length:g} m", ha="center", **style)
         words = f"{title}; violet: obstacles" if overlay.obstacles else title
         axis.text(0.018, 0.965, words, va="top", **style | {"color": "white", "fontsize": 11.0, "fontweight": "bold"})
-        key = axis.inset_axes((0.03, 0.04, 0.16, 0.012))  # the colours, in the lower left corner
+        key = axis.inset_axes((0.03, 0.04, 0.26, 0.012))  # the colours, in the lower left corner
         style = {"orientation": "horizontal", "ticklocation": "top", "ticks": (first, last), "format": "%.2f s"}
-        figure.colorbar(ScalarMappable(**dusk), cax=key, **style).outline.set_visible(False)
+        axis.figure.colorbar(ScalarMappable(**dusk), cax=key, **style).outline.set_visible(False)
         key.tick_params(colors=PALE, labelsize=8.0, length=0.0)
-    return figure
+        low_label, high_label = key.get_xticklabels()
+        low_label.set_horizontalalignment("left")
+        high_label.set_horizontalalignment("right")
+    return axis.figure  # type: ignore[return-value] # or the subfigure of a user's axes
 
 
 def animate(
@@ -179,8 +189,9 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
     height = header + 2 * round(0.5 * width * (high[1] - low[1]) / (high[0] - low[0]))
     with new_figure(width / _DPI, height / _DPI, layout=None) as figure:
         figure.set_dpi(_DPI)
-        axis = _stage(figure, run, low, high, overlay)
-        axis.set_position((0.0, 0.0, 1.0, 1.0 - header / height))
+        figure.set_facecolor(NIGHT)
+        axis = figure.add_axes((0.0, 0.0, 1.0, 1.0 - header / height))
+        _stage(axis, run, low, high, overlay)
         for line in (axis.axhline, axis.axvline):
             line(0.0, color=GROUND, lw=0.7, zorder=0)
         opacities = (0.07, 0.13, 0.2, 0.27, 0.33, 1.0)  # of five earlier ropes, and the rope now
@@ -248,16 +259,26 @@ def draw_obstacles(axis: Any, obstacles: Sequence[Obstacle], far: float, place: 
         axis.plot([], [], "s", color=face, mec=OBSTACLE, mew=1.5, ms=6.0, label=f"{kind}, an obstacle")
 
 
-def _stage(figure: "Figure", run: Trajectory, low: Array, high: Array, overlay: Overlay) -> Any:
-    """Return axes in metres that fill a dark figure, with the pegs, walls and grounds of the run and the targets."""
-    figure.set_facecolor(NIGHT)
-    axis: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor=NIGHT)
-    axis.set_axis_off()
+@contextmanager
+def _dark_axes(ax: "Axes | None", width: float, height: float) -> "Iterator[Axes]":
+    """Give the user's axes, in the package's style until the end of the block, or axes that fill a new figure."""
+    if ax is None:
+        with new_figure(width, height, layout=None) as figure:
+            figure.set_facecolor(NIGHT)
+            yield figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        return
+    with style_context():
+        ax.set_aspect("equal")
+        yield ax
+
+
+def _stage(axis: "Axes", run: Trajectory, low: Array, high: Array, overlay: Overlay) -> None:
+    """Set up dark axes, m, without ticks, with the pegs, walls and grounds of the run and the targets."""
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor=NIGHT, xticks=[], yticks=[])
+    axis.spines[:].set_visible(False)
     for each in run.setup.pegs:
         _draw_obstacle(axis, each, 10.0 * float((high - low).max()), OBSTACLE if each in overlay.obstacles else PEG)
     axis.plot(*overlay.targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
-    return axis
 
 
 def _draw_obstacle(axis: Any, obstacle: Obstacle, far: float, colour: str) -> Any:

@@ -21,6 +21,7 @@ from hyperflex.report.texts import Texts
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Plan = CastPlan | WhipPlan | InsertPlan
@@ -209,11 +210,15 @@ class PlanReport(ABC, Generic[PlanT]):
         """Return what has happened to the rope by a time, s."""
         return self.texts.text("end") if t >= self.event else ""
 
-    def strobe_at(self, t: float, before: float, after: float, shown: str) -> "Figure":
+    @abstractmethod
+    def strobe_of_event(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the rope at many instants about the event, into given axes or a new figure."""
+
+    def strobe_at(self, t: float, before: float, after: float, shown: str, ax: "Axes | None" = None) -> "Figure":
         """Draw the rope at many instants `before` and `after` a time `t`, s; `shown` explains the other objects."""
         start, end = max(t - before, float(self.run.t[0])), min(t + after, float(self.run.t[-1]))
-        title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); {shown}"
-        return strobe_figure(self.run, start=start, end=end, count=52, title=title, overlay=self.overlay())
+        title = f"simulated; {shown}"
+        return strobe_figure(self.run, start=start, end=end, count=52, title=title, overlay=self.overlay(), ax=ax)
 
     def course(self, event: str, *plots: Plot) -> "Figure":
         """Draw the time course of the run with two plots; it marks the event and names it."""

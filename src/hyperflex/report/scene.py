@@ -105,6 +105,22 @@ def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float
     return first, last
 
 
+def last_sweep(run: Trajectory) -> tuple[float, float]:
+    """Return begin and end, s, of the last sweep of a rope, at least half as wide as the widest; else of the whole run.
+
+    A sweep is from one instant to the next at which the middle of the mass turns back, to the left or to the right.
+    """
+    mass = run.setup.rope.mass
+    middles = 0.5 * (run.joints[:, 1:, 0] + run.joints[:, :-1, 0])
+    x = middles @ mass / mass.sum() if mass.any() else middles.mean(axis=1)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(x)))) + 1
+    widths = np.abs(np.diff(x[turns]))
+    if not widths.size:
+        return float(run.t[0]), float(run.t[-1])
+    last = int(np.flatnonzero(widths >= 0.5 * widths.max())[-1])
+    return float(run.t[turns[last]]), float(run.t[turns[last + 1]])
+
+
 def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
     """Return the lower left and upper right corner (2,), m, of a view of points (k, 2), m, pegs and walls.
 

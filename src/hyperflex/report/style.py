@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,20 +18,26 @@ OUTCOME_COLOUR = {"success": BLUE, "failure": RED}
 _STYLE = Path(__file__).parent / "figure.mplstyle"
 
 
+def style_context() -> "AbstractContextManager[None]":
+    """Return a block in which Matplotlib's settings are the package's."""
+    import matplotlib as mpl
+
+    return mpl.rc_context(fname=_STYLE)
+
+
 @contextmanager
 def new_figure(
     width: float, height: float, title: str = "", *, layout: Literal["constrained"] | None = "constrained"
 ) -> "Iterator[Figure]":
-    """Give an empty figure that needs no screen, in the package's style.
+    """Give an empty figure that needs no screen, and that pyplot does not know, in the package's style.
 
     Matplotlib's own settings are back after the block, in which everything must be drawn. Width and height are in
     inches, `layout` is Matplotlib's layout engine.
     """
-    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(fname=_STYLE):
+    with style_context():
         figure = Figure(figsize=(width, height), layout=layout)
         FigureCanvasAgg(figure)
         vars(figure)["_repr_png_"] = partial(png, figure, dpi=100)  # a notebook shows it, with or without pyplot

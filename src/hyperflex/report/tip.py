@@ -16,6 +16,7 @@ from hyperflex.report.units import length
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -41,13 +42,17 @@ class WhipReport(PlanReport[WhipPlan]):
         """Return notes, target and obstacles, and when the tip's speed peaks."""
         return replace(super().overlay(), targets=self.plan.target.point[None])
 
+    def strobe_of_event(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the rope about the peak."""
+        return self.strobe_at(self.outcome.t, 0.5, 0.1, "ring: the target", ax)
+
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope about the peak, the tip's path past the target, and the time course."""
         target, run, seen = self.plan.target, self.run, self.outcome
         speed = speed_plot(run)._replace(level=(target.least_speed, f"{target.least_speed:.3g} m/s are required"))
         away = Plot("distance of the tip from the target", "m", (Line("", np.hypot(*(run.tip - target.point).T)),))
         return {
-            "peak": self.strobe_at(seen.t, 0.5, 0.1, "ring: the target"),
+            "peak": self.strobe_of_event(),
             "passing": self._passing(),
             "course": self.course(f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s", speed, away),
         }
@@ -88,6 +93,11 @@ class InsertReport(PlanReport[InsertPlan]):
         "course": "Arm angle, speed of the tip, its depth beyond the walls, and torque over time. Dashed: inside.",
     }
 
+    def strobe_of_event(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the rope until the tip is inside."""
+        seen = self.outcome
+        return self.strobe_at(seen.t_enter, 0.6, seen.t - seen.t_enter + 0.05, "red: the walls", ax)
+
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope until the tip is inside, its way through the gap, and the time course."""
         slot, run, seen = self.plan.target, self.run, self.outcome
@@ -97,7 +107,7 @@ class InsertReport(PlanReport[InsertPlan]):
         inside = f"inside at {seen.t:.2f} s: {seen.speed:.2f} m/s"
         return {
             "gap": self._gap(),
-            "entry": self.strobe_at(seen.t_enter, 0.6, seen.t - seen.t_enter + 0.05, "red: the walls"),
+            "entry": self.strobe_of_event(),
             "course": self.course(inside, speed_plot(run), deep),
         }
 

@@ -30,7 +30,7 @@ from hyperflex.motion import Motion
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact import check_start
 from hyperflex.simulation.rollouts import Interval, balanced, dataset_of, lever, status_of, stored
-from hyperflex.simulation.runs import output_times, setup_of, simulate
+from hyperflex.simulation.runs import motor_torque, output_times, setup_of, simulate
 from hyperflex.simulation.stepper import COMMANDS, arm_polynomials, setup_for
 from hyperflex.status import Status
 from hyperflex.trajectory import DERIVED, OPTIONAL, VARIABLES, Trajectory, swept
@@ -154,7 +154,16 @@ STATES = 1e6  # numbers that a block may hold in work
 CHUNK, CONTACT_CHUNK = 64, 4  # members of a chunk on an executor
 # Part of the time left that a member with contact may take while others wait: one that never ends must not lose them.
 PART_OF_A_MEMBER = 0.5
-_SHARED = ("tip", "q", "qd", "motor_work", "dissipated_energy", "peg_angle", "peg_rate")  # with a Trajectory
+_SHARED = (
+    "tip",
+    "q",
+    "qd",
+    "motor_torque",
+    "motor_work",
+    "dissipated_energy",
+    "peg_angle",
+    "peg_rate",
+)  # with a Trajectory
 # name: (dimensions after member and time, units, long name)
 KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     **{name: {**DERIVED, **VARIABLES, **OPTIONAL}[name] for name in _SHARED},
@@ -254,10 +263,12 @@ def simulate_batch(
     motions : Motion or sequence of Motion, optional
         One for all members, or one each.
     t_eval : (T,) array_like, optional
-        Times of the output, s, from 0 on; by default only the end. A step ends at each of them.
-    keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
+        Times of the output, s, from 0 on; by default only the end: give ``np.linspace(0.0, duration, 101)`` for the
+        course. A step ends at each of them.
+    keep : sequence of {"tip", "q", "qd", "motor_torque", "motor_work", "dissipated_energy", "turns", ...}
         What to keep; memory is (M, T) times this, in addition to the blocks in work. Turns are those about each round
-        peg.
+        peg; ``"peg_angle"`` and ``"peg_rate"`` are the others. For a whole trajectory of one member, simulate it:
+        ``simulate(ropes[m], motions[m], t_eval=batch.t, ...)``.
     time_budget : float or Budget, optional
         Time by the clock for all members, s; those that are not finished then have the status "out of time". A member
         with pegs or with joint limits may take half of the time left while others wait. By default there is no limit
@@ -425,7 +436,10 @@ def _in_flight(
             codes[m], reached[m] = status.ENERGY, times[good[m]]
             states[m, good[m] :] = np.nan
         shown = states[:, 1 - first :]
-        values = {name: shown[:, :, columns[name]] for name in results.values if name != "tip"}
+        values = {name: shown[:, :, columns[name]] for name in results.values if name in columns}
+        if "motor_torque" in results.values:
+            torques = [motor_torque(setups[low + m], t, np.ascontiguousarray(shown[m])) for m in range(count)]
+            values["motor_torque"] = np.array(torques)
         if "tip" in results.values:
             reach = members.links[rows, LENGTH][:, None, None] * unit_along(shown[:, :, :n], 2)
             values["tip"] = joint[:, 1 - first :] + reach.sum(axis=3)

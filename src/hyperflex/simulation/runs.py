@@ -146,6 +146,25 @@ def observed(run: Rollout) -> tuple[tuple[Array, Array, Array], int, SimulationE
     return seen, good, run.failure(status.ENERGY, float(np.append(run.t[:done], run.time)[good]))
 
 
+def _torque(setup: Setup, t: Array, base: Array, scalars: Array) -> Array:
+    """Return the motor's torque (T,), N m, at times t, from what ``observation.observe`` writes."""
+    if setup.arm is None:
+        return np.zeros(t.size) if setup.torque is None else setup.torque.torque(t)
+    if setup.torque is not None:
+        return np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)
+    angle, rate, acceleration = base[:, 4], base[:, 3], base[:, 2]  # of the arm, with inertia, weight and friction
+    own = setup.arm.shaft_torque(setup.rope.gravity, angle, rate, acceleration)
+    return setup.arm.rope_torque(angle, scalars[:, 2:]) + own
+
+
+def motor_torque(setup: Setup, t: Array, y: Array) -> Array:
+    """Return the motor's torque (T,), N m, in states y (T, 2 n + 2) at times t, s, without contact."""
+    chain, drive, count = setup.chain(), setup.drive(), t.size
+    seen = np.empty((count, chain.length.size)), np.empty((count, 9)), np.empty((count, 5))
+    output.observe(chain, drive, t, y, output.senses(chain, drive, t, y), *seen)
+    return _torque(setup, t, *seen[1:])
+
+
 def conclude(
     run: Rollout, code: int, early: Status, *, throw: bool, skip: int = 0, event: tuple[str, float] | None = None
 ) -> Trajectory:
@@ -179,13 +198,8 @@ def conclude(
         place = base[:, 7:9] + setup.arm.length * unit_along(angle)
         velocity = base[:, 5:7] + setup.arm.tip_velocity(angle, rate)
         q, qd, qdd = q[:, 1:], qd[:, 1:], qdd[:, 1:]
-        torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)
     else:
         angle, rate, place, velocity = base[:, 4], base[:, 3], base[:, 7:9], base[:, 5:7]
-        torque = np.zeros(t.size) if setup.torque is None else setup.torque.torque(t)
-        if setup.arm is not None:  # of the rope, and of the arm's own inertia, weight and friction
-            torque = setup.arm.rope_torque(angle, scalars[:, 2:])
-            torque = torque + setup.arm.shaft_torque(setup.rope.gravity, angle, rate, base[:, 2])
     return Trajectory(
         t=t,
         q=q,
@@ -199,7 +213,7 @@ def conclude(
         potential_energy=scalars[:, 1],
         dissipated_energy=y[:, 2 * n + 1],
         motor_work=y[:, 2 * n],
-        motor_torque=torque,
+        motor_torque=_torque(setup, t, base, scalars),
         setup=setup,
         state=state,
         status=name,

@@ -14,10 +14,11 @@ from hyperflex.identification import BAND, HeldOut, Identification, correlogram
 from hyperflex.model import PROPERTIES, Rope
 from hyperflex.recording import Recording
 from hyperflex.report.identification.tables import numbers
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, style_context
 from hyperflex.report.units import amount, readable_unit
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _WIDTH = 10.0  # inches, of every figure on the page
@@ -98,13 +99,21 @@ def samples(axis: Any, t: Array, values: Array) -> None:
         axis.plot(t, values, ".", ms=3.0 if t.size < _DENSE else 2.0, color=GREY, label="measured")
 
 
-def fit_figure(view: FittedChannels) -> Figure:
-    """Draw the chosen channels over the whole time, and the window with the worst fit of each."""
+def fit_figure(view: FittedChannels, ax: Axes | None = None) -> Figure:
+    """Draw the chosen channels over the whole time, and the window with the worst fit of each.
+
+    With axes `ax`, draw the channel that fits worst into them.
+    """
+    if ax is not None:
+        with style_context():
+            _draw_titled(ax, view, int(np.argmax(view.found.residual_rms)))
+            ax.set_xlabel("time, s")
+            ax.legend(loc="upper right", frameon=True)
+        return ax.figure  # type: ignore[return-value] # or the subfigure
     zoomed = np.unique(view.window).size > _FEW_WINDOWS
     with _rows(view, 2 if zoomed else 1, (2.6, 1.0) if zoomed else None) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
-            _draw_fit(row[0], view, channel)
-            row[0].set(title=f"{view.rms_title(channel)} rms", ylabel=_label(view, channel), xlim=view.t[[0, -1]])
+            _draw_titled(row[0], view, channel)
             if zoomed:
                 _draw_worst(row[1], view, channel)
         legend(figure, axes[0, 0])
@@ -119,6 +128,12 @@ def _rows(view: FittedChannels, columns: int, widths: tuple[float, ...] | None =
         for axis in axes[-1]:
             axis.set_xlabel("time, s")
         yield figure, axes
+
+
+def _draw_titled(axis: Any, view: FittedChannels, channel: int) -> None:
+    """Draw a channel over the whole time, with its residual in the title."""
+    _draw_fit(axis, view, channel)
+    axis.set(title=f"{view.rms_title(channel)} rms", ylabel=_label(view, channel), xlim=view.t[[0, -1]])
 
 
 def _draw_fit(axis: Any, view: FittedChannels, channel: int) -> None:
