@@ -15,7 +15,7 @@ from hyperflex.errors import MissingPackage
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
-HIDDEN = ("cv2", "av", "xarray", "pandas", "mcap", "rosbags", "gymnasium")
+HIDDEN = ("cv2", "av", "xarray", "pandas", "mcap", "rosbags", "gymnasium", "ezc3d")
 
 
 def built(kind: str, folder: Path) -> Path:
@@ -37,8 +37,8 @@ def test_the_wheel_holds_the_package_and_nothing_else(tmp_path):
     assert {Path(name).suffix for name in names} >= {".py", ".html", ".mp4", ".toml", ".typed"}
     assert "hyperflex = hyperflex.cli:main" in entries
     needed = {line.split(">")[0] for line in told.get_all("Requires-Dist") if "extra" not in line}
-    assert not needed & {"opencv-python-headless", "av", "xarray", "mcap", "rosbags", "gymnasium", "pytest"}
-    assert {"vision", "xarray", "gym", "mcap", "ros", "all"} <= set(told.get_all("Provides-Extra"))
+    assert not needed & {"opencv-python-headless", "av", "xarray", "mcap", "rosbags", "gymnasium", "ezc3d", "pytest"}
+    assert {"vision", "xarray", "gym", "mcap", "c3d", "ros", "all"} <= set(told.get_all("Provides-Extra"))
 
 
 def test_the_sdist_can_be_built_and_tested(tmp_path):
@@ -53,7 +53,7 @@ def test_each_extra_is_named_as_it_is_called():
     """By what loads its packages; `pip` installs nothing for an extra that is not there, and only warns."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     text = "".join(path.read_text("utf-8") for path in SOURCE.rglob("*.py"))
-    for extra in ("vision", "xarray", "gym", "mcap", "ros"):
+    for extra in ("vision", "xarray", "gym", "mcap", "c3d", "ros"):
         assert extra in project["optional-dependencies"]
         assert f'"{extra}", "' in text
 

@@ -3,6 +3,7 @@
 Each has markers in space in a wide table below a header of its own; the header gives rate, unit and names.
 """
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -78,7 +79,7 @@ def _spread(rows: dict[int, list[float]], count: int) -> Any:
 def read_vicon(path: PathLike, selection: Selection) -> Content:
     """Return the block Trajectories of a CSV file of Vicon Nexus."""
     lines = read_lines(path)
-    blocks = {cells_of(line)[0]: k for k, line in enumerate(lines) if k + 3 < len(lines) and _begins_block(lines[k:])}
+    blocks = {cells_of(line)[0]: k for k, line in enumerate(lines[:-3]) if _begins_block(lines[k : k + 4])}
     if "Trajectories" not in blocks:
         raise InvalidInput(
             f"{path} is a Vicon Nexus file without markers",
@@ -98,9 +99,8 @@ def read_vicon(path: PathLike, selection: Selection) -> Content:
 
 
 def _begins_block(lines: Sequence[str]) -> bool:
-    """Whether a block of Vicon Nexus begins: its name, a rate, names, and Frame with Sub Frame."""
-    first, rate = cells_of(lines[0]), cells_of(lines[1])
-    return bool(first[0]) and not any(first[1:]) and bool(rate[0]) and cells_of(lines[3])[:2] == ["Frame", "Sub Frame"]
+    """Whether four lines begin a block of Vicon Nexus: its name, a rate, names, and Frame with Sub Frame."""
+    return bool(re.fullmatch(r"[A-Z][^,;\t]*[,;\t]*", lines[0])) and cells_of(lines[3])[:2] == ["Frame", "Sub Frame"]
 
 
 def read_qualisys(path: PathLike, selection: Selection) -> Content:

@@ -4,6 +4,7 @@ import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
@@ -167,15 +168,18 @@ def raw_of(content: Content, selection: Selection) -> Raw:
             what = f"{content.source}: header and notes disagree on unit"
             raise InvalidInput(what, got=[unit, declared["unit"]], fix="Mend one of them")
     t, data = content.t, content.take(names)
-    extra = {key: _beside(content, key, names) for key in ("rates", "noise", "likelihood")}
+    rates, noise = (_beside(content, key, names) for key in ("rates", "noise"))
     if content.sparse:
         kept = ~np.isnan(data).all(axis=1)
         t, data = t[kept], data[kept]
-        extra = {key: each if each is None else each[kept] for key, each in extra.items()}
+        rates, noise = (each if each is None else each[kept] for each in (rates, noise))
     return Raw(
         t=t,
         data=data,
         kind=kind,
+        noise=noise,
+        rates=rates,
+        likelihood=partial(_likelihood, content, names) if content.likelihood.keys() & set(names) else None,
         in_space=space,
         declared=declared,
         usual=content.usual,
@@ -184,8 +188,13 @@ def raw_of(content: Content, selection: Selection) -> Raw:
         convention=content.convention,
         name=content.name,
         source=content.source,
-        **extra,
     )
+
+
+def _likelihood(content: Content, names: Sequence[str]) -> Array:
+    """Return the likelihood (T, C) of channels, 1 of those for which the file has none."""
+    sure, by_name = np.ones((content.t.size, 1)), content.likelihood
+    return np.hstack([content.take([by_name[name]]) if name in by_name else sure for name in names])
 
 
 def _known(content: Content, what: str, names: object, known: Sequence[str]) -> list[str]:
@@ -270,14 +279,11 @@ def one_unit(content: Content, names: Sequence[str]) -> str | None:
 
 
 def _beside(content: Content, what: str, names: Sequence[str]) -> Array | None:
-    """Return the rates, noise or likelihood (T, C) of channels; None if the file has none."""
+    """Return the rates or noise (T, C) of channels; None if the file has none."""
     by_name: Mapping[str, str] = getattr(content, what)
     found = [by_name[name] for name in names if name in by_name]
     if not found:
         return None
-    if what == "likelihood":
-        sure = np.ones((content.t.size, 1))
-        return np.hstack([content.take([by_name[name]]) if name in by_name else sure for name in names])
     if len(found) < len(names):
         given = f"{content.source} gives the {what} of some columns only"
         raise InvalidInput(given, got=found, allowed="such a column for each or none")

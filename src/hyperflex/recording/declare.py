@@ -5,7 +5,7 @@ Nothing is guessed: what neither the file nor the caller declares is refused, an
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple, TypedDict
 
@@ -89,8 +89,8 @@ class Declarations:
 class Raw:
     """Columns as a file holds them, and what the file declares about them.
 
-    ``data`` is (T, C): angles, x and y of each marker or, ``in_space``, x, y and z of each. ``likelihood`` (T, C) is 1
-    where nothing is known. ``declared`` binds the caller too; ``usual`` is what the format means unless the caller says
+    ``data`` is (T, C): angles, x and y of each marker or, ``in_space``, x, y and z of each. ``likelihood`` returns
+    (T, C), 1 where nothing is known; it is read where it is used. ``declared`` binds the caller too; ``usual`` is what the format means unless the caller says
     otherwise.
     """
 
@@ -99,7 +99,7 @@ class Raw:
     kind: Kind
     noise: Array | None = None
     rates: Array | None = None
-    likelihood: Array | None = None
+    likelihood: Callable[[], Array] | None = None
     in_space: bool = False
     declared: Mapping[str, Any] = field(default_factory=dict)
     usual: Mapping[str, Any] = field(default_factory=dict)
@@ -183,14 +183,15 @@ def _likely(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, list[str]]:
     least = declared.get("min_likelihood")
     if raw.likelihood is None or least is None:
         return raw, []
-    low = (raw.likelihood < least) & ~np.isnan(raw.data)
+    likelihood = raw.likelihood()
+    low = (likelihood < least) & ~np.isnan(raw.data)
     data = np.where(low, np.nan, raw.data)
     if low.any() and (lost := np.isnan(data).all(axis=0)).any():
         column = int(np.argmax(lost))
         raise InvalidInput(
             f"all positions of marker {column // (3 if raw.in_space else 2)} have a likelihood below min_likelihood",
             got=least,
-            allowed=f"at most {np.nanmax(raw.likelihood[:, column]):.3g}, its largest",
+            allowed=f"at most {np.nanmax(likelihood[:, column]):.3g}, its largest",
             fix="Train the network further, choose other markers, or pass a smaller min_likelihood",
         )
     count = int(low.any(axis=1).sum())
