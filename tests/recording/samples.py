@@ -54,7 +54,16 @@ def table(rows: list[list[str]], mark: str = ",", end: str = "\n") -> str:
 
 def motive() -> Sample:
     """Motive 1.23: a rigid body with its quaternion beside two markers."""
-    meta = ["Format Version", "1.23", "Take Name", "swing", "Export Frame Rate", f"{RATE:.6f}", "Length Units", "Millimeters"]
+    meta = [
+        "Format Version",
+        "1.23",
+        "Take Name",
+        "swing",
+        "Export Frame Rate",
+        f"{RATE:.6f}",
+        "Length Units",
+        "Millimeters",
+    ]
     kinds = ["Rigid Body"] * 8 + ["Marker"] * 6
     names = ["base"] * 8 + ["rope:pivot"] * 3 + ["rope:tip"] * 3
     parts = ["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"] + ["Position"] * 6
@@ -93,7 +102,15 @@ def vicon() -> Sample:
     rows = [["Trajectories"], [f"{RATE:g}"], ["", "", "rope:pivot", "", "", "rope:tip", "", ""]]
     rows += [["Frame", "Sub Frame", *"XYZ", *"XYZ"], ["", "", *["mm"] * 6]]
     rows += [[f"{k + 1}", "0", *cells([*PIVOT[k], *tip[k]])] for k in FRAMES]
-    rows += [[], ["Devices"], ["1000"], ["", "", "Force"], ["Frame", "Sub Frame", "Fx"], ["", "", "N"], ["1", "0", "0.5"]]
+    rows += [
+        [],
+        ["Devices"],
+        ["1000"],
+        ["", "", "Force"],
+        ["Frame", "Sub Frame", "Fx"],
+        ["", "", "N"],
+        ["1", "0", "0.5"],
+    ]
     arguments = {"markers": ["rope:pivot", "rope:tip"], **SPACE}
     return Sample(table(rows, end="\r\n").encode(), arguments, (FRAMES + 1) / RATE, METRES)
 
@@ -122,7 +139,11 @@ def trc() -> Sample:
     """OpenSim: tabs, an empty line below the header."""
     tip = lost(TIP, GONE)
     keys = ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate"]
-    rows = [["PathFileType", "4", "(X/Y/Z)", "swing.trc"], keys, [f"{RATE:g}", f"{RATE:g}", f"{COUNT}", "2", "mm", f"{RATE:g}"]]
+    rows = [
+        ["PathFileType", "4", "(X/Y/Z)", "swing.trc"],
+        keys,
+        [f"{RATE:g}", f"{RATE:g}", f"{COUNT}", "2", "mm", f"{RATE:g}"],
+    ]
     rows += [["Frame#", "Time", "pivot", "", "", "tip", "", ""], ["", "", "X1", "Y1", "Z1", "X2", "Y2", "Z2"], [""]]
     rows += [[f"{k + 1}", repr(float(T[k])), *cells([*PIVOT[k], *tip[k]])] for k in FRAMES]
     return Sample(table(rows, "\t").encode(), {**BOTH, **SPACE}, data=METRES, suffix=".trc")
@@ -189,12 +210,28 @@ def kva() -> Sample:
     return Sample(text.encode(), BOTH, data=data, suffix=".kva")
 
 
+TRACKER = "org.opensourcephysics.cabrillo.tracker"
+
+
+def held(name: str, value: object, kind: str = "double") -> str:
+    return f'<property name="{name}" type="{kind}">{value}</property>'
+
+
+def array(content: str) -> str:
+    return f'<property name="framedata" type="array">{content}</property>'
+
+
+def instance(kind: str, *content: str) -> str:
+    return f'<object class="{kind}">{"".join(content)}</object>'
+
+
+def item(kind: str, *content: str) -> str:
+    return f'<property name="item" type="object">{instance(kind, *content)}</property>'
+
+
 def trk() -> Sample:
     """Tracker's own file: places in the image, axes turned by 30 degrees, 2000 px per m, every second frame."""
     turn, scale, (ox, oy) = np.radians(30.0), 2000.0, (320.0, 100.0)
-
-    def held(name: str, value: object, kind: str = "double") -> str:
-        return f'<property name="{name}" type="{kind}">{value}</property>'
 
     masses = ""
     for name, places in PLANAR.items():
@@ -203,27 +240,26 @@ def trk() -> Sample:
         v = -scale * (np.sin(turn) * x + np.cos(turn) * y) + oy
         frames = [k for k in FRAMES if name == "pivot" or k != GONE]
         steps = "".join(
-            f'<property name="[{3 + 2 * k}]" type="object"><object class="org.opensourcephysics.cabrillo.tracker.'
-            f'PointMass$FrameData">{held("x", repr(float(u[k])))}{held("y", repr(float(v[k])))}</object></property>'
+            f'<property name="[{3 + 2 * k}]" type="object">'
+            f"{instance('FrameData', held('x', float(u[k])), held('y', float(v[k])))}</property>"
             for k in frames
         )
-        masses += (
-            '<property name="item" type="object"><object class="org.opensourcephysics.cabrillo.tracker.PointMass">'
-            f'{held("name", name, "string")}<property name="framedata" type="array">{steps}</property></object></property>'
-        )
-    axes = "".join(
+        masses += item(f"{TRACKER}.PointMass", held("name", name, "string"), array(steps))
+    axes = (
         held(name, value)
         for name, value in (("xorigin", ox), ("yorigin", oy), ("angle", 30.0), ("xscale", scale), ("yscale", scale))
     )
-    text = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<object class="org.opensourcephysics.cabrillo.tracker.TrackerPanel">'
-        '<property name="videoclip" type="object"><object class="VideoClip">'
-        f'{held("startframe", 3, "int")}{held("stepsize", 2, "int")}{held("stepcount", COUNT, "int")}</object></property>'
-        f'<property name="clipcontrol" type="object"><object class="Control">{held("delta_t", 500.0 / RATE)}</object></property>'
-        '<property name="coords" type="object"><object class="ImageCoordSystem"><property name="framedata" type="array">'
-        f'<property name="[0]" type="object"><object class="FrameData">{axes}</object></property></property></object></property>'
-        f'{held("length_unit", "m", "string")}<property name="tracks" type="collection">{masses}</property></object>'
+    frame = f'<property name="[0]" type="object">{instance("FrameData", *axes)}</property>'
+    clip = (held(name, value, "int") for name, value in (("startframe", 3), ("stepsize", 2), ("stepcount", COUNT)))
+    panel = instance(
+        f"{TRACKER}.TrackerPanel",
+        f'<property name="videoclip" type="object">{instance("VideoClip", *clip)}</property>',
+        f'<property name="clipcontrol" type="object">{instance("Control", held("delta_t", 500.0 / RATE))}</property>',
+        f'<property name="coords" type="object">{instance("ImageCoordSystem", array(frame))}</property>',
+        held("length_unit", "m", "string"),
+        f'<property name="tracks" type="collection">{masses}</property>',
     )
+    text = f'<?xml version="1.0" encoding="UTF-8"?>\n{panel}'
     return Sample(text.encode(), BOTH, data=METRES, suffix=".trk")
 
 
@@ -247,10 +283,12 @@ UNLIKELY = 1e-3 * np.hstack([PLANAR["pivot"], lost(PLANAR["tip"], 7)])
 
 
 def deeplabcut() -> Sample:
-    head = [["scorer", *["net"] * 6], ["bodyparts", *["pivot"] * 3, *["tip"] * 3], ["coords", *["x", "y", "likelihood"] * 2]]
-    rows = [
-        [f"{k}", *cells([*image(PLANAR["pivot"])[k], 0.99, *image(PLANAR["tip"])[k], LIKELY[k]])] for k in FRAMES
+    head = [
+        ["scorer", *["net"] * 6],
+        ["bodyparts", *["pivot"] * 3, *["tip"] * 3],
+        ["coords", *["x", "y", "likelihood"] * 2],
     ]
+    rows = [[f"{k}", *cells([*image(PLANAR["pivot"])[k], 0.99, *image(PLANAR["tip"])[k], LIKELY[k]])] for k in FRAMES]
     return Sample(table(head + rows).encode(), {**BOTH, **PIXELS, "frame_rate": RATE}, data=UNLIKELY)
 
 
@@ -284,8 +322,7 @@ def anipose() -> Sample:
     parts = ("x", "y", "z", "error", "ncams", "score")
     rows = [[f"{name}_{part}" for name in ("pivot", "tip") for part in parts] + ["M_00", "fnum"]]
     tip = lost(TIP, GONE)
-    for k in FRAMES:
-        rows.append([*cells([*PIVOT[k], 1.5, 2, 0.9, *tip[k], 1.5, 2, LIKELY[k], 1.0]), f"{k}"])
+    rows += [[*cells([*PIVOT[k], 1.5, 2, 0.9, *tip[k], 1.5, 2, LIKELY[k], 1.0]), f"{k}"] for k in FRAMES]
     return Sample(table(rows).encode(), {**BOTH, **SPACE, "unit": "mm", "frame_rate": RATE}, data=METRES)
 
 
@@ -311,7 +348,9 @@ def matlab73() -> Sample:
         for name, values in (("run/t", T[None]), ("run/xy", METRES.T)):
             file[name] = values
         file["run"].attrs["MATLAB_class"] = np.bytes_(b"struct")
-    content = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM" + bytes(384) + buffer.getvalue()[512:]
+    content = (
+        b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM" + bytes(384) + buffer.getvalue()[512:]
+    )
     arguments = {"columns": ["run/xy"], "kind": "markers", "time_unit": "s", "unit": "m", "y_axis": "up"}
     return Sample(content, arguments, data=METRES, suffix=".mat")
 
@@ -325,7 +364,9 @@ def hdf5() -> Sample:
         file["b/notes"] = "a swing"
     columns = ["b/px", "b/py", "b/qx", "b/qy"]
     named = {"time": "a/stamps", "columns": columns, "kind": "markers"}
-    return Sample(buffer.getvalue(), {**named, "time_unit": "s", "unit": "m", "y_axis": "up"}, data=METRES, suffix=".hdf5")
+    return Sample(
+        buffer.getvalue(), {**named, "time_unit": "s", "unit": "m", "y_axis": "up"}, data=METRES, suffix=".hdf5"
+    )
 
 
 def plotjuggler() -> Sample:
@@ -333,7 +374,10 @@ def plotjuggler() -> Sample:
     start = 1_700_000_000.0
     rows = [["__time", "/imu/z", "/joint/position"]]
     for k in FRAMES:
-        rows += [[repr(start + float(T[k])), "9.81", ""], [repr(start + float(T[k])), "", repr(float(ANGLE[k] + 2 * np.pi))]]
+        rows += [
+            [repr(start + float(T[k])), "9.81", ""],
+            [repr(start + float(T[k])), "", repr(float(ANGLE[k] + 2 * np.pi))],
+        ]
     t = start + T
     arguments = {"columns": ["/joint/position"], "kind": "angles", "unit": "rad", "wrapped": True}
     return Sample(table(rows).encode(), arguments, t - t[0], ANGLE[:, None])

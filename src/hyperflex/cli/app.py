@@ -33,6 +33,7 @@ COMMANDS = {  # by name: the module with the function of this name, and an examp
     "plot": ("view", "cast.nc -o cast.png"),
     "export": ("export", "cast.toml -o cast.xml"),
     "play": ("view", "cast.toml --folder casts"),
+    "look": ("look", "swing.csv -o swing.png"),
     "identify": ("identify", "swing.csv --rope guess.toml --free inertia,friction -o identified"),
     "cast": ("plan", "--rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     "whip": ("plan", "--rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),

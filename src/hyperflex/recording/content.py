@@ -182,7 +182,7 @@ def raw_of(content: Content, selection: Selection) -> Raw:
         likelihood=partial(_likelihood, content, names) if content.likelihood.keys() & set(names) else None,
         in_space=space,
         declared=declared,
-        usual=content.usual,
+        usual={"y_axis": "up", **content.usual} if space else content.usual,  # as the plane says
         facts=content.facts,
         remarks=content.remarks,
         convention=content.convention,

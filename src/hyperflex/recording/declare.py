@@ -90,8 +90,8 @@ class Raw:
     """Columns as a file holds them, and what the file declares about them.
 
     ``data`` is (T, C): angles, x and y of each marker or, ``in_space``, x, y and z of each. ``likelihood`` returns
-    (T, C), 1 where nothing is known; it is read where it is used. ``declared`` binds the caller too; ``usual`` is what the format means unless the caller says
-    otherwise.
+    (T, C), 1 where nothing is known; it is read where it is used. ``declared`` binds the caller too; ``usual`` is what
+    the format means unless the caller says otherwise.
     """
 
     t: Array
@@ -113,8 +113,6 @@ class Raw:
 def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) -> Recording:
     """Return `raw` as a Recording by what the file and the caller (`given`, and `noise` or None) declare."""
     declared = {**DEFAULTS, **raw.usual, **_agreed(raw, asdict(given))}
-    if raw.in_space:
-        declared.setdefault("y_axis", "up")  # as the plane says
     with located(raw.source):
         _check(raw, declared)
         raw, words = _likely(raw, declared)

@@ -1,0 +1,93 @@
+"""``hyperflex look``: what a file of a recording holds, drawn, and the line that reads it."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hyperflex.cli import output
+from hyperflex.cli.command import check_destination
+from hyperflex.cli.output import Rows
+
+_SHOWN = 12  # names of markers or columns that are listed
+
+
+def look(
+    file: Annotated[Path, typer.Argument(help="Recording of any format: of a motion tracker, a logger or a program.")],
+    out: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Picture of the recording to write, .png. [default: none]")
+    ] = None,
+) -> None:
+    """Show what a recording holds, and how to read it.
+
+    The format is recognised by the content. What the file does not declare is assumed in the proposed line, and named:
+    check these, they are never assumed when a file is read.
+    """
+    from hyperflex.recording.proposal import propose, python_line
+    from hyperflex.report import recording_figure, save_png
+
+    check_destination(out, ".png", [file])
+    found = propose(file)
+    content, recording = found.content, found.recording
+    python, command = python_line(file, found), _command(file, found.arguments)
+    chosen = found.arguments.get("markers") or found.arguments.get("columns")
+    names = list(content.points or content.angles or chosen or content.names)
+    result: dict[str, Any] = {
+        "file": file,
+        "format": found.format,
+        "holds": "markers" if content.points else "angles",
+        "names": names,
+        "samples": content.t.size,
+        "declared": {**content.usual, **content.declared},
+        "assumed": list(found.assumed),
+        "arguments": dict(found.arguments),
+        "python": python if recording is not None else None,
+        "command": command if recording is not None else None,
+        "problem": found.problem or None,
+    }
+    rows = [("format", found.format), (result["holds"], f"{len(names)}: {_listed(names)}")]
+    if recording is not None:
+        step = recording.duration / (recording.t.size - 1)
+        gaps = recording.gaps / recording.data.size
+        result |= {"start_s": recording.t[0], "end_s": recording.t[-1], "rate_hz": 1.0 / step, "gaps": gaps}
+        result |= {"epoch_s": recording.epoch, "out_of_plane_m": recording.out_of_plane, "read": recording.convention}
+        rows.append(
+            ("samples", f"{recording.t.size}, {recording.t[0]:g} to {recording.t[-1]:g} s, {1.0 / step:.4g} a second")
+        )
+        rows += [("missing", f"{100.0 * gaps:.2g} %")] if recording.gaps else []
+        rows += [("epoch", f"{recording.epoch:.3f} s since 1970")] if recording.epoch is not None else []
+        rows.append(("read as", recording.convention.partition("; read ")[2] or recording.convention))
+    rows += [("declared by the file", _text(result["declared"]))] if result["declared"] else []
+    rows += (
+        [("assumed, to be checked", _text({key: found.arguments[key] for key in found.assumed}))]
+        if found.assumed
+        else []
+    )
+    rows += [("but", found.problem)] if found.problem else []
+    if out is not None and recording is not None:
+        save_png(recording_figure(recording, tuple(map(str, chosen or names))), out)
+        result |= {"output": out, "bytes": out.stat().st_size}
+        rows.append(("picture", str(out)))
+    lines = [Rows("To read it", [("Python", python), ("shell", command)])] if recording is not None else []
+    output.show(result, Rows(str(file), rows), *lines)
+
+
+def _command(file: Path, arguments: Mapping[str, Any]) -> str:
+    """Return the command that identifies a rope with the file."""
+    words = ["hyperflex", "identify", str(file), "--rope", "rope.toml"]
+    for key, value in arguments.items():
+        option = f"--{key.replace('_', '-')}"
+        listed = ",".join(value) if isinstance(value, list) else str(value)
+        words += [option] if value is True else [option, listed]
+    return shlex.join([*words, "-o", "identified"])
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def _text(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {_listed(value) if isinstance(value, list) else value}" for key, value in values.items())
