@@ -15,7 +15,7 @@ from hyperflex.errors import MissingPackage
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
-HIDDEN = ("cv2", "av", "xarray", "pandas", "mcap", "rosbags", "gymnasium", "ezc3d")
+HIDDEN = ("cv2", "av", "xarray", "pandas", "mcap", "rosbags", "gymnasium", "c3d")
 
 
 def built(kind: str, folder: Path) -> Path:
@@ -37,7 +37,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(tmp_path):
     assert {Path(name).suffix for name in names} >= {".py", ".html", ".mp4", ".toml", ".typed"}
     assert "hyperflex = hyperflex.cli:main" in entries
     needed = {line.split(">")[0] for line in told.get_all("Requires-Dist") if "extra" not in line}
-    assert not needed & {"opencv-python-headless", "av", "xarray", "mcap", "rosbags", "gymnasium", "ezc3d", "pytest"}
+    assert not needed & {"opencv-python-headless", "av", "xarray", "mcap", "rosbags", "gymnasium", "c3d", "pytest"}
     assert {"vision", "xarray", "gym", "mcap", "c3d", "ros", "all"} <= set(told.get_all("Provides-Extra"))
 
 

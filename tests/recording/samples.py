@@ -2,8 +2,8 @@
 
 import io
 import pickle
+import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
@@ -149,24 +149,24 @@ def trc() -> Sample:
     return Sample(table(rows, "\t").encode(), {**BOTH, **SPACE}, data=METRES, suffix=".trc")
 
 
-def c3d(folder: Path) -> Sample:
-    """C3D, written by ezc3d; it holds single precision, which is exact for these places in units of 1/8 mm."""
-    import ezc3d
+def c3d() -> Sample:
+    """C3D holds single precision, which is exact for these places in units of 1/8 mm."""
+    from c3d import Writer
 
-    file = ezc3d.c3d()
     eighths = np.round(8.0 * np.stack([PIVOT, TIP], axis=1)) / 8.0
-    points = np.ones((4, 2, COUNT))
-    points[:3] = eighths.transpose(2, 1, 0)
-    points[:3, 1, GONE] = np.nan
-    file["data"]["points"] = points
-    for key, value in (("RATE", [RATE]), ("LABELS", ("pivot", "tip")), ("UNITS", ("mm",))):
-        file["parameters"]["POINT"][key]["value"] = value
-    file.add_parameter("POINT", "X_SCREEN", ["+X"])
-    file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
-    path = folder / "made.c3d"
-    file.write(str(path))
+    rows = np.zeros((COUNT, 2, 5), dtype=np.float32)
+    rows[:, :, :3] = eighths
+    rows[GONE, 1] = [0.0, 0.0, 0.0, -1.0, 0.0]
+    writer = Writer(point_rate=RATE)
+    writer.add_frames([(row, np.zeros((0, 0))) for row in rows])
+    writer.set_point_labels(["pivot", "tip"])
+    writer.set_screen_axis("+X", "+Z")
+    buffer = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # there are no analogue channels
+        writer.write(buffer)
     data = 1e-3 * np.hstack([eighths[:, 0, [0, 2]], lost(eighths[:, 1, [0, 2]], GONE)])
-    return Sample(path.read_bytes(), {**BOTH, **SPACE}, data=data, suffix=".c3d")
+    return Sample(buffer.getvalue(), {**BOTH, **SPACE}, (FRAMES + 1) / RATE, data, ".c3d")
 
 
 def kinovea() -> Sample:
@@ -383,8 +383,8 @@ def plotjuggler() -> Sample:
     return Sample(table(rows).encode(), arguments, t - t[0], ANGLE[:, None])
 
 
-SAMPLES: dict[str, Callable[[Path], Sample]] = {
-    make.__name__: lambda folder, make=make: make(folder) if make is c3d else make()  # type: ignore[misc, call-arg]
+SAMPLES: dict[str, Callable[[], Sample]] = {
+    make.__name__: make
     for make in (
         motive, motive_frames, vicon, qualisys, trc, c3d, kinovea, kva, trk, tracker_table, deeplabcut, deeplabcut_h5,
         sleap, anipose, idtracker, animalta, matlab73, hdf5, plotjuggler,

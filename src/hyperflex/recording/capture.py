@@ -142,11 +142,12 @@ def read_trc(path: PathLike, selection: Selection) -> Content:
     about = dict(zip(cells_of(lines[1]), cells_of(lines[2]), strict=False))
     names = _filled(cells_of(lines[3].rstrip("\t, ")), 2)
     names += names[-1:] * 2  # of the last marker
+    axes = [cell[:1] for cell in cells_of(lines[4])]
     labels = [(name, _AXES[(k - 2) % 3] if k >= 2 else "") for k, name in enumerate(names)]
     declared: dict[str, Any] = {"time_unit": "s"}
     if unit := about.get("Units"):
         declared["unit"] = unit_name(unit)
-    top = 5 if cells_of(lines[4])[-1][:1] in "XYZ" or not lines[4].strip() else 4
+    top = 5 if not lines[4].strip() or {*"XYZ"} & set(axes) else 4
     return _content(path, lines, top, labels, 1, declared=declared)
 
 

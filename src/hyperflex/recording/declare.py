@@ -201,11 +201,11 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     if not raw.in_space:
         return raw, None
     points = raw.data.reshape(raw.t.size, -1, 3)
-    moved = points - np.nanmean(points, axis=0)
     name, axes = declared["plane"], np.eye(3)
     if name == "fit":
-        whole = moved[~np.isnan(moved).any(axis=-1)]
-        normal, vertical = np.linalg.svd(whole.T @ whole)[0][:, 2], axes["xyz".index(declared["up"])]
+        known = points[~np.isnan(points).any(axis=-1)]
+        known = known - known.sum(axis=0) / max(len(known), 1)
+        normal, vertical = np.linalg.svd(known.T @ known)[0][:, 2], axes["xyz".index(declared["up"])]
         tilt = math.asin(min(1.0, abs(float(normal @ vertical))))
         if tilt > STEEPEST:
             raise InvalidInput(
@@ -221,7 +221,11 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     else:
         right, up = (axes[k] for k in PLANES[name])
         normal, tilt = np.cross(right, up), 0.0
-    rms = math.sqrt(float(np.nanmean((moved @ normal) ** 2)))
+    across = points @ normal
+    there = ~np.isnan(across)
+    moved = np.where(there, across, 0.0)
+    moved -= moved.sum(axis=0) / np.maximum(there.sum(axis=0), 1)  # where a marker sits beside the plane is no motion
+    rms = math.sqrt(float((moved[there] ** 2).sum()) / max(int(there.sum()), 1))
     data = np.stack([points @ right, points @ up], axis=-1).reshape(raw.t.size, -1)
     return replace(raw, data=data, in_space=False), _Swing(name, rms, tilt)
 
