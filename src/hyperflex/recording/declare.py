@@ -113,7 +113,7 @@ class Raw:
 def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) -> Recording:
     """Return `raw` as a Recording by what the file and the caller (`given`, and `noise` or None) declare."""
     declared = {**DEFAULTS, **raw.usual, **_agreed(raw, asdict(given))}
-    with located(raw.source):
+    with located(raw.source), np.errstate(over="ignore", invalid="ignore"):  # Recording names what is not finite
         _check(raw, declared)
         raw, words = _likely(raw, declared)
         raw, swing = _in_plane(raw, declared)
@@ -132,7 +132,7 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
         factor = np.where(np.arange(data.shape[1]) % 2 == 1, -size if declared["y_axis"] == "down" else size, size)
         words.insert(0, f"in {unit}, y {declared['y_axis']}" + (f", {size:g} m per pixel" if unit == "px" else ""))
         words += [] if swing is None else [swing.text(size)]
-    with located(raw.source), np.errstate(over="ignore", invalid="ignore"):  # Recording names what is not finite
+    with located(raw.source), np.errstate(over="ignore", invalid="ignore"):
         data, rates = data * factor, None if rates is None else rates * factor
         std = None if std is None else std * size
         if raw.kind == "angles":
