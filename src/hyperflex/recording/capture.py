@@ -88,6 +88,8 @@ def read_vicon(path: PathLike, selection: Selection) -> Content:
             fix="Export the trajectories from Nexus as ASCII; devices and model outputs hold no places of markers",
         )
     at = blocks["Trajectories"]
+    if len(lines) < at + 6:
+        raise InvalidInput(f"{path} has a header but no rows", fix="It was probably cut off: get it again")
     end = next((k for k in range(at + 5, len(lines)) if not lines[k].strip(",; \t")), len(lines))
     names, axes, units = (cells_of(line) for line in lines[at + 2 : at + 5])
     labels = [(name, axis.lower()) for name, axis in zip(_filled(names, 2), axes, strict=False)]

@@ -203,7 +203,7 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     points = raw.data.reshape(raw.t.size, -1, 3)
     name, axes = declared["plane"], np.eye(3)
     if name == "fit":
-        known = points[~np.isnan(points).any(axis=-1)]
+        known = points[np.isfinite(points).all(axis=-1)]
         known = known - known.sum(axis=0) / max(len(known), 1)
         normal, vertical = np.linalg.svd(known.T @ known)[0][:, 2], axes["xyz".index(declared["up"])]
         tilt = math.asin(min(1.0, abs(float(normal @ vertical))))
