@@ -51,8 +51,8 @@ class Table:
         Comments of the form ``# key: value``, keys in lower case.
     cut : bool
         The file has no final line feed, so that its last number may be cut off.
-    ragged : bool
-        Rows may have fewer cells than the header; those are gaps.
+    ragged : int
+        Rows may lack this many cells at their end, or a multiple; those are gaps. 0: none may.
     """
 
     path: str
@@ -62,7 +62,7 @@ class Table:
     mark: str = ","
     notes: Mapping[str, str] = field(default_factory=dict)
     cut: bool = False
-    ragged: bool = False
+    ragged: int = 0
 
     @cached_property
     def values(self) -> Array:
@@ -129,7 +129,7 @@ class Table:
         count = len(self.names)
         if len(row) > count and not any(row[count:]):
             del row[count:]  # separators end the line
-        if len(row) < count and self.ragged:
+        if self.ragged and len(row) < count and (count - len(row)) % self.ragged == 0:
             row += [""] * (count - len(row))
         if len(row) != count:
             last = self.cut and k == len(self.rows) - 1

@@ -150,7 +150,7 @@ def read_trc(path: PathLike, selection: Selection) -> Content:
     if unit := about.get("Units"):
         declared["unit"] = unit_name(unit)
     top = 5 if not lines[4].strip() or {*"XYZ"} & set(axes) else 4
-    return _content(path, lines, top, labels, 1, declared=declared)
+    return _content(path, lines, top, labels, 1, declared=declared, ragged=len(_AXES))  # tabs at the end may be missing
 
 
 def _rate(path: PathLike, text: str = "") -> float:
@@ -187,6 +187,7 @@ def _content(
     *,
     zero_is_gap: bool = False,
     last: bool = True,
+    ragged: int = 0,
     **more: Any,
 ) -> Content:
     """Return the content of a wide table.
@@ -203,6 +204,8 @@ def _content(
         Whether a marker at 0, 0, 0 is missing.
     last
         Whether the rows go to the end of the file, which may be cut off.
+    ragged
+        As of :class:`Table`.
     """
     kept = [(k, lines[k]) for k in range(top, len(lines)) if lines[k].strip(",; \t")]
     if not kept or not labels:
@@ -211,7 +214,7 @@ def _content(
     numbers, rows = [k + 1 for k, _ in kept], [row for _, row in kept]
     names, points = _named(labels)
     mark = next((mark for mark in "\t;," if mark in rows[0]), " ")
-    table = Table(str(path), names, rows, numbers, mark, cut=last and bool(lines[-1]), ragged=True)
+    table = Table(str(path), names, rows, numbers, mark, cut=last and bool(lines[-1]), ragged=ragged)
 
     def take(chosen: Sequence[str]) -> Any:
         values = table.columns(chosen)

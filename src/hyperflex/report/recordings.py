@@ -1,6 +1,6 @@
 """The figure of a recording: its channels over time and, of markers, their paths."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,7 +31,8 @@ def recording_figure(recording: Recording, names: tuple[str, ...] = ()) -> "Figu
             axis.set(xlabel="time, s", ylabel="degrees", title="Angles from hanging")
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6)
             return figure
-        left, path = figure.subfigures(1, 2, width_ratios=(1.5, 1.0))
+        parts: Any = figure.subfigures(1, 2, width_ratios=(1.5, 1.0))
+        left, path = parts
         axes = left.subplots(2, 1, sharex=True)
         plane = path.subplots()
         for k, colour in zip(shown, colours, strict=False):
