@@ -42,6 +42,7 @@ METRES = 1e-3 * np.hstack([PLANAR["pivot"], lost(PLANAR["tip"], GONE)])
 SPACE = {"plane": "xz"}
 BOTH = {"markers": ["pivot", "tip"]}
 PIXELS = {"scale": 1e-3}
+LIKELIEST = {**PIXELS, "min_likelihood": 0.6}
 
 
 def cells(values: Any) -> list[str]:
@@ -289,7 +290,7 @@ def deeplabcut() -> Sample:
         ["coords", *["x", "y", "likelihood"] * 2],
     ]
     rows = [[f"{k}", *cells([*image(PLANAR["pivot"])[k], 0.99, *image(PLANAR["tip"])[k], LIKELY[k]])] for k in FRAMES]
-    return Sample(table(head + rows).encode(), {**BOTH, **PIXELS, "frame_rate": RATE}, data=UNLIKELY)
+    return Sample(table(head + rows).encode(), {**BOTH, **LIKELIEST, "frame_rate": RATE}, data=UNLIKELY)
 
 
 def deeplabcut_h5() -> Sample:
@@ -303,7 +304,7 @@ def deeplabcut_h5() -> Sample:
     with h5py.File(buffer, "w") as file:
         held = file.create_dataset("df_with_missing/table", data=rows)
         held.attrs["values_block_0_kind"] = np.bytes_(pickle.dumps(labels, 0))
-    return Sample(buffer.getvalue(), {**BOTH, **PIXELS, "frame_rate": RATE}, data=UNLIKELY, suffix=".h5")
+    return Sample(buffer.getvalue(), {**BOTH, **LIKELIEST, "frame_rate": RATE}, data=UNLIKELY, suffix=".h5")
 
 
 def sleap() -> Sample:

@@ -116,7 +116,7 @@ def _read(run: Path, command: str) -> Any:
 
     makes = {
         ".toml": f"hyperflex simulate {run} -o {run.stem}.nc makes one of a set-up; then {command} {run.stem}.nc",
-        ".csv": f"A recording is drawn with its fit: hyperflex identify {run} --rope rope.toml -o {run.stem}",
+        ".csv": f"A recording is drawn by hyperflex look {run} -o {run.stem}.png",
     }
     if fix := makes.get(run.suffix.lower()):
         allowed = "a NetCDF file of a run, as simulate, cast and whip write"

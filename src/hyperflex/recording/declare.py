@@ -5,6 +5,7 @@ Nothing is guessed: what neither the file nor the caller declares is refused, an
 
 import itertools
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple, TypedDict
@@ -116,6 +117,8 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
     with located(raw.source), np.errstate(over="ignore", invalid="ignore"):  # Recording names what is not finite
         _check(raw, declared)
         raw, words = _likely(raw, declared)
+        if words and given.min_likelihood is None:
+            warnings.warn(f"{raw.source}: {words[0]}. min_likelihood chooses the limit.", UserWarning, stacklevel=3)
         raw, swing = _in_plane(raw, declared)
     std = _agreed(raw, {"noise": noise}).get("noise", raw.noise)
     std = None if std is None else per_sample(std, raw.data)

@@ -2,6 +2,7 @@
 
 import math
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -85,7 +86,9 @@ def propose(path: PathLike) -> Proposal:
     recording, problem = None, ""
     try:
         named = replace(raw, name=raw.name or as_path(path, "recording").stem)
-        recording = to_recording(named, Declarations(**arguments), None, FASTEST)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the recording's convention says the same
+            recording = to_recording(named, Declarations(**arguments), None, FASTEST)
     except InvalidInput as error:
         problem = str(error)
     return Proposal(kind.name, content, chosen | arguments, assumed, recording, problem)
