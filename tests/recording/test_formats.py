@@ -14,7 +14,7 @@ from hyperflex.recording.formats import format_of
 from hyperflex.recording.proposal import propose, python_line
 from tests.faults.bounds import examples, refused_or_done
 from tests.faults.test_readers import CHANGE, changed
-from tests.recording.samples import ANGLE, BOTH, SAMPLES, Sample
+from tests.recording.samples import ANGLE, BOTH, RATE, SAMPLES, Sample
 from tests.refusals import refuses
 
 

@@ -186,8 +186,10 @@ def _likely(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, list[str]]:
         return raw, []
     likelihood = raw.likelihood()
     low = (likelihood < least) & ~np.isnan(raw.data)
+    if not low.any():
+        return raw, []
     data = np.where(low, np.nan, raw.data)
-    if low.any() and (lost := np.isnan(data).all(axis=0)).any():
+    if (lost := np.isnan(data).all(axis=0)).any():
         column = int(np.argmax(lost))
         raise InvalidInput(
             f"all positions of marker {column // (3 if raw.in_space else 2)} have a likelihood below min_likelihood",
