@@ -467,6 +467,16 @@ BAD_MATS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
+def test_arrays_of_any_mat_file_are_read_by_name(tmp_path):
+    t, data, _ = swing(2, 50)
+    scipy.io.savemat(tmp_path / "p.mat", {"clock": t, "run": data.T, "one": data[:, :1], "note": "of Tuesday"})
+    declared = {"time": "clock", "kind": "angles", "time_unit": "s", "unit": "rad"}
+    np.testing.assert_array_equal(read_recording(tmp_path / "p.mat", columns=["run"], **declared).data, data)
+    np.testing.assert_array_equal(read_recording(tmp_path / "p.mat", columns=["one"], **declared).data, data[:, :1])
+    refuses(r"which of its arrays are times.*'clock \(1, 50\)', 'run \(2, 50\)'", read_recording, tmp_path / "p.mat")
+    refuses("no such columns: got .*'note'", read_recording, tmp_path / "p.mat", columns=["note"], **declared)
+
+
 def test_mat_pieces_may_lie_apart(tmp_path):
     content = mat_content(2)
     for piece in content["Time_vad"].ravel():

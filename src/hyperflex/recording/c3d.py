@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex import extras
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, most_bytes, not_damaged, regular_file
-from hyperflex.recording.content import Content, Selection, content_of_markers
+from hyperflex.recording.content import Content, Selection, content_of_markers, unused
 from hyperflex.recording.declare import unit_name
 
 
@@ -32,9 +32,7 @@ def read(path: PathLike, selection: Selection) -> Content:
     markers: dict[str, Any] = {}
     for k in range(places.shape[1]):
         name = labels[k] if k < len(labels) and labels[k] else f"marker{k}"
-        while name in markers:
-            name += "'"
-        markers[name] = places[:, k, :3]
+        markers[unused(name, markers)] = places[:, k, :3]
     declared: dict[str, Any] = {"time_unit": "frame", "frame_rate": rate}
     if unit := about["UNITS"]:
         declared["unit"] = unit_name(unit)

@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, Table, cells_of, read_lines
-from hyperflex.recording.content import Content, Selection, content_of_markers
+from hyperflex.recording.content import Content, Selection, content_of_markers, unused
 from hyperflex.recording.declare import unit_name
 
 _AXES = ("x", "y", "z")
@@ -230,17 +230,13 @@ def _content(
 
 def _named(labels: Sequence[tuple[str, str]]) -> tuple[list[str], dict[str, tuple[str, ...]]]:
     """Return a name for each column, all different, and the markers that have x, y and z."""
-    names: list[str] = []
-    axes: dict[str, dict[str, str]] = {}
+    names: dict[str, None] = {}
+    points: dict[str, dict[str, str]] = {}
     for k, (marker, axis) in enumerate(labels):
-        name = f"{marker}_{axis}" if marker and axis else marker or axis or f"column {k}"
-        number = 1
-        while (unique := name if number == 1 else f"{name} ({number})") in axes.setdefault("", {}):
-            number += 1
-        axes[""][unique] = unique
-        names.append(unique)
-        own = marker if number == 1 else f"{marker} ({number})"
+        plain = "_".join(filter(None, (marker, axis))) or f"column {k}"
+        name = unused(plain, names)
+        names[name] = None
         if marker and axis in _AXES:
-            axes.setdefault(own, {})[axis] = unique
-    del axes[""]
-    return names, {name: tuple(own[axis] for axis in _AXES) for name, own in axes.items() if own.keys() == set(_AXES)}
+            points.setdefault(f"{marker}{name[len(plain) :]}", {})[axis] = name
+    whole = {marker: own for marker, own in points.items() if own.keys() == set(_AXES)}
+    return list(names), {marker: tuple(own[axis] for axis in _AXES) for marker, own in whole.items()}

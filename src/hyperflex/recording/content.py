@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
@@ -125,6 +125,13 @@ def _stacked(samples: int, channels: Mapping[str, Array], names: Sequence[str]) 
     return np.hstack([channels[name].reshape(samples, -1) for name in names])
 
 
+def unused(name: str, taken: Container[str]) -> str:
+    """Return a name that is not taken: one that is gets a prime."""
+    while name in taken:
+        name += "'"
+    return name
+
+
 def points_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return markers by pairs or triples of names that differ in a letter x, y or z at their beginning or end."""
     found: dict[str, dict[str, str]] = {}
@@ -236,24 +243,21 @@ def _kind_by_unit(content: Content, names: Sequence[str]) -> Kind:
 
 def _by_default(content: Content, kind: str | None) -> tuple[Kind, list[str], bool]:
     """Return kind and channels where the caller names none, and whether these are places in space."""
-    if kind is not None:
-        checks.choice("kind", kind, KINDS)
-    angles, points = list(content.angles), list(content.points)
-    source, rest = content.source, list(content.strangers)
-    only = {"angles": bool(angles), "markers": bool(points)}
-    if kind is not None and not only[kind] and any(only.values()):
-        raise InvalidInput(
-            f"{source} holds {'markers' if points else 'angles'}", got=kind, fix="Omit kind, or name columns=[..]"
-        )
-    if not any(only.values()) or (all(only.values()) and kind is None) or (rest and (content.ordered or angles)):
+    source, angles, points, rest = content.source, list(content.angles), list(content.points), list(content.strangers)
+    there = [each for each, names in zip(KINDS, (angles, points), strict=True) if names]
+    if kind is not None and there and checks.choice("kind", kind, KINDS) not in there:
+        raise InvalidInput(f"{source} holds {there[0]}", got=kind, fix="Omit kind, or name columns=[..]")
+    if not there or (rest and (content.ordered or angles)):
         named = f"Name them, such as columns={list(content.names[1:3])} and kind='angles' or 'markers'"
         raise InvalidInput(
-            f"{source} does not say which columns to take"
-            + (", and has others" if rest and any(only.values()) else ""),
+            f"{source} does not say which columns to take" + (", and has others" if there else ""),
             got=rest or list(content.names),
             allowed="th1, th2, .. (and w1, w2, ..) or x0, y0, x1, y1, .. with the time, std_.. for their noise",
-            fix="Pass kind='angles' or 'markers'" if all(only.values()) and not rest else content.advice or named,
+            fix=content.advice or named,
         )
+    if kind is None and len(there) > 1:
+        fix = "Pass kind='angles' or 'markers'"
+        raise InvalidInput(f"{source} holds angles and markers", got=[*angles, *points], fix=fix)
     chosen = cast(Kind, kind or ("angles" if angles else "markers"))
     if chosen == "angles":
         return chosen, angles, False

@@ -13,7 +13,7 @@ from hyperflex.files import PathLike, as_path, open_hdf5, regular_file
 from hyperflex.recording import c3d, capture, hdf5, matfile, messages, tables, videos
 from hyperflex.recording.content import Content, Selection
 
-_BEGIN = 8192  # bytes by which a file is recognised
+_BEGIN = 65_536  # bytes by which a file is recognised: room for the names of hundreds of markers
 _HDF5 = rb"(.{512})?\x89HDF\r\n\x1a\n|MATLAB 7\.3"
 
 
@@ -93,8 +93,9 @@ _NO_ANGLES = (
     "Accelerations and rates are no angles: film the rope, or fasten an encoder or an inclinometer to each link"
 )
 _TIME, _MESSAGES = ("time",), ("time", "topic")
+_BAG = Format("ROS 2 bag", _bytes(rb"SQLite format 3\0"), messages.read_bag, options=_MESSAGES)
 FORMATS = (
-    Format("ROS 2 bag", _bytes(rb"SQLite format 3\0"), messages.read_bag, options=_MESSAGES),
+    _BAG,
     Format("MCAP", _bytes(rb"\x89MCAP0\r\n"), messages.read_mcap, options=_MESSAGES),
     Format("C3D", _bytes(rb"[\x01-\x08\x0b\x0e-\x1f]\x50"), c3d.read),
     Format("MATLAB 5", _bytes(rb"MATLAB 5\.0 MAT-file"), matfile.read, options=_TIME),
@@ -141,7 +142,7 @@ def format_of(path: PathLike) -> Format:
     """Return the format of a file; InvalidInput if it has none that is known, FileProblem if it cannot be read."""
     file = as_path(path, "recording")
     if messages.is_bag(file):
-        return FORMATS[0]
+        return _BAG
     head = Head(regular_file(file, "recording", float("inf")))
     others = (other for pattern, other in OTHERS.items() if re.match(pattern, head.raw, re.DOTALL))
     other = next(others, None)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.files import PathLike, read_bytes, read_lines
-from hyperflex.recording.content import Content, Selection, content_of_markers
+from hyperflex.recording.content import Content, Selection, content_of_markers, unused
 from hyperflex.recording.declare import unit_name
 
 _TIMECODE = re.compile(r"(\d+):(\d\d):(\d\d):(\d\d\d?)", re.ASCII)  # h:mm:ss and hundredths or thousandths of a second
@@ -71,9 +71,8 @@ def read_kva(path: PathLike, selection: Selection) -> Content:
     for track in root.iter("Track"):
         points = track.find("TrackPointList")
         label = track.find("MainLabel")
-        name = (track.get("name") or (label.get("Text") if label is not None else None) or f"{len(tracks) + 1}").strip()
-        while name in tracks:
-            name += "'"
+        title = track.get("name") or (label.get("Text") if label is not None else None) or f"{len(tracks) + 1}"
+        name = unused(title.strip(), tracks)
         if points is None:
             continue
         units.add(points.get("UserUnitLength", ""))
@@ -136,9 +135,7 @@ def read_trk(path: PathLike, selection: Selection) -> Content:
     for track in panel.iter("object"):
         if track.get("class") != f"{_TRACKER}PointMass":
             continue
-        name = _text(track, "name") or f"mass {len(tracks) + 1}"
-        while name in tracks:
-            name += "'"
+        name = unused(_text(track, "name") or f"mass {len(tracks) + 1}", tracks)
         places = {}
         for k, point in _elements(track):
             if k >= begin and (k - begin) % size == 0.0 and (k - begin) / size < count:
