@@ -220,6 +220,23 @@ def test_a_wrong_scale_is_refused_or_admitted(hyperflex, folder, tmp_path, scale
         assert "check the camera's scale" in " ".join(result["notes"])
 
 
+def test_a_rope_that_begins_elsewhere_is_said_in_the_first_line(hyperflex, folder, tmp_path):
+    """The origin is the spacing of the markers above the hook, as the axis of an arm: each would be taken for the next.
+
+    Places are then from that origin, 50 px above the hook.
+    """
+    facing().with_origin([320.0, -30.0]).write(folder / "above.toml")
+    arguments = words("track", folder / "swing.mp4", folder, tmp_path / "markers.nc", camera="above.toml")
+    code, out, _ = hyperflex(*arguments)
+    assert code == 0
+    assert "with doubts: the rope's first joint is 0.25 m from the camera's origin" in " ".join(out.split())
+    recording = hf.read_recording(tmp_path / "markers.nc")
+    run, ends = free_swing(0, 4.0), np.linspace(0.0, 2.0, 101)
+    row = int(np.abs(run.t - recording.t[10]).argmin())
+    true = np.stack([np.interp(ARCS, ends, run.joints[row, :, c]) for c in (0, 1)], axis=1) - [0.0, 0.25]
+    assert np.nanmax(np.abs(recording.data[10].reshape(-1, 2) - true)) < 0.01
+
+
 def test_markers_out_of_view(hyperflex, folder, tmp_path):
     """The picture ends above the lower half of the rope: what is below is known less well, and that is said."""
     cut = facing((640, 240))

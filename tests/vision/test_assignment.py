@@ -123,3 +123,15 @@ def test_the_order_obeys_the_rope_s_length():
     """Two roots: a marker beyond the reach of its arc is none."""
     found = order_markers(np.array([[0.0, -0.2], [0.0, -0.95]]), [0.2, 0.4], np.zeros(2))
     assert found.indices.tolist() == [0, -1]
+
+
+@pytest.mark.parametrize("away", [0.15, 0.27, 0.4], ids=["one off", "two off", "three off"])
+def test_a_rope_at_the_end_of_an_arm_is_not_taken_for_one_at_its_axis(away):
+    """Evenly spaced markers: from the axis, an order one, two or three places off is the only one within reach."""
+    swung = 0.3 + 0.4 * ARCS
+    line = np.cumsum(np.gradient(ARCS)[:, None] * np.stack([np.sin(swung), -np.cos(swung)], axis=1), axis=0)
+    found = order_markers(line + np.array([0.3 * away, -away]), ARCS, np.zeros(2))
+    assert found.indices.tolist() == list(range(10))
+    assert found.certain
+    assert not found.anchored
+    assert order_markers(line, ARCS, np.zeros(2)).anchored

@@ -183,3 +183,16 @@ def test_live_source_that_is_not_there(source):
     *trace, last = ended.stderr.splitlines()
     assert "FileProblem: There is no camera or stream" in last
     assert not any("Connection" in line for line in trace)  # the message says it, not FFmpeg as well
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit of a process's memory is Linux's")
+def test_too_little_memory_is_said(video):
+    """FFmpeg, which then cannot start its threads, says "Resource temporarily unavailable"."""
+    program = (
+        "import resource, sys; from hyperflex.vision import VideoReader; import av; "
+        "used = 4096 * int(open('/proc/self/statm').read().split()[0]); "
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 2**24, used + 2**24)); list(VideoReader(sys.argv[1]))"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(video)], capture_output=True, text=True, check=False)
+    assert done.returncode
+    assert "MemoryError: no room for a frame" in done.stderr

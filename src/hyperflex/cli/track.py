@@ -6,7 +6,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         RopeTracker,
         TrackedFrame,
         TrackingTask,
+        VideoTrack,
         Watch,
     )
     from hyperflex.vision import BarDetector, Frame, Image, MarkerColour, VideoWriter
@@ -163,7 +164,6 @@ def track(
 
     After Ctrl-C, the part that has been tracked is in a separate file, such as markers-interrupted.nc.
     """
-    from hyperflex.estimate import track_video
     from hyperflex.vision import track_bars
 
     since, preview = -math.inf if at is None else checks.number("--at", at, unit="s") - _SAME, markers.preview
@@ -177,8 +177,8 @@ def track(
             detector = _bar_detector(video, [numbers("--bar", [each], "213,140") for each in bar], since)
             found, stopped = output.run(lambda: track_bars(video, detector, pivot or (), **follow))
         else:
-            tracker = markers.task(_images_since(video, since), origin_doubt=_CLICKED).tracker()
-            found, stopped = output.run(lambda: track_video(video, tracker, **follow))
+            task = markers.task(_images_since(video, since), origin_doubt=_CLICKED)
+            found, stopped = _tracked(video, task, follow)
     kept = output.partial_path(out) if stopped else out
     result = {
         "output": kept,
@@ -203,6 +203,26 @@ def track(
     text = f"Interrupted after {found.frames} frames; the part that was tracked is in {kept}."
     rows = output.rows(title, result, *more)
     output.show({**result, "doubts": doubted}, rows, interrupted=text if stopped else "")
+
+
+def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tuple[VideoTrack, bool]":
+    """Return a track, and whether it was interrupted.
+
+    If the rope begins elsewhere than at the camera's origin, or moves as if disturbed all along, its first joint is
+    estimated as one that moves; that is kept if it does.
+    """
+    from hyperflex.estimate import BaseElsewhere, DoubtKind, moving_base, track_video
+
+    moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
+    try:
+        found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
+    except BaseElsewhere:
+        return output.run(lambda: track_video(video, moving.tracker(), **follow))
+    if stopped or all(each.kind is not DoubtKind.DISTURBED for each in found.doubts):
+        return found, stopped
+    other, stopped = output.run(lambda: track_video(video, moving.tracker(), **follow))
+    moves = any(each.kind is DoubtKind.BASE_MOVES for each in other.doubts)
+    return (other if moves else found), stopped
 
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:

@@ -3,6 +3,8 @@
 from enum import StrEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from hyperflex.checks import Array
 from hyperflex.estimate.process import swing_rate
 from hyperflex.model import Rope
@@ -11,6 +13,7 @@ LARGE = 3.0  # errors over those of detection from which the set-up is doubted
 DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted
 SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: three times a detection error
 ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
+MOVED = 0.02  # of the rope's length, rms, from which a first joint moves
 
 
 class DoubtKind(StrEnum):
@@ -26,7 +29,8 @@ class DoubtKind(StrEnum):
         "compression or little light"
     )
     DISTURBED = "the rope moves as if disturbed all along, by {:.2g} rad/s^2 per root of Hz"
-    BASE_MOVES = "the rope's first joint is not at the camera's origin but moves, {:.2g} m from it rms: the arm moves"
+    BASE_MOVES = "the rope's first joint moves, by {:.2g} m rms, and its motion is not declared: errors are overstated"
+    BASE_ELSEWHERE = "the rope's first joint is {:.2g} m from the camera's origin"
 
 
 class Doubt(NamedTuple):
@@ -45,7 +49,15 @@ ADVICE = (
 )
 
 
-def doubts(rope: Rope, level: float, density: Array, *, shift: float = 0.0, alike: float = 0.0) -> list[Doubt]:
+def doubts(
+    rope: Rope,
+    level: float,
+    density: Array,
+    *,
+    shift: float = 0.0,
+    alike: float = 0.0,
+    base: Array | None = None,
+) -> list[Doubt]:
     """Return why a track is doubted.
 
     Parameters
@@ -59,8 +71,15 @@ def doubts(rope: Rope, level: float, density: Array, *, shift: float = 0.0, alik
         Of whole pictures, px.
     alike : float
         Time over which residuals are alike, s.
+    base : (T, 2) float64, optional
+        Where the first joint was found, if it was not known, m from its declared place.
     """
     rate, found = swing_rate(rope), []
+    if base is not None:
+        moved = float(np.sqrt(base.var(axis=0).sum()))
+        if moved >= MOVED * rope.total_length:
+            return [Doubt(DoubtKind.BASE_MOVES, moved)]
+        found.append(Doubt(DoubtKind.BASE_ELSEWHERE, float(np.linalg.norm(base.mean(axis=0)))))
     if shift >= SHAKING:
         found.append(Doubt(DoubtKind.SHAKE, shift))
     if level >= LARGE:

@@ -208,7 +208,8 @@ class RopeFilter:
         """Return joints and tip (n + 1, 2) in a state, m, and their derivatives (n + 1, 2, n) by the angles."""
         lengths = self.process.rope.length * (1.0 + self.parameters.value("length", self.x[2 * self.n_links :]))
         before = np.tril(np.ones((lengths.size + 1, lengths.size)), -1)
-        places = self.process.base(state.t)[0] + before @ (lengths[:, None] * unit_along(state.q))
+        first = self.process.base(state.t)[0] + self.parameters.base_offset(self.x[2 * self.n_links :])
+        places = first + before @ (lengths[:, None] * unit_along(state.q))
         return places, before[:, None, :] * (lengths * unit_across(state.q, 0))
 
     def tip(self, state: RopeState) -> tuple[Array, Array]:
@@ -299,7 +300,9 @@ class RopeFilter:
         self.t = seen.t
         base, camera = self.process.base(seen.t, self.x), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)
-        self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
+        self.x[:n] = polyline_angles(
+            rope, self.model.arc_lengths, in_metres, base[0] + self.parameters.base_offset(self.x[2 * n :])
+        )
         self.factor = sr.compressed(self.disturbances.starting_rows(rope, self._std), self._least)
         self._by_noise = NoiseDerivatives(2, self.x.size)
         self._gate = ValidationGate(len(seen.places))

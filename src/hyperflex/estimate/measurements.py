@@ -9,6 +9,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.filter import each_covariance
+from hyperflex.estimate.parameters import BASE_KINDS
 from hyperflex.estimate.tracker import LEAST_STD, Prediction, RopeTracker
 from hyperflex.vision import (
     FLOOR,
@@ -23,6 +24,10 @@ from hyperflex.vision import (
     link_angles,
     order_markers,
 )
+
+
+class BaseElsewhere(InvalidInput):
+    """Markers are seen in an order that the rope allows, but not from its first joint on: an arm moves it, say."""
 
 
 class MarkerMeasurement:
@@ -41,6 +46,7 @@ class MarkerMeasurement:
     frames in a row show nothing, the whole picture is searched, with the prediction that remains.
     """
 
+    BEGINS = 5  # frames in which a rope does not begin at its first joint, after which that is an error
     PATIENCE = 30  # frames after which an ambiguous first order is accepted
     LOST = 8  # frames in a row without a marker, after which the whole picture is searched
     WIDEST = 0.25  # of the picture's height: a larger standard deviation of a place needs no gate
@@ -51,7 +57,7 @@ class MarkerMeasurement:
 
     def __init__(self, detector: MarkerDetector) -> None:
         self.detector = detector
-        self._dark = self._waited = 0
+        self._dark = self._waited = self._elsewhere = 0
         self._clutter: ClutterMap | None = None
 
     @property
@@ -102,13 +108,26 @@ class MarkerMeasurement:
         if not order.certain and 2 <= moving.size < len(places):
             used, order = moving, order_markers(places[moving], arcs, base, noise=noise, slack=relative)
         self._waited += 1
-        found = order.indices >= 0
+        found, free = order.indices >= 0, BASE_KINDS.keys() <= set(tracker.estimator.parameters.names)
+        if order.certain and not order.anchored and not free:
+            self._elsewhere += 1
+            first = int(np.argmax(found))
+            if self._elsewhere >= self.BEGINS:
+                away = float(np.linalg.norm(places[used[order.indices[first]]] - base))
+                raise BaseElsewhere(
+                    "the rope does not begin at its first joint: a marker is farther from there than the rope reaches",
+                    got=f"{away:.3g} m, at {declared[first]:.3g} m along the rope",
+                    fix="Give the arm's motion (RopeFilter(motion=, arm=)), calibrate with the hook's pixel, or "
+                    "estimate a joint that moves in an unknown way: parameters=moving_base(rope)",
+                )
+            found[:] = False
         if (not order.certain and self._waited < self.PATIENCE) or not found.any():
             clutter.learn(blobs, np.zeros(len(places), bool))
             return pixels, wide
-        self._waited = 0
+        self._waited = self._elsewhere = 0
         taken = used[order.indices[found]]
         pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
+        self.detector.resize(float(np.median(blobs.areas[taken])))
         if used is everything:
             self._clutter = clutter = ClutterMap(tracker.camera.image_size)  # what lay still may have been the rope
         clutter.learn(blobs, np.isin(everything, taken))

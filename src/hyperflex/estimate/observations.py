@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate.parameters import PLANE_KINDS, ParameterStates
+from hyperflex.estimate.parameters import BASE_KINDS, PLANE_KINDS, ParameterStates
 from hyperflex.model import Rope, unit_across, unit_along
 from hyperflex.sensors import lever_arms
 from hyperflex.vision import Camera, check_increasing
@@ -217,7 +217,7 @@ class MarkerModel:
     def _moved(
         self, x: Array, base: Array, timing: tuple[Array, Array], arms: Array, jacobian: Array, qdd: Array | None
     ) -> Array:
-        """Return how far markers move (K, 2) until they are read, and complete the derivatives.
+        """Return how far markers are (K, 2), when they are read, from where they would be; complete the derivatives.
 
         `timing` are rows and delays tau (K,), s.
         """
@@ -240,10 +240,13 @@ class MarkerModel:
                 column[:] = -(base[1] + tau[:, None] * base[2])
             elif name == "readout":
                 column[:] = rows[:, None] * (velocity + tau[:, None] * bend)
+            elif name in BASE_KINDS:
+                column[:, list(BASE_KINDS).index(name)] = 1.0
             elif marker is not None:
                 i = self.link[marker]
                 column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
-        return np.asarray(tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend)
+        moved = tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend
+        return np.asarray(moved + self.parameters.base_offset(x[2 * n :]))
 
     def _in_plane(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
         """Return places in the calibrated plane, by what is estimated of it, and their derivatives."""

@@ -40,14 +40,18 @@ PLANE_KINDS = {  # of the swing plane in the picture
     "offset_x": Kind("m", 2e-3),
     "offset_y": Kind("m", 2e-3),
 }
+BASE_KINDS = {  # place of the first joint, from where it was declared; the rope does not feel how it is moved
+    "base_x": Kind("m", 2e-3),
+    "base_y": Kind("m", 2e-3),
+}
 PICTURE_KINDS = {**PLANE_KINDS, "delay": Kind("s", 2e-3), "readout": Kind("s", 3e-3)}
-NAMES = (*ROPE_KINDS, *PICTURE_KINDS, "arc[k]")
+NAMES = (*ROPE_KINDS, *BASE_KINDS, *PICTURE_KINDS, "arc[k]")
 
 
 def kind(name: str) -> Kind | None:
     """Return what is known of a parameter; None if there is none of that name."""
     arc = Kind("m", 1e-3) if re.fullmatch(r"arc\[\d+\]", name) else None
-    return (ROPE_KINDS | PICTURE_KINDS).get(name, arc)
+    return (ROPE_KINDS | BASE_KINDS | PICTURE_KINDS).get(name, arc)
 
 
 @dataclass(frozen=True)
@@ -58,8 +62,9 @@ class EstimatedParameter:
     ----------
     name : str
         ``"length"``: relative change of all lengths of the rope, markers included; ``"friction"``, ``"drag"``: relative
-        change of the rope's; ``"tip_mass"``: kg, in addition to the rope's. Of the picture: ``"scale"``: relative
-        change of the plane's scale; ``"roll"``: its rotation about the line of sight, rad; ``"offset_x"``,
+        change of the rope's; ``"tip_mass"``: kg, in addition to the rope's; ``"base_x"``, ``"base_y"``: where the first
+        joint is, m from its declared place (with a walk: it moves in an unknown way). Of the picture: ``"scale"``:
+        relative change of the plane's scale; ``"roll"``: its rotation about the line of sight, rad; ``"offset_x"``,
         ``"offset_y"``: m; ``"arc[k]"``: change of the k-th marker's arc length, m; ``"delay"``: how much older than
         their time stamps the pictures are, s; ``"readout"``: time from the first row of a picture to the last, s.
     std : float
@@ -82,6 +87,12 @@ class EstimatedParameter:
         checks.number(f"std of {self.name}", self.std, sign="positive")
         checks.number(f"value of {self.name}", self.value)
         checks.number(f"walk of {self.name}", self.walk, sign="nonnegative")
+
+
+def moving_base(rope: Rope) -> list[EstimatedParameter]:
+    """Return the place of a first joint that moves in an unknown way, in 0.1 s by some 5 % of the rope's length."""
+    length = rope.total_length
+    return [EstimatedParameter(name, length, walk=0.15 * length) for name in BASE_KINDS]
 
 
 class ParameterStates:
@@ -195,6 +206,10 @@ class ParameterStates:
         if self._camera is None or self._camera[0] != found:
             self._camera = found, camera.adjusted(1.0 + scale, roll, (x, y))
         return self._camera[1]
+
+    def base_offset(self, values: Array) -> Array:
+        """Return where the first joint is (2,), m, from its declared place, at values (P,)."""
+        return np.array([self.value(name, values) for name in BASE_KINDS])
 
     def arc_lengths(self, arc_lengths: Array, values: Array) -> Array:
         """Return the arc lengths of the markers (K,), m, at values (P,); `arc_lengths` are those at 0."""

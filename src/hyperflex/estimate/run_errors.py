@@ -17,6 +17,7 @@ from hyperflex.estimate.interval import Smoothed, smooth_linear
 from hyperflex.estimate.moving_horizon import EARLIER, jump_rows
 from hyperflex.estimate.noise import MOST, QUIET
 from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.parameters import BASE_KINDS
 from hyperflex.estimate.process import BEYOND
 from hyperflex.status import Status
 
@@ -181,10 +182,11 @@ class _Window:
         self.rows = np.concatenate([free[: len(free) - many], np.pad(prior[1], ((0, 0), (first, 0)))])
         level = estimator.measurement_noise.value
         there = [each.covariances[each.seen].trace(axis1=1, axis2=2).mean() for each in seen if each.seen.any()]
+        moves = not BASE_KINDS.keys().isdisjoint(estimator.parameters.names)
         self.dark, detected = not there, float(np.median(there or [0.0]))
         self.levels = _Levels(
             np.full((len(seen[0].places), 2), level),
-            np.full(2, 0.5 * level * np.sqrt(0.5 * detected)),
+            np.full(2, 0.0 if moves else 0.5 * level * np.sqrt(0.5 * detected)),  # of all markers: either moves them
             np.asarray(estimator.process_noise.value),
         )
         self.gaps = np.diff([each.t for each in seen]).tolist()

@@ -152,7 +152,8 @@ class RopeTracker:
             raise InvalidInput("the frame has another size than the camera's", got=got, allowed=allowed)
         t, estimator = self.camera.middle_of(frame.time), self.estimator
         expected = self.expect(t)
-        pixels, covariances = self.measurement.measure(frame.image, self, estimator.process.base(t)[0], expected)
+        base = estimator.process.base(t)[0] + estimator.parameters.base_offset(self.values)
+        pixels, covariances = self.measurement.measure(frame.image, self, base, expected)
         rows = self.rows(pixels)
         estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
         predicted, gates = np.full_like(pixels, np.nan), np.full_like(covariances, np.nan)

@@ -11,7 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import Change
 from hyperflex.estimate.doubts import ADVICE, Doubt, doubts
 from hyperflex.estimate.observations import Observations
-from hyperflex.estimate.parameters import PICTURE_KINDS
+from hyperflex.estimate.parameters import BASE_KINDS, PICTURE_KINDS
 from hyperflex.estimate.picture import draw_frame
 from hyperflex.estimate.run_errors import RunErrors, run_errors
 from hyperflex.estimate.tracker import RopeTracker
@@ -189,7 +189,15 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     arcs, interval = estimator.model.arc_lengths, (found[-1].seen.t - found[0].seen.t) / (len(found) - 1)
     now = parameters.arc_lengths(arcs, np.where(parameters.std > 0.0, errors.values[-1], 0.0))[kept]
     alike = errors.correlated * interval if errors.correlated > 1.0 else 0.0
-    doubted = doubts(estimator.process.rope, errors.level, errors.density, shift=errors.shift, alike=alike)
+    base = np.array([parameters.base_offset(each) for each in errors.values])
+    doubted = doubts(
+        estimator.process.rope,
+        errors.level,
+        errors.density,
+        shift=errors.shift,
+        alike=alike,
+        base=base if BASE_KINDS.keys() & set(parameters.names) else None,
+    )
     applied = [
         f"applied to the {'times' if name == 'delay' else 'places'} "
         f"{'of all frames' if prior[name] else 'since it changed'}: {name} {_with_std(estimates[name])}"

@@ -143,6 +143,7 @@ def _margins(cost: Array) -> Array:
 CERTAIN = 4.0  # cost by which the next best order must be worse
 _SHORT, _TURN = 0.08, 0.6  # scales of missing chord over arc, and of the turn from chord to chord, rad
 _MISSING, _CLUTTER = 5.0, 2.5  # costs of a marker not seen, and of a blob that is no marker
+_ELSEWHERE, _AWAY = 6.0, 10.0  # costs of a rope that does not begin at the origin, and of each rope's length from there
 _BEAM = 600  # paths that are kept
 
 
@@ -157,11 +158,14 @@ class Ordering(NamedTuple):
         Whether no other order explains the frame nearly as well; if not, try another frame.
     margin : float
         Cost by which the next best order is worse.
+    anchored : bool
+        Whether the rope may begin at the origin.
     """
 
     indices: npt.NDArray[np.int64]
     certain: bool
     margin: float
+    anchored: bool = True
 
 
 def order_markers(
@@ -186,11 +190,14 @@ def order_markers(
     -----
     Two markers cannot be further apart than the rope between them. Among the paths that obey this, the one of least
     cost is taken: a term log(1 + x^2) for each chord that is shorter than its arc and for each turn from chord to chord
-    (heavy tails, for the few sharp bends of a rope), and fixed costs for missing markers and clutter. Beam search.
+    (heavy tails, for the few sharp bends of a rope), and fixed costs for missing markers and clutter. A rope that does
+    not begin at the origin has a further cost, which grows with the distance: it is less than that of an order whose
+    markers are all one off. Beam search.
     """
     z, (first, second) = places[:, 0] + 1j * places[:, 1], origin
-    taken, costs = np.zeros((1, 0), np.int64), np.zeros(1)  # of each path
-    place, start, direction = np.array([first + 1j * second]), np.zeros(1), np.zeros(1, complex)  # its end so far
+    taken, costs = np.zeros((2, 0), np.int64), np.array([0.0, _ELSEWHERE])  # of each path
+    place, start, direction = np.full(2, first + 1j * second), np.zeros(2), np.zeros(2, complex)  # its end so far
+    anchored, free = np.array([True, False]), np.array([False, True])  # free: it has not begun, and may do so anywhere
     for arc in arc_lengths:
         chord, rope = z - place[:, None], (arc - start)[:, None]
         length = np.maximum(np.abs(chord), 1e-9)
@@ -198,19 +205,26 @@ def order_markers(
         turn = np.angle(chord * direction.conj()[:, None]) / _TURN
         dearer = np.log1p(short**2) + np.log1p(turn**2)
         used = (taken[:, :, None] == np.arange(len(z))).any(axis=1)
-        dearer[used | (length > (1.0 + SLACK + slack) * rope + 4.0 * noise)] = np.inf
+        beyond = length - (1.0 + SLACK + slack) * rope - 4.0 * noise
+        dearer[beyond > 0.0] = np.inf
+        dearer[free] = _AWAY * np.maximum(beyond[free], 0.0) / arc_lengths[-1]
+        dearer[used] = np.inf
         choices = (costs[:, None] + np.column_stack([dearer, np.full(len(costs), _MISSING)])).ravel()
         best = np.argsort(choices, kind="stable")[:_BEAM]
         best = best[np.isfinite(choices[best])]
         row, column = np.divmod(best, len(z) + 1)
         seen = column < len(z)
         taken, costs = np.column_stack([taken[row], np.where(seen, column, -1)]), choices[best]
-        place, start, direction = place[row], start[row], direction[row]
-        place[seen], start[seen], direction[seen] = z[column[seen]], arc, chord[row[seen], column[seen]]
+        place, start, direction, anchored = place[row], start[row], direction[row], anchored[row]
+        place[seen], start[seen] = z[column[seen]], arc
+        direction[seen] = np.where(free[row[seen]], 0.0, chord[row[seen], column[seen]])
+        free = free[row] & ~seen
     costs += _CLUTTER * (len(z) - (taken >= 0).sum(axis=1))
     order = np.argsort(costs, kind="stable")
-    margin = float(costs[order[1]] - costs[order[0]]) if order.size > 1 else np.inf
-    return Ordering(taken[order[0]], margin > CERTAIN and bool((taken[order[0]] >= 0).any()), margin)
+    other = (taken[order] != taken[order[0]]).any(axis=1)  # the same order may begin at the origin or not
+    margin = float(costs[order[other]].min(initial=np.inf) - costs[order[0]])
+    known = margin > CERTAIN and bool((taken[order[0]] >= 0).any())
+    return Ordering(taken[order[0]], known, margin, bool(anchored[order[0]]))
 
 
 def check_increasing(arc_lengths: Array) -> None:

@@ -1,6 +1,7 @@
 """Markers in a frame: sub-pixel places of coloured or bright blobs, with covariances, and the streaks of fast ones."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -109,6 +110,11 @@ class MarkerDetector:
     def radius(self) -> float:
         """Of a marker at rest, px; about 5 if it is not known."""
         return float(np.sqrt((self.colour.area or 80.0) / np.pi))
+
+    def resize(self, ratio: float) -> None:
+        """Change the area of a marker by a ratio: others of its colour may have been taken for some."""
+        if self.colour.area is not None:
+            self.colour = replace(self.colour, area=self.colour.area * ratio)
 
     def _measure(self, image: Image, box: Box) -> Array:
         """Return the blobs in a box (M, COLUMNS + 1), as of ``blob_moments``, and the noise of a pixel's share."""

@@ -5,7 +5,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain
@@ -139,7 +139,9 @@ class VideoReader:
             if stamp <= last:
                 self._skipped["frames no later than the one before were skipped"] += 1
                 continue
-            image = np.rot90(frame.to_ndarray(format="bgr24"), self.rotation // 90)
+            with _enough_memory(f"a frame of {self.path}"):
+                stored = frame.to_ndarray(format="bgr24")
+            image = np.rot90(stored, self.rotation // 90)
             if image.shape[1::-1] != self.image_size:
                 self.notes.append(
                     f"the picture changes its size at {stamp:g} s from {self.image_size} to {image.shape[1::-1]} px; "
@@ -187,7 +189,8 @@ class VideoReader:
         try:
             for packet in self._container.demux(self._stream):
                 try:
-                    frames = packet.decode()
+                    with _enough_memory(f"a frame of {self.path}"):
+                        frames = packet.decode()
                 except (av.FFmpegError, OSError, ValueError):
                     self._skipped["parts that cannot be decoded were skipped"] += 1
                     continue
@@ -304,9 +307,10 @@ class VideoWriter:
         self._ticks = ticks
         if width % 2 or height % 2:
             image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
-        frame.pts, frame.time_base = ticks, _TICK
-        self._container.mux(self._stream.encode(frame))
+        with _enough_memory(f"a frame of {self.path}"):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
+            frame.pts, frame.time_base = ticks, _TICK
+            self._container.mux(self._stream.encode(frame))
 
 
 class LiveCamera:
@@ -500,6 +504,17 @@ def read_pictures(paths: Iterable[PathLike], interval: float = 0.2) -> Iterator[
                 if frame.time - last >= interval - 1e-9:
                     last = frame.time
                     yield frame.image
+
+
+@contextmanager
+def _enough_memory(what: str) -> Iterator[None]:
+    """Raise MemoryError where FFmpeg lacks memory for `what`; without it, it starts no threads ("try again")."""
+    try:
+        yield
+    except (MemoryError, BlockingIOError) as error:
+        raise MemoryError(
+            f"There is too little memory for {what}. Close other programs, or take smaller frames."
+        ) from error
 
 
 def _held(path: Path, kinds: Sequence[str]) -> str:
