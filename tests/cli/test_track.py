@@ -221,19 +221,19 @@ def test_a_wrong_scale_is_refused_or_admitted(hyperflex, folder, tmp_path, scale
 
 
 def test_a_rope_that_begins_elsewhere_is_said_in_the_first_line(hyperflex, folder, tmp_path):
-    """The origin is the spacing of the markers above the hook, as the axis of an arm: each would be taken for the next.
+    """The origin is 0.5 m above the hook, as the axis of an arm: each marker would be taken for one two places off.
 
-    Places are then from that origin, 50 px above the hook.
+    Places are then from that origin.
     """
-    facing().with_origin([320.0, -30.0]).write(folder / "above.toml")
+    facing().with_origin([320.0, -80.0]).write(folder / "above.toml")
     arguments = words("track", folder / "swing.mp4", folder, tmp_path / "markers.nc", camera="above.toml")
-    code, out, _ = hyperflex(*arguments)
-    assert code == 0
-    assert "with doubts: the rope's first joint is 0.25 m from the camera's origin" in " ".join(out.split())
+    code, out, err = hyperflex(*arguments)
+    assert code == 0, err
+    assert "with doubts: the rope's first joint is 0.5 m from the camera's origin" in " ".join(out.split())
     recording = hf.read_recording(tmp_path / "markers.nc")
     run, ends = free_swing(0, 4.0), np.linspace(0.0, 2.0, 101)
     row = int(np.abs(run.t - recording.t[10]).argmin())
-    true = np.stack([np.interp(ARCS, ends, run.joints[row, :, c]) for c in (0, 1)], axis=1) - [0.0, 0.25]
+    true = np.stack([np.interp(ARCS, ends, run.joints[row, :, c]) for c in (0, 1)], axis=1) - [0.0, 0.5]
     assert np.nanmax(np.abs(recording.data[10].reshape(-1, 2) - true)) < 0.01
 
 

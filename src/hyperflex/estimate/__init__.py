@@ -7,6 +7,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.estimate.changes import Change, ChangeTests
     from hyperflex.estimate.doubts import Doubt, DoubtKind
+    from hyperflex.estimate.error_levels import RunErrors, run_errors
     from hyperflex.estimate.filter import RopeFilter
     from hyperflex.estimate.live.frames import FrameThread, open_frames
     from hyperflex.estimate.live.page import PicturePage
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from hyperflex.estimate.parameters import EstimatedParameter, moving_base
     from hyperflex.estimate.picture import draw_frame
     from hyperflex.estimate.process import Disturbances
-    from hyperflex.estimate.run_errors import RunErrors, run_errors
     from hyperflex.estimate.tracker import Measurement, Prediction, RopeTracker, TrackedFrame
     from hyperflex.estimate.video_track import VideoTrack, track_video
 

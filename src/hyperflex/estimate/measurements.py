@@ -58,6 +58,7 @@ class MarkerMeasurement:
     def __init__(self, detector: MarkerDetector) -> None:
         self.detector = detector
         self._dark = self._waited = self._elsewhere = 0
+        self._begun = False
         self._clutter: ClutterMap | None = None
 
     @property
@@ -108,11 +109,11 @@ class MarkerMeasurement:
         if not order.certain and 2 <= moving.size < len(places):
             used, order = moving, order_markers(places[moving], arcs, base, noise=noise, slack=relative)
         self._waited += 1
-        found, free = order.indices >= 0, BASE_KINDS.keys() <= set(tracker.estimator.parameters.names)
-        if order.certain and not order.anchored and not free:
+        found, accepted = order.indices >= 0, order.certain or self._waited >= self.PATIENCE
+        if accepted and not order.anchored and not BASE_KINDS.keys() <= set(tracker.estimator.parameters.names):
             self._elsewhere += 1
             first = int(np.argmax(found))
-            if self._elsewhere >= self.BEGINS:
+            if self._elsewhere >= self.BEGINS and not self._begun:
                 away = float(np.linalg.norm(places[used[order.indices[first]]] - base))
                 raise BaseElsewhere(
                     "the rope does not begin at its first joint: a marker is farther from there than the rope reaches",
@@ -120,11 +121,11 @@ class MarkerMeasurement:
                     fix="Give the arm's motion (RopeFilter(motion=, arm=)), calibrate with the hook's pixel, or "
                     "estimate a joint that moves in an unknown way: parameters=moving_base(rope)",
                 )
-            found[:] = False
-        if (not order.certain and self._waited < self.PATIENCE) or not found.any():
+            accepted = False
+        if not accepted or not found.any():
             clutter.learn(blobs, np.zeros(len(places), bool))
             return pixels, wide
-        self._waited = self._elsewhere = 0
+        self._waited, self._elsewhere, self._begun = 0, 0, True
         taken = used[order.indices[found]]
         pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
         self.detector.resize(float(np.median(blobs.areas[taken])))

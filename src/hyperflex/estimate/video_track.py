@@ -10,10 +10,10 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import Change
 from hyperflex.estimate.doubts import ADVICE, Doubt, doubts
+from hyperflex.estimate.error_levels import RunErrors, run_errors
 from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.parameters import BASE_KINDS, PICTURE_KINDS
 from hyperflex.estimate.picture import draw_frame
-from hyperflex.estimate.run_errors import RunErrors, run_errors
 from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.files import PathLike
 from hyperflex.interruption import interruptible

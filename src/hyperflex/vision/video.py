@@ -512,9 +512,7 @@ def _enough_memory(what: str) -> Iterator[None]:
     try:
         yield
     except (MemoryError, BlockingIOError) as error:
-        raise MemoryError(
-            f"There is too little memory for {what}. Close other programs, or take smaller frames."
-        ) from error
+        raise MemoryError(f"no room for {what}: close other programs, or make its frames smaller") from error
 
 
 def _held(path: Path, kinds: Sequence[str]) -> str:

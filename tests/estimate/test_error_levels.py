@@ -5,7 +5,7 @@ import pytest
 
 from hyperflex.estimate import DoubtKind, EstimatedParameter, Observations, RopeFilter, RunErrors, run_errors
 from hyperflex.estimate.doubts import doubts
-from hyperflex.estimate.run_errors import correlation_time
+from hyperflex.estimate.error_levels import correlation_time
 from tests.estimate.filmed import ARCS
 from tests.estimate.runs import free_swing, rope
 
