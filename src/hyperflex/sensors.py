@@ -315,24 +315,25 @@ class MotorTorque:
     """Torque (m,) of the motor of a prescribed `arm`, N m, as ``Trajectory.motor_torque`` defines it.
 
     It follows from the state at a sample without integration; its derivatives are central differences, at the slip or
-    stick of each joint as it is there, chained with the exact derivatives of the state. Its values, (3,), are the arm's
-    inertia, kg m^2, and viscous friction, N m s/rad, and `factor`.
+    stick of each joint as it is there, chained with the exact derivatives of the state. Its values, (4,), are the arm's
+    inertia, kg m^2, viscous, N m s/rad, and dry friction, N m, and `constant`.
 
     Parameters
     ----------
     arm : Arm
-    factor : float
-        Measured torque over torque: 1 for a calibrated sensor.
+    constant : float
+        Torque over the reading: 1 for a torque in N m, the torque constant, N m/A, for a current.
     """
 
-    def __init__(self, arm: Arm, factor: float = 1.0) -> None:
+    def __init__(self, arm: Arm, constant: float = 1.0) -> None:
         self.arm = arm
-        self.values = np.array([arm.inertia, arm.friction, checks.number("factor", factor, sign="positive")])
+        constant = checks.number("constant", constant, sign="positive")
+        self.values = np.array([arm.inertia, arm.friction, arm.dry_friction, constant])
 
     def with_values(self, values: Array) -> "MotorTorque":
-        """Return the same sensor with other values (3,)."""
-        inertia, friction, factor = (float(each) for each in values)
-        return MotorTorque(replace(self.arm, inertia=inertia, friction=friction), factor)
+        """Return the same sensor with other values (4,)."""
+        inertia, friction, dry, constant = (float(each) for each in values)
+        return MotorTorque(replace(self.arm, inertia=inertia, friction=friction, dry_friction=dry), constant)
 
     def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
         """Return the torque in one state, y (1,), with derivatives; see :class:`Sensor`.
@@ -383,15 +384,16 @@ class MotorTorque:
         return result
 
     def value_jacobian(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
-        """Return its derivatives (m, 3) with respect to its values."""
-        seen = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size)))
-        factor = self.values[2]
-        return np.stack([factor * seen[:, 3], factor * seen[:, 2], self.predict(chain, drive, t, y) / factor], axis=1)
+        """Return its derivatives (m, 4) with respect to its values."""
+        _, _, rate, acceleration = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size))).T
+        sense = np.sign(np.where(rate != 0.0, rate, acceleration))
+        by_torque = -self.predict(chain, drive, t, y)
+        return np.stack([acceleration, rate, sense, by_torque], axis=1) / self.values[3]
 
     def _torque(self, chain: Chain, drive: Drive, t: Array, y: Array, slip: Array) -> Array:
         rope, angle, rate, acceleration = self._seen(chain, drive, t, y, slip).T
         shaft = self.arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration)
-        return np.asarray(self.values[2] * (rope + shaft))
+        return np.asarray((rope + shaft) / self.values[3])
 
     @staticmethod
     def _seen(chain: Chain, drive: Drive, t: Array, y: Array, slip: Array) -> Array:

@@ -162,6 +162,8 @@ class Fit:
     residuals: list[Array]
     loss: Loss = field(default_factory=Loss)
     prior_cost: float = 0.0  # sum of squares of the residuals of the states' prior, and of a target
+    expected: float = 0.0  # the same of what is known of x beforehand, in standard deviations
+    noise: float = 1.0  # standard deviation of the residuals, which makes these comparable
     converged: bool = False
     status: Status | None = None  # why it ended early; None if it did not
     history: tuple[dict[str, float], ...] = ()
@@ -169,7 +171,14 @@ class Fit:
     @property
     def cost(self) -> float:
         """Sum of squares, or of what the loss makes of them."""
-        return sum(self.loss.cost(r) for r in self.residuals) + self.prior_cost
+        return sum(self.loss.cost(r) for r in self.residuals) + self.prior_cost + self.noise**2 * self.expected
+
+    def scaled(self) -> "Fit":
+        """Return the same with the scale of the loss, and the noise, that the residuals show."""
+        loss = self.loss.scaled(self.residuals)
+        count = sum(np.count_nonzero(each) for each in self.residuals)
+        square = sum(loss.cost(each) for each in self.residuals) / max(count, 1)
+        return replace(self, loss=loss, noise=float(np.sqrt(square)))
 
     def window_cost(self, window: Window, state: Array, residual: Array) -> float:
         """Return the cost of a window from `state` (2n,) with residual (m C,)."""
@@ -275,7 +284,7 @@ def fit(
     with stoppable() as stop:
         for number in range(rounds):
             budget.check()
-            best = replace(best, loss=best.loss.scaled(best.residuals))
+            best = best.scaled()
             before, linear = best.cost, problem.linear(best)
             promised = problem.predicted_decrease(best, linear)
             best, damping, free = problem.improved(best, linear, damping)
@@ -330,7 +339,7 @@ class _Problem:
         """Bounds of the parameters (P,)."""
         return np.empty(0) if self.states_only else self.plant.parameters.lower
 
-    def evaluated(self, x: Array, states: list[Array], loss: Loss) -> Fit | None:
+    def evaluated(self, x: Array, states: list[Array], loss: Loss, noise: float = 1.0) -> Fit | None:
         """Return a fit with all windows' residuals, or None as soon as a rollout fails."""
         residuals: list[Array] = []
         prior_cost = 0.0 if self.target is None else self.target.residual(x) ** 2
@@ -340,10 +349,11 @@ class _Problem:
                 return None
             residuals.append(residual)
             prior_cost += window.prior_cost(state)
-        return Fit(x, states, residuals, loss, prior_cost)
+        expected = 0.0 if self.states_only else float((self.plant.parameters.prior_residual(x) ** 2).sum())
+        return Fit(x, states, residuals, loss, prior_cost, expected, noise)
 
     def linear(self, at: Fit) -> list[Linear]:
-        """Return the linear models of all windows, and that of the target: one row, without a state."""
+        """Return the linear models of all windows, and those of the target and of the prior: rows without a state."""
         found = [
             linearise(self.plant, window, at.x, state, residual, at.loss)
             for window, state, residual in zip(self.windows, at.states, at.residuals, strict=True)
@@ -351,6 +361,10 @@ class _Problem:
         if (target := self.target) is not None:
             row = target.weight * target.gradient(at.x)
             found.append(Linear(np.zeros((1, 0)), row[None, :], np.array([target.residual(at.x)])))
+        prior = self.plant.parameters.prior
+        if len(prior):
+            left = at.noise * self.plant.parameters.prior_residual(at.x)
+            found.append(Linear(np.zeros((len(prior), 0)), at.noise * prior, left))
         if self.states_only:
             found = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in found]
         return [each.compact() for each in found]
@@ -393,7 +407,7 @@ class _Problem:
         while damping < MOST_DAMPING:
             shared, moves = self.step(at, linear, damping)
             states = [state + move for state, move in zip(at.states, moves, strict=False)]  # a target has none
-            tried = self.evaluated(at.x if self.states_only else at.x + shared, states, at.loss)
+            tried = self.evaluated(at.x if self.states_only else at.x + shared, states, at.loss, at.noise)
             if tried is not None and tried.cost <= at.cost:
                 free = damping <= 1.0 and any(each.known for each in linear)  # else its gain says nothing
                 return tried, max(0.1 * damping, LEAST_DAMPING), free

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.evidence import unlike_lengths
 from hyperflex.identification.findings import text
 from hyperflex.identification.fit import Window
-from hyperflex.identification.model import Parameters, Plant, parse, pivot_places
+from hyperflex.identification.model import CONSTANT, Motors, Parameters, Plant, parse, pivot_places
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.uncertainty.noise import CHANCE, LAGS
 from hyperflex.model import Rope
@@ -327,17 +328,36 @@ def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup
 
 
 def build_plant(
-    recording: Recording, guess: Rope, free: Sequence[str], arc_lengths: Array | None, setup: RecordingSetup
+    recording: Recording,
+    guess: Rope,
+    free: Sequence[str],
+    arc_lengths: Array | None,
+    setup: RecordingSetup,
+    torque_std: float = np.inf,
 ) -> Plant:
-    """Return the model that predicts the measurements, with its free parameters."""
-    motion, arm, origin, torque = setup.motion, setup.arm, setup.origin, setup.torque is not None
-    chosen = parse(guess, free, arc_lengths, moved=motion is not None, arm=arm if torque else None)
+    """Return the model that predicts the measurements, with its free parameters.
+
+    `torque_std` is the relative standard deviation of what is known of a motor's constant.
+    """
+    motion, arm, origin, torque = setup.motion, setup.arm, setup.origin, setup.torque is not None and not setup.drives
+    motors, constants = None, None
+    if setup.torque is not None:
+        constants = checks.array(CONSTANT, setup.torque_constant, (len(setup.joints),), sign="positive", scalar=True)
+        if setup.drives:
+            motors = motors_of(recording.t, guess, setup, constants)
+    of_arm, moved = arm if torque else None, motion is not None or motors is not None
+    chosen = parse(guess, free, arc_lengths, moved=moved, arm=of_arm, constants=constants)
+    chosen = [replace(each, prior=torque_std) if each.name == CONSTANT else each for each in chosen]
+    if torque_std == 0.0 and any(each.name == CONSTANT for each in chosen):
+        raise InvalidInput(f"{CONSTANT} is free, but torque_std is 0", fix="Say how well it is known: torque_std=0.1")
+    how: dict[str, Any] = {"motion": motion, "arm": arm, "torque": torque, "motors": motors}
+    how["constant"] = 1.0 if constants is None else float(constants[0])
     if arc_lengths is None:
         if origin is not None:
             raise InvalidInput(
                 "origin is given, but angles are fitted", fix="Give arc_lengths=... as well, or leave it out"
             )
-        return Plant(Parameters(guess, chosen), Angles(), motion, arm, torque=torque)
+        return Plant(Parameters(guess, chosen), Angles(), **how)
     if origin is None:
         words = [word for word in ("origin_x", "origin_y") if word not in free]
         chosen += parse(guess, words, arc_lengths) if words else []
@@ -345,7 +365,21 @@ def build_plant(
     else:
         place = checks.array("origin", origin, (2,), unit="m")
     parameters = Parameters(guess, chosen).starting({"origin_x": float(place[0]), "origin_y": float(place[1])})
-    return Plant(parameters, Markers(arc_lengths, place), motion, arm, torque=torque)
+    return Plant(parameters, Markers(arc_lengths, place), **how)
+
+
+def motors_of(t: Array, guess: Rope, setup: RecordingSetup, constants: Array) -> Motors:
+    """Return the motors whose readings at times t (T,), s, drive the rope, checked."""
+    columns = len(setup.joints)
+    given = np.asarray(setup.torque, dtype=object)
+    shape = (t.size, columns) if given.ndim > 1 else (t.size,)
+    readings = checks.array("torque", setup.torque, shape, gaps=True).reshape(t.size, columns)
+    if max(setup.joints) >= guess.n_links:
+        allowed = f"0 to {guess.n_links - 1}, or fewer columns"
+        raise InvalidInput("torque_joints names a joint that the rope does not have", got=setup.joints, allowed=allowed)
+    if np.isnan(readings).all(axis=0).any():
+        raise InvalidInput("torque has no value at all, only gaps", allowed="at least one value of each motor")
+    return Motors.of(t, readings, setup.joints, constants)
 
 
 def split(

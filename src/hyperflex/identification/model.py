@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import TORQUE as JOINTS
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.tangent.forward_sensitivity import Directions, place_changes
 from hyperflex.errors import InvalidInput, SimulationError
@@ -29,7 +30,7 @@ from hyperflex.model import (
     parse_label,
     stretched,
 )
-from hyperflex.motion import Motion, hold_arm
+from hyperflex.motion import Motion, hold_arm, torque_profile
 from hyperflex.sensors import Angles, Markers, MotorTorque, PostureSensor
 from hyperflex.simulation import ParameterDirections, Rollout, forward_derivatives
 
@@ -59,6 +60,7 @@ class Parameter:
     start: float
     scale: float
     law: Law = "own"
+    prior: float = np.inf  # standard deviation of its x about `start`, known beforehand; inf: none
 
     @property
     def kind(self) -> Property:
@@ -117,6 +119,8 @@ class Parameters:
             if parameter.name in LED:
                 self.led[parameter.name][list(parameter.links)] = False
         self.middle = guess.link_middles / guess.total_length - 0.5
+        self.prior = np.diag([1.0 / p.prior for p in self.all])[[np.isfinite(p.prior) for p in self.all]]
+        self.expected = self.prior @ self.start
 
     def __len__(self) -> int:
         return len(self.all)
@@ -129,6 +133,19 @@ class Parameters:
     def rounded(self, x: Array) -> Array:
         """Return x (P,) with 0 for what is left at its bound."""
         return np.where((x > 0.0) & (x <= self.lower), 0.0, x)
+
+    def prior_residual(self, x: Array) -> Array:
+        """Return how far x (P,) is from what is known beforehand (r,), in standard deviations; `prior` (r, P) by x."""
+        return np.asarray(self.prior @ x - self.expected)
+
+    def constants(self, x: npt.NDArray[Any], held: Array) -> npt.NDArray[Any]:
+        """Return the constants (k,) of the motors at x (P,), real or complex as x, where `held` are as declared."""
+        found = held.astype(x.dtype)
+        for parameter, each in zip(self.all, x, strict=True):
+            if parameter.name == CONSTANT:
+                own, factor = list(parameter.links), parameter.law == "factor"
+                found[own] = parameter.value(each) * (found[own] if factor else 1.0)
+        return found
 
     def starting(self, starts: Mapping[str, float]) -> "Parameters":
         """Return the same with other starts by name."""
@@ -184,19 +201,24 @@ class Parameters:
         one = np.ones(self.guess.n_links)
         return {"taper": self.middle, "pivot": np.where(np.arange(one.size) == 0, 1.0, 0.0)}.get(law, one)
 
-    def parts(self, x: Array) -> list[tuple[int, Part]]:
+    def parts(self, x: Array, constants: Array | None = None) -> list[tuple[int, Part]]:
         """Return which parameters move the rope, and by how much each property changes with their x.
+
+        `constants` (k,) are declared of the motors that drive it.
 
         A part maps a property to its change, as in :func:`hyperflex.sensitivities`; ``delay`` stands for the motion's.
         Changes are exact: imaginary parts of the properties at x with a tiny imaginary part (complex-step derivative).
         """
-        found = []
+        found = list[tuple[int, Part]]()
         for k, parameter in enumerate(self.all):
             if parameter.kind.owner == "motion":
                 found.append((k, {parameter.name: np.array([parameter.derivative(x[k])])}))
+            elif parameter.name == CONSTANT and constants is not None:
+                changed = self.constants(np.where(np.arange(x.size) == k, x + 1j * TINY, x), constants)
+                found.append((k, {CONSTANT: changed.imag / TINY}))
             elif parameter.kind.owner in ("link", "rope", "view"):
-                changed = self._changed(np.where(np.arange(x.size) == k, x + 1j * TINY, x))
-                found.append((k, {name: np.atleast_1d(each.imag) / TINY for name, each in changed.items()}))
+                moved = self._changed(np.where(np.arange(x.size) == k, x + 1j * TINY, x))
+                found.append((k, {name: np.atleast_1d(each.imag) / TINY for name, each in moved.items()}))
         return found
 
 
@@ -223,17 +245,25 @@ NEEDS = {  # what must be measured for parameters that are not the rope's
     "motion": ("nothing moves the first joint", "motion=..."),
     "camera": ("no places are measured", "arc_lengths=..."),
     "marker": ("no places are measured", "arc_lengths=..."),
-    "arm": ("no torque is measured", "torque=... and arm=..."),
+    "arm": ("no torque of an arm's motor is measured", "torque=... and arm=..."),
+    "motor": ("no torque is measured", "torque=..."),
 }
+CONSTANT = "torque_constant"
 
 
 def parse(
-    guess: Rope, free: Sequence[str], arc_lengths: Array | None = None, *, moved: bool = False, arm: Arm | None = None
+    guess: Rope,
+    free: Sequence[str],
+    arc_lengths: Array | None = None,
+    *,
+    moved: bool = False,
+    arm: Arm | None = None,
+    constants: Array | None = None,
 ) -> list[Parameter]:
     """Return the parameters that the words in `free` (see :func:`hyperflex.identify`) stand for.
 
-    `arc_lengths` (K,), m, are of the markers; `moved` tells whether the first joint moves, so that a delay has a
-    meaning; `arm` is that whose motor torque is measured.
+    `arc_lengths` (K,), m, are of the markers; `moved` tells whether something drives the rope, so that a delay has a
+    meaning; `arm` is that whose motor torque is measured; `constants` (k,) are of the motors whose torque is.
     """
     if isinstance(free, str) or not isinstance(free, Iterable) or len(free := list(free)) == 0:
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
@@ -248,7 +278,7 @@ def parse(
                 "all links, 'friction:inner' for one of all but the first, 'friction:factor' and 'friction:taper' for "
                 "laws along the rope",
             )
-        result += _one(guess, label, arc_lengths, moved, arm)
+        result += _one(guess, label, arc_lengths, moved, arm, constants)
     slots: Counter[tuple[str, object]] = Counter()
     for p in result:
         taken: Sequence[object] = (p.links or (p.name,)) if p.law == "own" else (p.law,)
@@ -261,19 +291,23 @@ def parse(
     return result
 
 
-def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
+def _one(
+    guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None, constants: Array | None
+) -> list[Parameter]:
     """Return the parameters of a word in `free`, or of a tested factor; what no object holds starts at its default."""
     name, place, law = label
     about = PROPERTIES[name]
     owner, unseen = about.owner, arc_lengths is None
-    if {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None}.get(owner):
+    missing = {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None, "motor": constants is None}
+    if missing.get(owner):
         why, fix = NEEDS[owner]
         raise InvalidInput(f"{name} is free, but {why}", fix=f"Give {fix}, or leave it out")
     held = getattr(arm, name.removeprefix("arm_"), None) if owner == "arm" else getattr(guess, name, None)
-    known = arc_lengths if owner == "marker" else about.default if held is None else held
+    held = {"marker": arc_lengths, "motor": constants}.get(owner, held)
+    known = about.default if held is None else held
     starts = np.atleast_1d(np.asarray(known, dtype=np.float64))
-    every, whole = tuple(range(starts.size)), owner not in ("link", "marker")
-    if (place is not None and (whole or place not in every)) or (law and owner != "link"):
+    every, whole = tuple(range(starts.size)), owner not in ("link", "marker", "motor")
+    if (place is not None and (whole or place not in every)) or (law and owner not in ("link", "motor")):
         what = "belongs to the whole rope, or camera" if whole else f"names a {owner} that the rope does not have"
         raise InvalidInput(
             f"{name} {what}",
@@ -424,11 +458,45 @@ def _scaled(rope: Rope) -> Array:
 
 
 # Factors that are tested, and cannot be free: of the angles and torque as read, and of the arm's length
-ANGLES, TORQUE, ARM_LENGTH = "angle_factor", "torque_factor", "arm_length"
+ANGLES, TORQUE, ARM_LENGTH = "angle_factor", f"{CONSTANT}:factor", "arm_length"
 PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
 # Steps of a rollout, beyond which it counts as failed: real ropes take some tens a second. A rope whose last
 # link has hardly an inertia turns it at 1e3 rad/s, and a fit that goes there would take minutes.
 MOST_STEPS, MOST_STEPS_A_SECOND = 2000, 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Motors:
+    """Motors in joints of the rope whose measured torque drives its simulation, straight between the samples.
+
+    joints (k,): joint of each motor, 0 the first. constant (k,): torque over the reading, N m. readings: a torque
+    profile of the readings.
+    """
+
+    joints: tuple[int, ...]
+    constant: Array
+    readings: Motion
+
+    @classmethod
+    def of(cls, t: Array, readings: Array, joints: Sequence[int], constant: Array) -> "Motors":
+        """Return motors from readings (T, k) at times t (T,), s, NaN in gaps, which are bridged by straight lines."""
+        columns = np.zeros((t.size, max(joints) + 1))
+        for joint, column in zip(joints, readings.T, strict=True):
+            known = ~np.isnan(column)
+            columns[:, joint] = np.interp(t, t[known], column[known])
+        return cls(tuple(joints), constant, torque_profile(t, columns))
+
+    def coef(self, constant: Array) -> Array:
+        """Return the coefficients of the torque (pieces, channels, 6) for other constants (k,)."""
+        coef = np.zeros_like(self.readings.coef)
+        channels = JOINTS + np.array(self.joints)
+        coef[:, channels] = self.readings.coef[:, channels] * constant[:, None]
+        return coef
+
+    def torque(self, constant: Array, delay: float) -> Motion:
+        """Return the torque for constants (k,) and a `delay`, s."""
+        source = self.readings
+        return Motion(source.breaks + delay, self.coef(constant), source.switch)
 
 
 @dataclass(frozen=True)
@@ -460,7 +528,9 @@ class PredictedChannels:
 class Plant:
     """Predicts the channels of a window, those of `sensor` and, with `torque`, of the arm's motor as the last.
 
-    `motion` and `arm` move the first joint; by default it is fixed.
+    `motion` and `arm` move the first joint; by default it is fixed. `motors` in the joints turn the links by their
+    measured torque; of the arm's motor, whose motion is prescribed, the torque is a channel, and `constant` its torque
+    over the reading.
     """
 
     parameters: Parameters
@@ -468,18 +538,32 @@ class Plant:
     motion: Motion | None = None
     arm: Arm | None = None
     torque: bool = False
+    constant: float = 1.0
+    motors: Motors | None = None
 
     def __post_init__(self) -> None:
         guess = self.parameters.guess
-        self.motor = MotorTorque(self.arm) if self.torque and self.arm is not None else None
+        self.motor = MotorTorque(self.arm, self.constant) if self.torque and self.arm is not None else None
         self._setup = Setup(guess, self.motion, self.arm, tol=PRECISION * guess.total_length)
         self._last: tuple[bytes | None, _Evaluation | None] = (None, None)
         # parameters that are values of the sensor or, numbered after those, of the motor: number, number of the value
         places = {"origin_x": 0, "origin_y": 1, ANGLES: 0}
         if self.motor is not None:
-            places |= {name: self.sensor.values.size + k for k, name in enumerate(ARM)}
+            places |= {name: self.sensor.values.size + k for k, name in enumerate((*ARM, CONSTANT))}
         own = [places.get(p.name, 2 + p.links[0] if p.name == "arc" else None) for p in self.parameters.all]
         self._own = [(k, place) for k, place in enumerate(own) if place is not None]
+
+    @property
+    def constants(self) -> Array | None:
+        """Torque over reading of each motor (k,) as declared; None where no torque is measured."""
+        if self.motors is not None:
+            return self.motors.constant
+        return None if self.motor is None else np.array([self.constant])
+
+    @property
+    def driven(self) -> bool:
+        """Whether a motion or a torque drives the rope."""
+        return self.motion is not None or self.motors is not None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: not the last evaluation, whose arrays could be written to then; no kernel's may."""
@@ -523,7 +607,7 @@ class Plant:
             place_changes(at.drive, at.seeds, np.array(t), dpivot)
         seen, count = self._channels(at, t, y), self.sensor.values.size
         moved = at.sensor.jacobian(at.rope, q, dy[:, :n], dpivot[:, :, : dy.shape[2]], at.directions.lengths(n))
-        own = np.zeros((*seen.shape, count + len(ARM)))
+        own = np.zeros((*seen.shape, count + len(ARM) + 1))
         own[:, : moved.shape[1], :count] = at.sensor.value_jacobian(at.rope, q)
         if at.motor is not None:
             by_run = at.motor.jacobian(at.chain, at.drive, at.directions.parts[2 * n :], t, y, dy)
@@ -532,10 +616,21 @@ class Plant:
         shared = np.zeros((*moved.shape[:2], len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         for k, place in self._own:
-            shared[:, :, k] = self.parameters.all[k].derivative(float(x[k])) * own[:, :, place]
+            shared[:, :, k] = self._own_slope(k, float(x[k])) * own[:, :, place]
         if not (np.isfinite(seen).all() and np.isfinite(moved).all()):
             return None
         return PredictedChannels(seen, moved[:, :, : 2 * n], shared)
+
+    def _own_value(self, k: int, x: float) -> float:
+        """Return the value of the sensor or the motor that parameter k makes at its x."""
+        parameter = self.parameters.all[k]
+        held = self.constant if parameter.name == CONSTANT and parameter.law == "factor" else 1.0
+        return float(held * parameter.value(x))
+
+    def _own_slope(self, k: int, x: float) -> float:
+        """Return the derivative of that value by x."""
+        parameter = self.parameters.all[k]
+        return self._own_value(k, x) if parameter.form == "log" else parameter.derivative(x)
 
     def _rollout(self, at: _Evaluation, t: Array, start: tuple[Array, Array], logged: bool = False) -> Rollout:
         return Rollout(self._setup, t, start, chain=at.chain, drive=at.drive, logged=logged)
@@ -569,16 +664,22 @@ class Plant:
         rope = self.parameters.rope(x)
         motion, arm, drive = self.motion, self.arm, self._setup.drive()
         delay, longer = self.parameters.single("delay", x), self.parameters.single(ARM_LENGTH, x, 1.0)
-        if motion is not None and (delay != 0.0 or longer != 1.0):
+        constants = None if self.motors is None else self.parameters.constants(x, self.motors.constant)
+        if self.motors is not None and constants is not None:
+            drive = Setup(self.parameters.guess, torque=self.motors.torque(constants, delay)).drive()
+        elif motion is not None and (delay != 0.0 or longer != 1.0):
             arm = None if arm is None else replace(arm, length=longer * arm.length)
             motion = motion.shifted(delay)
             drive = Setup(self.parameters.guess, motion, arm).drive()
         own = np.append(self.sensor.values, [] if self.motor is None else self.motor.values)
         for k, place in self._own:
-            own[place] = self.parameters.all[k].value(x[k])
+            own[place] = self._own_value(k, float(x[k]))
         sensor = self.sensor.with_values(own[: self.sensor.values.size])
         motor = None if self.motor is None else self.motor.with_values(own[self.sensor.values.size :])
-        moving, unit = self.parameters.parts(x), np.eye(rope.n_links)
+        moving, unit = (
+            self.parameters.parts(x, None if self.motors is None else self.motors.constant),
+            np.eye(rope.n_links),
+        )
         parts = [{name: row} for name in ("q0", "qd0") for row in unit]
         for _, part in moving:
             if "delay" in part:
@@ -586,6 +687,8 @@ class Plant:
                 part = {"breaks": breaks, "coef": np.zeros_like(drive.coef)}
             if ARM_LENGTH in part:
                 part = {ARM_LENGTH: part[ARM_LENGTH] * drive.arm_length / longer}
+            if CONSTANT in part and self.motors is not None:
+                part = {"breaks": np.zeros_like(drive.breaks), "coef": self.motors.coef(part[CONSTANT])}
             parts.append(part)
         chain, directions = rope.chain(), ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
         seeds, freed = directions.directions(chain, drive), [k for k, _ in moving]
@@ -609,7 +712,7 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
         label = Label(name, None, law) if law == "pivot" else parse_label(word)
         if label is not None and label.name in PROPERTIES:
             with suppress(InvalidInput):  # a mass of 0 has no logarithm, say
-                groups[word] = _one(rope, label, arcs, plant.motion is not None, arm)
+                groups[word] = _one(rope, label, arcs, plant.driven, arm, plant.constants)
     extra = [each for group in groups.values() for each in group]
     parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
     return replace(plant, parameters=parameters), np.append(x, [each.first for each in extra]), groups
@@ -622,6 +725,7 @@ def scale_words(plant: Plant) -> dict[int, str]:
     """
     driven = plant.motion is not None and plant.arm is not None and plant.arm.length > 0.0
     heavy, names = plant.parameters.guess.gravity.any(), plant.parameters.names
-    held = ("length" not in names, heavy and "gravity_scale" not in names, driven, plant.motor is not None)
+    measured = plant.constants is not None and CONSTANT not in names
+    held = ("length" not in names, heavy and "gravity_scale" not in names, driven, measured)
     words = ("length:factor", "gravity_scale", ARM_LENGTH, TORQUE)
     return {k: word for k, (word, own) in enumerate(zip(words, held, strict=True)) if own}

@@ -1,5 +1,6 @@
 """What a user may say of a recording and of its fit."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -32,15 +33,23 @@ class RecordingSetup:
     origin : (2,) array_like, m, optional
         Origin of the motion (the first joint, if it is fixed) in the camera's frame. With `arc_lengths` alone it is
         fitted as ``origin_x`` and ``origin_y``.
-    torque : (T,) array_like, N m, optional
-        Measured motor torque, NaN in gaps; it fixes the absolute scale. Needs `motion` and `arm`.
-    torque_noise : float or (T,) array_like, N m, optional
-        Its standard deviation; required with `torque`, as is the noise of the recording.
+    torque : (T,) or (T, k) array_like, optional
+        Measured torque of motors, N m, or their current with `torque_constant`; NaN in gaps. It fixes the scale.
+        Where the joint moves freely the torque is an input: it drives the simulation, straight between the samples
+        (over gaps, too). The torque of an arm whose `motion` is prescribed is an output, fitted as a further channel.
+    torque_joints : sequence of int, optional
+        Joint of each column of `torque`: 0 is the joint that the rope hangs from, 1 that between the first two links,
+        and so on. By default the first k. A motor turns its joint's link, and the link before it the other way.
+    torque_constant : float or (k,) array_like
+        Torque over the reading: 1 for a torque in N m, the torque constant, N m/A (with the gear), for a current.
+    torque_noise : float or (T,) array_like, optional
+        Standard deviation of a torque that is fitted, in the unit of `torque`; required then, as is the noise of the
+        recording. An input counts as exact but for its constant.
 
     Raises
     ------
     InvalidInput
-        For an arm without its motion, or a torque without its arm.
+        For an arm without its motion, or a torque that is of no joint.
     """
 
     motion: Motion | None = None
@@ -49,12 +58,45 @@ class RecordingSetup:
     origin: npt.ArrayLike | None = None
     torque: npt.ArrayLike | None = None
     torque_noise: npt.ArrayLike | None = None
+    torque_joints: Sequence[int] | None = None
+    torque_constant: npt.ArrayLike = 1.0
 
     def __post_init__(self) -> None:
         if self.arm is not None and self.motion is None:
-            raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or omit arm")
-        if self.torque is not None and self.arm is None:
-            raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
+            fix = "Pass motion=... as well, or omit arm; an arm that a torque drives is the first link of the rope"
+            raise InvalidInput("arm is given without its motion", fix=fix)
+        if self.torque is None:
+            return
+        if self.motion is not None and self.arm is None:
+            fix = "Pass arm=... as well, or omit motion: the torque then drives the first link"
+            raise InvalidInput("torque is given without the arm that it turns", fix=fix)
+        columns = self._columns
+        if self.motion is not None and (columns > 1 or self.torque_joints is not None):
+            fix = "Give that torque alone, or make the arm the first link of the rope and omit motion"
+            raise InvalidInput("with a motion the torque is that of the arm's motor", got=f"{columns} columns", fix=fix)
+        joints = [checks.count("torque_joints", each, least=0) for each in self.joints]
+        if len(joints) != columns or len(set(joints)) < columns:
+            allowed = f"{columns} different joints, one for each column of torque"
+            raise InvalidInput("torque_joints do not fit the torque", got=joints, allowed=allowed)
+        checks.array("torque_constant", self.torque_constant, (columns,), sign="positive", unit="N m", scalar=True)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Joint of each column of the torque."""
+        if self.torque_joints is not None:
+            return tuple(self.torque_joints)
+        return tuple(range(self._columns))
+
+    @property
+    def _columns(self) -> int:
+        """Number of motors whose torque is given."""
+        shape = np.asarray(self.torque, dtype=object).shape
+        return int(shape[1]) if len(shape) > 1 else 1
+
+    @property
+    def drives(self) -> bool:
+        """Whether the torque drives the simulation: no motion is prescribed."""
+        return self.torque is not None and self.motion is None
 
 
 @dataclass(frozen=True)
@@ -84,8 +126,9 @@ class FitOptions:
         The same for the times: of one factor on all of them (a clock, a frame rate). No motion shows lengths and times
         that are wrong together, so standard deviations include that; 0: times are exact.
     torque_std : float
-        The same for the torque: of one factor on all samples (a torque constant). No motion shows it; masses, inertias
-        and frictions are proportional to it, ratios are not. 0: torques are exact.
+        The same for the torque: of one factor on all samples (a torque constant). Masses, inertias and frictions are
+        proportional to it, ratios are not. With ``torque_constant`` among the free parameters it is the standard
+        deviation of each motor's constant before the fit. 0: torques are exact.
     """
 
     window: float | None = option(

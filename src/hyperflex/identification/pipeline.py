@@ -36,7 +36,7 @@ from hyperflex.identification.measurements import (
     usual_length,
     with_torque,
 )
-from hyperflex.identification.model import ANGLES, Plant
+from hyperflex.identification.model import ANGLES, CONSTANT, Plant
 from hyperflex.identification.multi_start import multi_start, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
@@ -145,9 +145,9 @@ def identify(
     options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
     measured, places = checked_measurements(recording, rope_guess, setup)
     fitted, rest = split(measured, options, setup.arc_lengths)
-    check_excitation(fitted.channels, fitted.shape, rope_guess, moved=setup.motion is not None)
+    check_excitation(fitted.channels, fitted.shape, rope_guess, moved=setup.motion is not None or setup.drives)
     seen = fitted
-    if setup.torque is not None:
+    if setup.torque is not None and not setup.drives:
         seen = split(with_torque(measured, setup.torque, setup.torque_noise), options, setup.arc_lengths)[0]
     with rounds_shown(progress) as report:
         case = _Case(recording, rope_guess, setup, options, seen, fitted, rest, places, budget, report)
@@ -201,14 +201,16 @@ class Trial:
         return self.plain.fit.converged and self.ended is None
 
 
-def first_choice(guess: Rope) -> list[str]:
+def first_choice(guess: Rope, *, torque: bool = False) -> list[str]:
     """Return what is free at first: inertia and friction; of a rope of many links one value each, of stiffness if any.
+
+    With a measured torque masses as well, whose scale it fixes.
 
     A rope of many links that are not alike in the guess keeps its taper: what is free is a factor on all.
     """
     if guess.n_links <= FEW_LINKS:
-        return ["inertia", "friction"]
-    words = ["friction", "stiffness"] if guess.stiffness.any() else ["inertia", "friction"]
+        return ["mass"] * torque + ["inertia", "friction"]
+    words = ["mass"] * torque + ["friction", "stiffness"] if guess.stiffness.any() else ["inertia", "friction"]
     return [f"{word}:{'shared' if np.ptp(getattr(guess, word)) == 0.0 else 'factor'}" for word in words]
 
 
@@ -282,7 +284,7 @@ class _Case:
         What the score tests of a fit require is freed as well, as long as that makes a fit that converges: of what
         explains the same, to EQUAL, the first of ALLOWED. An interrupted fit is the last.
         """
-        trial, added = self.fit(first_choice(self.guess)), dict[str, float]()
+        trial, added = self.fit(first_choice(self.guess, torque=self.setup.torque is not None)), dict[str, float]()
         usual = trial.free
         for _ in range(MOST):
             mistaken = [each.gain for each in trial.tests if each.significant and each.name in (DRIFT, ANGLES)]
@@ -311,7 +313,7 @@ class _Case:
     def fit(self, free: Sequence[str]) -> Trial:
         """Return the fit of these parameters, its covariance (of noise alone) and score tests."""
         shape, loss = self.seen.shape, Loss(self.options.loss)
-        plant = build_plant(self.recording, self.guess, free, self.places, self.setup)
+        plant = build_plant(self.recording, self.guess, free, self.places, self.setup, self.options.torque_std)
         usual = usual_length(shape, self.guess)
         delay = {}
         if "delay" in free:
@@ -349,6 +351,7 @@ class _Case:
             "free": trial.free,
             "loss": self.options.loss,
             "base": "fixed" if setup.motion is None else moved,
+            **({"torque_joints": list(setup.joints)} if setup.drives else {}),
             "noise_declared": self.recording.noise is not None,
         }
         if isinstance(basis.plant.sensor, Markers):
@@ -453,7 +456,8 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
             result[parameter.label] = np.array(number)
             continue
         if name not in result:
-            own = plant.sensor.values[2:] if name == "arc" else getattr(rope or plant.parameters.guess, name)
-            result[name] = own * (rope is not None)
+            others = {"arc": plant.sensor.values[2:], CONSTANT: plant.constants}
+            own = np.array(others[name] if name in others else getattr(rope or plant.parameters.guess, name))
+            result[name] = own * float(rope is not None)
         result[name][list(parameter.links)] = number
     return result

@@ -160,7 +160,7 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     every, loose = ratios(rope, parameters.names), dict[str, float]()
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
-    by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.motor is None else set()
+    by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.constants is None else set()
     for each, value, spread in zip(parameters.all, values, std, strict=True):
         least = (1 + (each.name in LAWS)) * LOOSE * value
         if each.kind.form != "linear" and each.name not in by_ratios and 0.0 < least < spread < np.inf:
@@ -214,7 +214,7 @@ def moves_alike(plant: Plant) -> bool:
     With times x a and lengths x a^2 gravity stays. A drive, a torque, and inertias or resistances that are held do not
     go along.
     """
-    if plant.motion is not None or plant.motor is not None or not plant.parameters.guess.gravity.any():
+    if plant.driven or not plant.parameters.guess.gravity.any():
         return False
     names = {each.name for each in plant.parameters.all}
     held = [each.name for each in RESISTANCES if each.name not in names]
@@ -230,7 +230,7 @@ def _limits(
     information = basis.information
     if information.unknown.shape[1]:
         yield Finding(Kind.COMMON_FACTOR, Severity.LIMIT)
-    elif basis.plant.motor is not None:
+    elif basis.plant.constants is not None:
         yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
     else:
         yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"moved": _com_sensitivity(basis, tests)})
@@ -386,7 +386,8 @@ def _lengths(tests: Sequence[ScoreTest]) -> list[Finding]:
     if scales is None or any(each.significant and each.name == CLOCK for each in tests):
         return []
     known = scales.information[:2, :2]  # of links' lengths and of gravity, the arm being as long as declared
-    if np.linalg.cond(known) > REPORTED.singular:
+    size = np.sqrt(np.diag(known))
+    if size.min() == 0.0 or np.linalg.cond(known / np.outer(size, size)) > REPORTED.singular:
         return []
     score = scales.information[:2] @ np.log(np.clip(scales.values, 1e-9, 1e9))
     off, std = abs(float(np.linalg.solve(known, score)[0])), float(np.sqrt(np.linalg.inv(known)[0, 0]))

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 from hyperflex.checks import Sign
 
-Owner = Literal["link", "rope", "motion", "camera", "view", "marker", "encoder", "arm"]
+Owner = Literal["link", "rope", "motion", "camera", "view", "marker", "encoder", "arm", "motor"]
 Form = Literal["log", "linear", "nonnegative"]
 Cut = Literal["shared", "alike", "joint", "bending", "limit", "stays"]
 
@@ -33,7 +33,8 @@ class Property:
         candidate models.
     owner : str
         Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, its
-        ``view`` (camera or encoder that is not level), each ``marker``, the ``encoder`` of the angles or the ``arm``.
+        ``view`` (camera or encoder that is not level), each ``marker``, the ``encoder`` of the angles, the ``arm`` or
+        each ``motor``.
     sign : str
         What values are allowed, see :mod:`hyperflex.checks`.
     default : float or None
@@ -108,8 +109,15 @@ _TABLE = (
     ),
     Property("arm_inertia", "moment of inertia of arm and rotor", "kg m^2", owner="arm"),
     Property("arm_friction", "viscous friction of the shaft", "N m s/rad", owner="arm"),
+    Property("arm_dry_friction", "dry friction of the shaft", "N m", owner="arm"),
     Property(
-        "torque_factor", "torque as measured over torque", "1", owner="arm", sign="positive", default=1.0, form=None
+        "torque_constant",
+        "torque of a motor over its reading (over a current: the torque constant)",
+        "N m",
+        owner="motor",
+        sign="positive",
+        default=1.0,
+        form="log",
     ),
     Property(
         "arm_length",

@@ -191,7 +191,7 @@ HELD: tuple[HeldQuantity, ...] = (
     HeldQuantity(
         Kind.DELAY,
         ("delay",),
-        lambda fit, word: fit.plant.motion is not None,
+        lambda fit, word: fit.plant.driven,
         _one("delay"),
         declared=True,
         reported=True,

@@ -136,7 +136,8 @@ class ShortFit:
         words = [word for word in self.free if FREE_PROPERTIES[base(word)].owner != "arm"]
         try:
             measured, places = checked_measurements(recording, self.rope, self.setup)
-            plant = build_plant(recording, self.rope, words, places, replace(self.setup, torque=None))
+            setup = self.setup if self.setup.drives else replace(self.setup, torque=None)
+            plant = build_plant(recording, self.rope, words, places, setup)
             added = [word for word in more if word not in words]
             plant, x, _ = extended(plant, plant.parameters.start, added)
             part, x = self._left(plant, measured, x)

@@ -62,7 +62,7 @@ class ScoreTestOptions:
     covered: float = 2.0
     # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
     hiding: int = 2
-    # part of the largest eigenvalue of scaled information: about the root of rounding
+    # of information about a number that alone has 1, or part of the largest eigenvalue: about the root of rounding
     tiny: float = 1e-08
 
 
@@ -231,6 +231,9 @@ def scores(basis: Basis, words: Sequence[str]) -> Scores | None:
 
     every = zip(*map(reduced, basis.windows, basis.fit.states, basis.fit.residuals), strict=True)
     score, matrices, totals = (np.array(each) for each in every)
+    prior, count = basis.fit.noise * plant.parameters.prior, len(basis.windows)  # each window has its part of it
+    score += prior.T @ (basis.fit.noise * plant.parameters.prior_residual(x)) / count
+    matrices += prior.T @ prior / count
     if not (np.isfinite(matrices).all() and totals.sum() > 0.0):
         return None
     first, groups = basis.fit.x.size, dict[str, list[int]]()
@@ -318,6 +321,8 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
     parameters: list[Parameter] = [found.plant.parameters.all[k] for k in own]
     across = matrix[own] @ found.inverse(found.free)
     information, slope = matrix[np.ix_(own, own)] - across @ matrix[:, own], score[own] - across @ score
+    sizes, directions = np.linalg.eigh(information)
+    information = (directions * np.where(sizes > TESTING.tiny, sizes, 0.0)) @ directions.T  # less is rounding
     step = _possible_step(information, slope, found.x[own] <= lower[own])
     gain = -float(step @ slope) / found.total
     noise = basis.information.variance * basis.information.correlation
@@ -327,7 +332,7 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
         moved = found.x[own] + step / scale[own]
         values = np.array([each.value(x) for each, x in zip(parameters, moved, strict=True)])
     acting = np.where(np.isfinite(scale[own]), scale[own], 0.0)
-    inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
+    inverse = _inverse(information)
     std = np.sqrt(noise * np.maximum(np.diag(inverse), 0.0)) * [each.scale for each in parameters] / scale[own]
     return ScoreTest(
         name,
@@ -342,11 +347,21 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
     )
 
 
+def _inverse(information: Array) -> Array:
+    """Return the inverse (k, k) of information about numbers each of which would alone have 1, 0 where there is none.
+
+    What is left of it once all that is free is eliminated says nothing below ``TESTING.tiny``: that is rounding.
+    """
+    sizes, directions = np.linalg.eigh(information)
+    least = max(TESTING.tiny, 1e-6 * float(sizes[-1]))
+    return np.asarray((directions * np.where(sizes > least, 1.0 / np.maximum(sizes, least), 0.0)) @ directions.T)
+
+
 def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
     """Return the step (k,) that the score requires, 0 of what is at its bound and would pass it."""
     active, step = np.ones(score.size, dtype=bool), np.zeros(score.size)
     for _ in range(score.size):
-        inner = np.linalg.pinv(information[np.ix_(active, active)], rcond=1e-6, hermitian=True)
+        inner = _inverse(information[np.ix_(active, active)])
         step[:] = 0.0
         step[active] = -inner @ score[active]
         passing = active & bounded & (step < 0.0)
@@ -546,7 +561,7 @@ def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest
     plant, x, some = basis.plant, basis.fit.x, part_of(basis)
     n, parameters, loss, states = plant.parameters.guess.n_links, plant.parameters.all, some.fit.loss, some.fit.states
     own = any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
-    if n == 1 or plant.motor is not None or (basis.information.whiteness >= CHANCE if n <= FEW_LINKS else own):
+    if n == 1 or plant.constants is not None or (basis.information.whiteness >= CHANCE if n <= FEW_LINKS else own):
         return ()
     try:
         finer = plant.cut(x, PIECES)

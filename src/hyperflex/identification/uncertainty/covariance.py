@@ -151,7 +151,8 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     slopes = np.concatenate([each[window.weight.ravel() > 0.0] for window, each in psi])  # psi', gaps omitted
     mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
     models = _models(plant, windows, fit, mean, budget or Budget())
-    rows = [model.shared * widths for model in models]
+    prior = fit.noise * plant.parameters.prior  # rows of the least-squares problem, as those of windows
+    rows = [*(model.shared * widths for model in models), prior * widths]
     singular, known, unknown = known_directions([*rows, np.zeros((total, total))])
     inner = known / singular[: known.shape[1]]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
@@ -160,7 +161,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     freedom = max(1.0, slopes.size - absorbed)
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
     variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
-    meat = np.sum([model.meat(memory) for model in models], axis=0) * np.outer(widths, widths)
+    meat = (np.sum([model.meat(memory) for model in models], axis=0) + prior.T @ prior) * np.outer(widths, widths)
     plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
     scale = variance * np.outer(widths, widths)
     return Information(

@@ -45,7 +45,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     if scatter is not None:
         model += scatter
     gravity = next((float(each.values[0]) for each in tests if each.name == CLOCK), 1.0)
-    driven = basis.plant.motion is not None
+    driven = basis.plant.driven
     observed = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight))
     scaled = _scale_error(basis, tests, scale_std, observed=observed)
     return replace(basis, information=replace(information, model=model, scaled=scaled))
@@ -92,7 +92,7 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observ
             CLOCK_POWER.get(free.kind.unit, 0.0) if free.name in LAWS and free.law not in ("taper", "pivot") else 0.0
         )
         rate[k, 1] += power * free.value(float(x[k])) / free.derivative(float(x[k]))
-    rate[:, 1] -= rate[:, 3]  # where times are multiplied by a, gravity is by 1 / a^2, torque by a^2
+    rate[:, 1] += rate[:, 3]  # where times are multiplied by a, gravity is by 1 / a^2, and so torque over its reading
     std = np.where(rate.any(axis=0), std, 0.0)
     prior = np.diag(std**2)
     error = np.linalg.solve(np.eye(std.size) + prior @ known, prior)
