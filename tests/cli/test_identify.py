@@ -253,3 +253,39 @@ def test_bad_options_are_refused_by_name(hyperflex, led, options, message):
 
 
 # ---- the bar
+
+
+def test_a_torque_column_drives_the_pendulum(hyperflex_json, refused, tmp_path, monkeypatch):
+    """A motor at the first joint, its current in a column: the known mass tells the constant, declared 10 % too large."""
+    monkeypatch.chdir(tmp_path)
+    rod = hf.Rope(length=[0.4], mass=[0.5], com=[0.3], inertia=[0.01], friction=[0.02])
+    t = np.arange(501) / 100.0
+    torque = 0.8 * np.sin(5.0 * t) + 0.5 * np.sin(2.3 * t)
+    run = hf.simulate(rod, torque=hf.torque_profile(t, torque), duration=5.0, t_eval=t, tol=1e-9)
+    angle = np.degrees(run.q[:, 0] + 1e-3 * np.random.default_rng(0).standard_normal(t.size))
+    files.write_table("log.csv", ["time", "pos", "current"], np.column_stack([t, -angle, -torque / 0.05]))
+    rod.replace(inertia=[0.02], friction=[0.01]).to_toml("rod.toml")  # angles grow to the other side
+    read = (
+        "--time",
+        "time",
+        "--time-unit",
+        "s",
+        "--columns",
+        "pos",
+        "--kind",
+        "angles",
+        "--unit",
+        "deg",
+        "--sense",
+        "-x",
+    )
+    given = words(
+        "out.toml", *read, "--noise", 0.0573, "--torque-constant", 0.055, recording="log.csv", rope="rod.toml"
+    )
+    known = ("--torque-std", 0.1, "--length-std", 0, "--intervals", "covariance")
+    code, found = hyperflex_json(*given, "--torque", "current", *known, "--free", "inertia,friction,torque_constant")
+    assert code == 0
+    assert found["values"]["torque_constant"] == pytest.approx([0.05], rel=0.01)
+    assert found["values"]["friction"] == pytest.approx([0.02], rel=0.03)
+    assert "no such columns" in refused(*given, "--torque", "amps")
+    assert "--torque-constant is given without --torque" in refused(*given)

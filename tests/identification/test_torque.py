@@ -379,7 +379,7 @@ def test_torque_that_cannot_be_used_is_refused():
     bare = Recording(recording.t, recording.data)
     arm: dict[str, Any] = {"motion": MOVE, "arm": LIGHT}
     for options, message in (
-        ({"torque": torque, "torque_noise": 1e-3}, "without the arm"),
+        ({"motion": MOVE, "torque": torque, "torque_noise": 1e-3}, "without the arm"),
         ({**arm, "torque": torque}, "torque_noise is not given"),
         ({**arm, "torque": torque[1:], "torque_noise": 1e-3}, "wrong shape"),
         ({**arm, "torque": torque, "torque_noise": 0.0}, "torque_noise"),

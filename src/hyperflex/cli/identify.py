@@ -13,7 +13,7 @@ from hyperflex.cli.command import ArcLengths, Given, check_destination, check_no
 from hyperflex.cli.output import Block, Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions
-from hyperflex.recording import FASTEST, Declarations, Recording, read_recording
+from hyperflex.recording import FASTEST, Declarations, Recording, read_channels, read_recording
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
@@ -46,6 +46,46 @@ class Reading:
         return read_recording(path, **given.pop("declarations"), **given)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Torque:
+    """Options for the measured torque of motors, in columns of the recording's file."""
+
+    torque: Annotated[
+        list[str] | None,
+        typer.Option(help="Columns of motor torques, N m (or currents), that drive the joints; with commas."),
+    ] = None
+    torque_joints: Annotated[
+        list[str] | None,
+        typer.Option(help="Joint of each: 0 that the rope hangs from, 1 the next, ... [default: the first ones]"),
+    ] = None
+    torque_constant: Annotated[
+        list[str] | None,
+        typer.Option(help="Torque over the column: 1 for N m; of a current its torque constant, N m/A. [default: 1]"),
+    ] = None
+    torque_noise: Annotated[
+        float | None,
+        typer.Option(help="Standard deviation of the torque of an arm whose motion is prescribed, in its unit."),
+    ] = None
+
+    def read(self, path: Path, reading: Reading) -> dict[str, Any]:
+        """Return what a RecordingSetup takes of it."""
+        if (columns := words(self.torque)) is None or not columns:
+            given = [name for name, value in vars(self).items() if value]
+            if given:
+                fix = "Name the column: --torque torque"
+                raise InvalidInput(f"--{given[0].replace('_', '-')} is given without --torque", fix=fix)
+            return {}
+        sense = reading.declarations.get("sense")
+        found = read_channels(path, columns, time=reading.time, topic=reading.topic, sense=sense)
+        setup: dict[str, Any] = {"torque": found[:, 0] if len(columns) == 1 else found}
+        if self.torque_joints:
+            setup["torque_joints"] = [int(each) for each in numbers("--torque-joints", self.torque_joints, "0,1")]
+        if self.torque_constant:
+            constants = numbers("--torque-constant", self.torque_constant, "0.05")
+            setup["torque_constant"] = constants[0] if len(constants) == 1 else constants
+        return setup | ({} if self.torque_noise is None else {"torque_noise": self.torque_noise})
+
+
 def identify(
     recording: Annotated[Path, typer.Argument(help="CSV, NetCDF, MCAP, .mat file or ROS 2 bag of angles or markers.")],
     rope: Annotated[Path, typer.Option(help="TOML file with the rope to begin with: the first guess.")],
@@ -67,6 +107,7 @@ def identify(
     ] = None,
     *,
     reading: Reading,
+    torque: Torque,
     fit: Annotated[Given, FitOptions],
     time_budget: Annotated[
         float | None,
@@ -80,6 +121,9 @@ def identify(
 
     The first line of the result is its grade: usable, usable for ratios (masses, inertias and frictions share a factor
     that a free swing does not determine), or do not use, with the reason.
+
+    A torque (--torque) drives the joints of a rope that no --setup moves, and fixes the scale of masses and frictions;
+    with --free torque_constant and --torque-std the constant of each motor is fitted as well.
 
     Ctrl-C ends the fit; the best result so far is written, marked as interrupted. The exit code is 3 if the fit did not
     converge or the time was over, and 5 if its result must not be used, for example because a declaration is wrong. The
@@ -98,7 +142,8 @@ def identify(
     else:
         check_destination(out, ".toml", inputs)
     places = numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
-    placed, options = RecordingSetup(**_drive(setup), arc_lengths=places, origin=origin), FitOptions(**fit)
+    driven = {**_drive(setup), **torque.read(recording, reading)}
+    placed, options = RecordingSetup(**driven, arc_lengths=places, origin=origin), FitOptions(**fit)
     measured, guess, chosen = reading.read(recording), Rope.from_toml(rope), words(free) or None
     how: dict[str, Any] = {"setup": placed, "options": options, "time_budget": time_budget, "progress": True}
     result, stopped = output.run(lambda: run(measured, guess, chosen, **how))
@@ -130,7 +175,8 @@ def _drive(path: Path | None) -> dict[str, Any]:
         return {}
     setup = Setup.from_toml(path)
     if setup.torque_driven:
-        fix = 'Measure the arm\'s angle and give it as motion = {kind = "file", path = "arm.csv"}'
+        fix = 'Measure the arm\'s angle and give it as motion = {kind = "file", path = "arm.csv"}; or make the arm the '
+        fix += "first link of the rope, and name the column of its torque (--torque)"
         raise InvalidInput(f"{path} drives its arm by a torque", allowed="a motion", fix=fix)
     return {"motion": setup.motion or hold_arm(0.0), "arm": setup.arm}
 

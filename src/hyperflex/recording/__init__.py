@@ -2,7 +2,7 @@
 
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations
 from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
-from hyperflex.recording.read import read_recording
+from hyperflex.recording.read import read_channels, read_recording
 from hyperflex.recording.recording import Recording, unwrap
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "DeclarationFields",
     "Declarations",
     "Recording",
+    "read_channels",
     "read_recording",
     "unwrap",
 ]

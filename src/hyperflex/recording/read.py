@@ -4,7 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Unpack
 
+import numpy as np
+
 from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, as_path
 from hyperflex.recording.content import Selection, raw_of
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations, to_recording
@@ -106,3 +110,40 @@ def read_recording(
     raw = raw_of(content, selection)
     raw = replace(raw, name=name or raw.name or as_path(path, "recording").stem)
     return to_recording(raw, Declarations(**declarations), noise, max_rate)
+
+
+def read_channels(
+    path: PathLike, names: Sequence[str], *, time: str = "t", topic: str | None = None, sense: str | None = None
+) -> Array:
+    """Read further columns of a recording's file, such as a motor's torque, at the samples of the recording.
+
+    Parameters
+    ----------
+    path, time, topic
+        As of :func:`read_recording`.
+    names : sequence of str
+        Of the columns.
+    sense : {"+x", "-x"}, optional
+        Side to which the file's angles grow, by default as the file declares: a torque of an angle that grows to the
+        other side changes its sign.
+
+    Returns
+    -------
+    (T, K) float64
+        In the file's unit, NaN in gaps.
+
+    Raises
+    ------
+    FileProblem, InvalidInput
+        As of :func:`read_recording`; also for a file whose rows belong to several topics.
+    """
+    content = content_of(path, format_of(path), Selection(None, time, names, None, topic))
+    missing = [name for name in names if name not in content.names]
+    if missing:
+        allowed = ", ".join(content.names[:20]) or "none"
+        raise InvalidInput(f"{content.source} has no such columns", got=missing, allowed=allowed)
+    if content.sparse:
+        fix = "Export it with all columns at the same times"
+        raise InvalidInput(f"{content.source} has columns at different times", got=list(names), fix=fix)
+    declared = sense or content.declared.get("sense") or content.usual.get("sense")
+    return np.asarray(content.take(names) * (-1.0 if declared == "-x" else 1.0))

@@ -353,7 +353,7 @@ def _inverse(information: Array) -> Array:
     What is left of it once all that is free is eliminated says nothing below ``TESTING.tiny``: that is rounding.
     """
     sizes, directions = np.linalg.eigh(information)
-    least = max(TESTING.tiny, 1e-6 * float(sizes[-1]))
+    least = max(TESTING.tiny, 1e-6 * float(sizes.max(initial=0.0)))
     return np.asarray((directions * np.where(sizes > least, 1.0 / np.maximum(sizes, least), 0.0)) @ directions.T)
 
 
