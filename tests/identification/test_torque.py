@@ -389,7 +389,14 @@ def test_torque_that_cannot_be_used_is_refused():
             identify(recording, GUESS, SCALED, setup=RecordingSetup(**options))
     with pytest.raises(InvalidInput, match="noise of the recording"):
         identify(bare, GUESS, SCALED, setup=RecordingSetup(torque=torque, torque_noise=1e-3, **arm))
-    refuses("no torque is measured", identify, recording, GUESS, ["arm_inertia"], setup=RecordingSetup(**arm))
+    refuses(
+        "no torque of an arm's motor is measured",
+        identify,
+        recording,
+        GUESS,
+        ["arm_inertia"],
+        setup=RecordingSetup(**arm),
+    )
 
 
 def test_an_arm_that_is_held_tells_the_scale_as_well():
