@@ -388,7 +388,7 @@ class MotorTorque:
         _, _, rate, acceleration = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size))).T
         sense = np.sign(np.where(rate != 0.0, rate, acceleration))
         by_torque = -self.predict(chain, drive, t, y)
-        return np.stack([acceleration, rate, sense, by_torque], axis=1) / self.values[3]
+        return np.asarray(np.stack([acceleration, rate, sense, by_torque], axis=1) / self.values[3])
 
     def _torque(self, chain: Chain, drive: Drive, t: Array, y: Array, slip: Array) -> Array:
         rope, angle, rate, acceleration = self._seen(chain, drive, t, y, slip).T
