@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.recording import Recording, read_recording
 from hyperflex.recording.formats import format_of
 from hyperflex.recording.proposal import propose, python_line
@@ -161,6 +161,14 @@ def test_facts_come_back_from_netcdf(tmp_path):
     back = read_recording(tmp_path / "r.nc")
     assert (back.epoch, back.out_of_plane) == (1.7e9, 0.002)
     assert back.window(0.0, 2.0).epoch == 1.7e9
+
+
+def test_a_c3d_file_that_is_cut_off_is_refused(tmp_path):
+    sample = SAMPLES["c3d"]()
+    path = tmp_path / "cut.c3d"
+    path.write_bytes(sample.content[: len(sample.content) - 512])  # files are padded to blocks of 512 bytes
+    with pytest.raises(FileProblem, match="damaged or cut off"):
+        read_recording(path, **sample.arguments)
 
 
 # ---- times

@@ -25,6 +25,8 @@ def read(path: PathLike, selection: Selection) -> Content:
         rows = [(number, points[:, :4]) for number, points, _ in reader.read_frames(copy=True)]
         about = {name: _text(reader, f"POINT:{name}") for name in ("UNITS", "Y_SCREEN")}
         labels, rate = [str(each).strip() for each in reader.point_labels], float(reader.point_rate)
+        if len(rows) != reader.frame_count:
+            raise ValueError("it ends within its frames")
         places = np.array([points for _, points in rows], dtype=np.float64).reshape(len(rows), -1, 4)
     if not places.size:
         raise InvalidInput(f"{path} is a C3D file without markers", got=places.shape, fix="Export the trajectories")

@@ -78,19 +78,19 @@ def propose(path: PathLike) -> Proposal:
         return Proposal(kind.name, content, chosen, assumed, None, str(error))
     declared = {**raw.usual, **raw.declared}
     arguments: dict[str, Any] = {}
-    while missing := missing_declarations(raw, declared | arguments):
-        arguments |= {key: _assumption(key, raw, declared | arguments) for key in list(missing)[:1]}
-    assumed += tuple(arguments)
-    if raw.kind == "angles" and _jumps(raw, str({**declared, **arguments}["unit"])):
-        arguments, assumed = arguments | {"wrapped": True}, (*assumed, "wrapped")
     recording, problem = None, ""
-    try:
-        named = replace(raw, name=raw.name or as_path(path, "recording").stem)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # the recording's convention says the same
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of numpy on columns without a number; what is warned of is also in the result
+        while missing := missing_declarations(raw, declared | arguments):
+            arguments |= {key: _assumption(key, raw, declared | arguments) for key in list(missing)[:1]}
+        assumed += tuple(arguments)
+        if raw.kind == "angles" and _jumps(raw, str({**declared, **arguments}["unit"])):
+            arguments, assumed = arguments | {"wrapped": True}, (*assumed, "wrapped")
+        try:
+            named = replace(raw, name=raw.name or as_path(path, "recording").stem)
             recording = to_recording(named, Declarations(**arguments), None, FASTEST)
-    except InvalidInput as error:
-        problem = str(error)
+        except InvalidInput as error:
+            problem = str(error)
     return Proposal(kind.name, content, chosen | arguments, assumed, recording, problem)
 
 
