@@ -33,7 +33,7 @@ def read_motive(path: PathLike, selection: Selection) -> Content:
     labels = []
     for kind, name, part, axis in zip(kinds, names, parts, axes, strict=False):
         shown = name if kind in ("Marker", "Rigid Body", "Bone") else f"{name} ({kind})"
-        labels.append((shown if part == "Position" else f"{name} {part}", axis.lower()))
+        labels.append((shown, axis.lower() if part == "Position" else f"{part} {axis}".strip()))
     declared: dict[str, Any] = {"time_unit": "s"}
     if unit := about.get("Length Units"):
         declared["unit"] = unit_name(unit)

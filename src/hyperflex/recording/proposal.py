@@ -118,9 +118,9 @@ def _assumption(key: str, raw: Raw, declared: Mapping[str, Any]) -> Any:
         step = float(np.median(np.diff(raw.t))) if raw.t.size > 1 else 1.0
         return next((unit for unit, size in SECONDS.items() if 1e-4 < step * size < 0.2), "s")  # 5 Hz to 10 kHz
     if key == "unit":
-        size = float(np.nanmax(np.abs(raw.data))) if np.isfinite(raw.data).any() else 0.0
         if raw.kind == "angles":
-            return "deg" if size > _TURN else "rad"
+            return "deg" if float(np.nanmax(np.ptp(raw.data, axis=0), initial=0.0)) > _TURN else "rad"
+        size = float(np.nanmax(np.abs(raw.data), initial=0.0))
         return "m" if size < 20.0 else "mm" if raw.in_space else "px"
     if key == "y_axis":
         return "down" if declared.get("unit") == "px" else "up"
