@@ -45,7 +45,7 @@ def test_a_file_is_read_to_the_last_digit_whatever_its_suffix(tmp_path, name):
 def test_several_markers_must_be_named_and_come_in_the_order_given(tmp_path, name):
     path, arguments = made(tmp_path, name)
     names = arguments.pop("markers")
-    refuses(r"several markers.*from the pivot to the tip: markers=\[", read_recording, path, **arguments)
+    refuses(r"which markers to take.*from the pivot to the tip: markers=\[", read_recording, path, **arguments)
     refuses("no such markers: got .*nobody", read_recording, path, markers=[names[0], "nobody"], **arguments)
     there, back = (read_recording(path, markers=each, **arguments).data for each in (names, names[::-1]))
     np.testing.assert_array_equal(np.hstack([back[:, 2:], back[:, :2]]), there)
@@ -240,6 +240,8 @@ def test_what_holds_no_motion_is_said(tmp_path):
     refuses(
         r"is in m/s\^2, which is no unit of angles", read_recording, phone, columns=["Acceleration x"], kind="angles"
     )
+    unnamed = table(tmp_path, "t [s],ax,ay,az\n0,1,2,3\n1,1,2,3\n")  # accelerations, maybe: nothing is taken unasked
+    refuses(r"which markers to take.*markers=\['a'\]", read_recording, unnamed)
     devices = table(tmp_path, "Devices\n1000\n,,Force\nFrame,Sub Frame,Fx\n,,N\n1,0,0.5\n1,1,0.6\n")
     refuses(r"without markers: got \['Devices'\].*Export the trajectories", read_recording, devices)
     for content, said in ((b"\x80\x04K\x01.", "a pickle"), (b"\0\0\0\x18ftypmp42", "a video"), (b"\0\1\2", "no known")):

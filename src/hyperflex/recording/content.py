@@ -48,7 +48,7 @@ class Content:
     points : mapping of str to tuple of str
         Markers: the channels of x and y, or of x, y and z, of each.
     ordered : bool
-        Whether the markers' order is known to be that along the rope.
+        Whether these are known to be markers of the rope, in order: otherwise the caller must name them.
     angles : sequence of str
         Channels that are link angles, in order, as their names say.
     strangers : sequence of str
@@ -110,6 +110,7 @@ def content_of_markers(
         channels,
         source,
         points=points,
+        ordered=more.pop("ordered", len(points) == 1),
         likelihood={part: f"{name}_likelihood" for name in likelihoods for part in points[name]},
         noise={part: f"{part}_noise" for name in noises for part in points[name]},
         **more,
@@ -261,10 +262,10 @@ def _by_default(content: Content, kind: str | None) -> tuple[Kind, list[str], bo
     chosen = cast(Kind, kind or ("angles" if angles else "markers"))
     if chosen == "angles":
         return chosen, angles, False
-    if len(points) > 1 and not content.ordered:
+    if not content.ordered:
         example = ", ".join(map(repr, points[:3]))
         raise InvalidInput(
-            f"{source} has several markers, and does not say in which order they are along the rope",
+            f"{source} does not say which markers to take, and in which order they are along the rope",
             got=_listed(points),
             fix=f"Name them from the pivot to the tip: markers=[{example}]",
         )

@@ -99,8 +99,7 @@ def _choice(content: Content) -> tuple[dict[str, Any], tuple[str, ...]]:
     if content.angles:
         return ({"columns": list(content.angles), "kind": "angles"} if content.strangers else {}), ()
     if content.points and not content.ordered:
-        several = len(content.points) > 1
-        return ({"markers": list(content.points)}, ("markers",)) if several else ({}, ())
+        return {"markers": list(content.points)}, ("markers",)
     angular = [name for name in content.names if unit_name(content.units.get(name, "")) in RADIANS]
     if not content.points and angular:
         return {"columns": angular}, ("columns",) if len(angular) > 1 else ()

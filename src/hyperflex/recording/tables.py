@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, read_table
-from hyperflex.recording.content import Content, Selection, points_of
-from hyperflex.recording.declare import POSITIVE, Declarations, unit_name
+from hyperflex.recording.content import ALONE, Content, Selection, points_of
+from hyperflex.recording.declare import POSITIVE, UNITS, Declarations, unit_name
 
 _NUMBERED = {  # names of columns, by what they hold
     "angle": re.compile(r"(?:th|theta|q)_?(\d+)\Z"),
@@ -58,9 +58,9 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
     others = [name for name in names if name != time and not _COUNTERS.fullmatch(name) and name not in noise.values()]
     chosen = selection.columns is not None or selection.markers is not None
     points = {} if chosen else _numbered_points(path, found["x"], found["y"], names)
-    ordered = bool(points)
-    points = points or points_of(others)
-    known = {*(name for each in found.values() for name in each.values())} if ordered or found["angle"] else set()
+    numbered = bool(points)
+    points = points or points_of([name for name in others if unit_name(units.get(name, "m")) in UNITS["markers"]])
+    known = {*(name for each in found.values() for name in each.values())} if numbered or found["angle"] else set()
     angles = [] if chosen else _in_order(path, found["angle"])
     rates = (
         dict(zip(angles, _in_order(path, found["rate"], len(angles)), strict=True)) if angles and found["rate"] else {}
@@ -70,7 +70,7 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         names=names,
         take=lambda chosen: table.columns([at[name] for name in chosen]),
         points=points,
-        ordered=ordered,
+        ordered=numbered or points == {ALONE: ("x", "y")},
         angles=angles,
         strangers=[name for name in others if name not in known] if known else [],
         rates=rates,
