@@ -84,3 +84,27 @@ def test_nothing_but_the_extras_needs_their_packages(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert [line.split("'")[1] for line in done.stdout.splitlines()] == ["hyperflex[xarray]", "hyperflex[vision]"]
+
+
+def test_the_package_works_without_the_modules_that_windows_lacks(tmp_path):
+    """All modules load, and files and folders are written, with names that Windows allows."""
+    script = """
+import pkgutil, sys
+for name in ("fcntl", "resource", "pwd", "grp", "termios"):
+    sys.modules[name] = None
+import importlib
+import hyperflex as hf
+for each in pkgutil.walk_packages(hf.__path__, "hyperflex."):
+    if not each.name.endswith("__main__"):
+        importlib.import_module(each.name)
+from hyperflex.report import whole_folder
+run = hf.simulate(hf.Rope.uniform(1.0, 0.1, 3, friction=1e-3), duration=0.1, q0=0.3)
+run.to_netcdf("run.nc")
+with whole_folder("kept", ("run.nc",)) as stage:
+    run.to_netcdf(stage / "run.nc")
+print(hf.read_trajectory("kept/run.nc").success)
+"""
+    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout == "True\n", done.stderr
+    names = [each.name for each in tmp_path.rglob("*")]
+    assert not any(set(name) & set('<>:"|?*\\\\') or name.endswith((".", " ")) for name in names)

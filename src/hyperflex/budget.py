@@ -55,7 +55,7 @@ class Budget:
         self.threads = PROCESSORS if threads is None else checks.count("threads", threads, most=most)
         self._clock, self._parent, self._cancelled = clock, None, False
         self._report: Callable[..., None] | None = None
-        self._begin, self._compiled = clock(), compiling()
+        self._begin, self._compiled, self._processor = clock(), compiling(), time.process_time()
 
     _parent: "Budget | None"
 
@@ -83,6 +83,11 @@ class Budget:
     def elapsed(self) -> float:
         """Time since the budget was made, s, without compiling."""
         return self._clock() - self._begin - (compiling() - self._compiled)
+
+    @property
+    def processor_share(self) -> float:
+        """Processor time that this process took since the budget was made, over the time by the clock."""
+        return (time.process_time() - self._processor) / max(self._clock() - self._begin, 1e-9)
 
     @property
     def remaining(self) -> float:

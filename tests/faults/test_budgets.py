@@ -91,6 +91,8 @@ except hf.InvalidInput as error:
     ("error", "words"),
     [
         (MemoryError("74 GiB"), "memory is full"),
+        (BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), "memory is full"),  # as PyAV says it
+        (RuntimeError("can't start new thread"), "memory is full"),
         (RecursionError(), "nested"),
         (OverflowError(34, "too large"), "out of range"),
     ],

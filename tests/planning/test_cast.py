@@ -31,8 +31,9 @@ from hyperflex.planning import (
     read_reach_map,
     verify_cast,
 )
-from hyperflex.planning.casting import CastRequest, plan_each
+from hyperflex.planning.casting import CastRequest, fewer_turns, plan_each
 from hyperflex.planning.ensemble import SPARE, margin, repeatable
+from hyperflex.planning.outcome import TOO_LONG, too_long
 from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
 from hyperflex.planning.swings import DELAY, Strike
 from hyperflex.planning.tasks.wind import WindTask, pumped, viscous
@@ -394,3 +395,29 @@ def test_a_reach_map_reads_back_equal(tmp_path):
     assert np.array_equal(again.status, found.status)
     with pytest.raises(InvalidInput, match="not increasing"):
         build_reach_map(CORD, ARM, grid=TargetGrid(x=[1.0, 0.5]))
+
+
+def test_a_plan_that_fails_by_its_turns_says_how_many_it_keeps():
+    plan = planned()
+    more = replace(plan.problem.criteria, turns=3.5)
+    failed = replace(plan, problem=replace(plan.problem, criteria=more), message="of 2.37 turns 2.36 remain")
+    (said,) = fewer_turns(failed)
+    turns = float(said.removesuffix(" turns required"))
+    assert 2.0 < turns < abs(plan.outcome.turns)
+    easier = replace(plan.problem, criteria=replace(more, turns=turns))
+    assert verify_cast(easier, plan.target, plan.motion).success
+    assert fewer_turns(plan) == ()  # it succeeds
+    slips = replace(failed.problem, criteria=replace(more, max_slip=1e-9))
+    assert fewer_turns(replace(failed, problem=slips)) == ()  # fewer turns do not help
+
+
+def test_a_run_that_a_busy_machine_made_late_says_so():
+    """A budget whose clock runs faster than the processor: others had it."""
+    ticks = iter(range(0, 900, 9))
+    late = too_long(Budget(1.0, clock=lambda: float(next(ticks))))
+    assert late.startswith(TOO_LONG)
+    assert "this machine is busy" in late
+    alone = Budget(1.0, clock=time.process_time)
+    while alone.elapsed < 0.02:
+        pass
+    assert too_long(alone) == TOO_LONG

@@ -1,6 +1,7 @@
 """The command-line application: all commands, and the exit codes of errors."""
 
 import ast
+import errno
 import importlib
 import inspect
 import os
@@ -139,6 +140,8 @@ def run(arguments: Sequence[str]) -> int:
     except (HyperflexError, MemoryError, OverflowError, RecursionError) as error:
         return output.complain(_refusal(error, named), type(error).__name__, output.REFUSED)
     except Exception as error:  # noqa: BLE001 last resort: even a bug must not break the promise of --json
+        if _short_of_resources(error):
+            return output.complain(_refusal(MemoryError(str(error)), named), type(error).__name__, output.REFUSED)
         traceback.print_exc()
         message = f"{str(error) or 'no message'}. This is a bug in hyperflex; please report it with the lines above."
         return output.complain(message, type(error).__name__, output.FAILED)
@@ -156,11 +159,17 @@ def _given(error: Any, arguments: Sequence[str]) -> str:
     return f": got {values!r}" + (". Separate numbers by spaces" if "," in values else "")
 
 
+def _short_of_resources(error: Exception) -> bool:
+    """Return whether the system had no memory, process or thread left, as libraries report it."""
+    return getattr(error, "errno", None) in (errno.EAGAIN, errno.ENOMEM) or "start new thread" in str(error)
+
+
 def _refusal(error: Exception, named: Any) -> str:
     """Return the message of an error that is no bug; `named` is the command, or None."""
     detail = f" ({error})" if str(error) else ""
     if isinstance(error, MemoryError):
-        return f"The memory is full{detail}. Use a shorter duration, fewer links, samples or outputs."
+        fix = "Use a shorter duration, fewer links, samples or outputs, or end other programs"
+        return f"The memory is full, or what else the system lends{detail}. {fix}."
     if isinstance(error, OverflowError):
         return f"A number is out of range{detail}. Check for values far from any rope's."
     if isinstance(error, RecursionError):

@@ -7,7 +7,7 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
-from hyperflex import checks
+from hyperflex import checks, winding
 from hyperflex.budget import Budget
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
@@ -24,6 +24,7 @@ from hyperflex.planning.feasibility import (
     search_time,
 )
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
+from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.plan import CastPlan, FallbackTarget
 from hyperflex.planning.planner import Planner
 from hyperflex.planning.problem import Problem
@@ -37,6 +38,7 @@ OnPlan = Callable[[CastPlan], bool | None]
 # Margins of fallback targets that are planned for, one after the other, beyond the margin of the target if that is
 # feasible. The last one is not planned for
 MARGINS = (0.0, 0.25, 0.75, 1.5)
+TURNS_STEPS = 20.0  # a turn, in which fewer turns are proposed
 ROBUST = 0.9  # fraction of the time of a robust plan after which its success probability is estimated
 NEIGHBOURS, NEAR = 3, 0.2  # plans that a search for one of many targets starts from; how near they are, rope lengths
 
@@ -109,7 +111,7 @@ class CastRequest:
         if plan.success or plan.interrupted:
             return _delivered(plan)
         with stoppable() as stop:
-            plan = replace(plan, remedies=find_remedies(problem, target))
+            plan = replace(plan, remedies=find_remedies(problem, target) or fewer_turns(plan))
             plan = replace(plan, fallback=None if plan.unfinished else _expected(plan))
             if self.options.fallback:
                 plan = self._plan_fallback(plan)
@@ -357,6 +359,21 @@ def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget, 
         message += "; few ropes stay wound without friction (mu 0)"
     found = moves, outcome, finer, message, task.runs, budget.elapsed, interrupted
     return CastPlan(task.problem, task.peg, known, *found, margin=margin)
+
+
+def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
+    """Return the turns that both verified runs of a plan keep, as a remedy, if it then fails for nothing else."""
+    runs = [each.run for each in (plan.outcome, plan.finer_outcome) if each is not None and each.run is not None]
+    if len(runs) < 2 or plan.motion is None:
+        return ()
+    criteria, stop = plan.problem.criteria, float(plan.motion.breaks[-1])
+    kept = min(np.abs(winding.turns(run, plan.target)[run.t >= stop + criteria.settle]).min() for run in runs)
+    turns = math.floor(TURNS_STEPS * kept) / TURNS_STEPS
+    if not 0.0 < turns < criteria.turns:
+        return ()
+    easier = replace(plan.problem, criteria=replace(criteria, turns=turns))
+    succeeds = all(evaluate_cast(easier, plan.target, run, stop).success for run in runs)
+    return (f"{turns:.3g} turns required",) if succeeds else ()
 
 
 def _delivered(plan: CastPlan) -> CastPlan:

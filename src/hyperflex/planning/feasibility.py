@@ -348,6 +348,7 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
             "rope": _rounded(of.rope.total_length),
             "time": _rounded(of.time),
             "radius": _rounded(1e3 * to.radius, up=False),
+            "turns": _rounded(of.criteria.turns, up=False),
         }
         return [text.format(**numbers)] if high > 1.0 else []
 
@@ -364,6 +365,8 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
     longest = max(most, 1.01 * SWING.max_periods * problem.period / problem.time)
     found += remedy("{time} s to strike", lambda f: (replace(problem, time=f * problem.time), peg), longest)
     found += remedy("a peg of {radius} mm radius", lambda f: (problem, replace(peg, radius=peg.radius / f)))
+    asked = problem.criteria
+    found += remedy("{turns} turns", lambda f: (replace(problem, criteria=replace(asked, turns=asked.turns / f)), peg))
     return tuple(found)
 
 

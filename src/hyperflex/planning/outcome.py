@@ -34,6 +34,7 @@ from hyperflex.winding import TugTest, Winding
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 TOO_LONG = "the verification took longer than the time allowed for it"
+BUSY = 0.5  # part of a processor, below which others have kept it from a run
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -195,8 +196,15 @@ def verify_cast(
         run = simulate(setup, t_eval=t, time_budget=budget)
     except SimulationError as error:
         late = error.status == Status.OUT_OF_TIME
-        return CastOutcome(message=TOO_LONG if late else f"the simulation failed ({error.status})")
+        return CastOutcome(message=too_long(budget) if late else f"the simulation failed ({error.status})")
     return evaluate_cast(problem, peg, run, stop)
+
+
+def too_long(budget: Budget) -> str:
+    """Return that a verification took too long, and whether other programs were the cause."""
+    if (share := budget.processor_share) > BUSY:
+        return TOO_LONG
+    return f"{TOO_LONG}: this machine is busy, it had {100.0 * share:.0f} % of a processor; give a longer time_budget"
 
 
 def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
@@ -327,7 +335,7 @@ def require_holding_force(outcome: CastOutcome, peg: Peg, criteria: WindCriteria
     try:
         measured = measure_holding_force(outcome.run, peg, max_slip=criteria.max_slip, time_budget=budget)
     except SimulationError:
-        return replace(outcome, held=False, message=TOO_LONG, n_links=0)
+        return replace(outcome, held=False, message=too_long(budget), n_links=0)
     if measured is None:
         return replace(outcome, held=False, message="its holding force could not be simulated")
     if measured.tug.holds(force):

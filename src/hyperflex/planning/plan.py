@@ -252,7 +252,8 @@ class CastPlan(Plan):
     fallback : FallbackTarget or None
         For a plan that fails: the nearest target with a plan that succeeds, or that is expected to be feasible.
     remedies : tuple of str
-        For an infeasible target: changes of rope, arm, motor, time or peg that would each make it feasible.
+        For an infeasible target: changes of rope, arm, motor, time, peg or required turns that would each make it
+        feasible. Otherwise the turns that the plan's runs keep, if fewer are required and nothing else fails.
     problem, target, feasibility, moves, outcome, message, runs, seconds, interrupted, success_probability
         As of :class:`hyperflex.planning.plan.Plan`.
     """

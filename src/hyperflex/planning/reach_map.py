@@ -102,8 +102,10 @@ class ReachMap:
         return {"targets": self.status.size, "feasible": int(feasible.sum()), "wound": int(self.wound.sum())}
 
     def in_short(self) -> str:
-        """Return the counts as text, and how many targets were not planned."""
+        """Return the counts as text, and how many targets were not planned, or not to the end of their time."""
         shown = ", ".join(f"{count} {name}" for name, count in self.counts.items())
+        if late := int((self.status == STATUSES.index(Status.OUT_OF_TIME)).sum()):
+            shown += f", {late} not found within {self.time_budget:g} s: more time may wind them"
         missing = int((self.status == NOT_PLANNED).sum())
         return shown if self.complete else f"{shown}, {missing} not planned: interrupted"
 

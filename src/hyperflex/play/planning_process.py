@@ -12,7 +12,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
 
-from hyperflex.errors import HyperflexError
+from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.planning import (
     CastPlan,
@@ -65,6 +65,9 @@ class PlanningProcess:
     """
 
     def __init__(self, task: PlanningTask) -> None:
+        if sys.platform == "win32":  # no process inherits a pipe there by its number
+            fix = "Plan by hyperflex cast, and open its cast.toml here"
+            raise InvalidInput("the page does not plan on Windows", fix=fix)
         self.task, self.begun = task, 0.0
         self.best: CastPlan | None = None
         self._answers, answers = Pipe(duplex=False)
