@@ -156,10 +156,11 @@ def array(
         result = np.full(shape, result)
     if result.ndim != len(shape) or any(w >= 0 and w != s for w, s in zip(shape, result.shape, strict=True)):
         raise InvalidInput(f"{name} has the wrong shape", got=result.shape, allowed=f"shape {sizes}")
-    bad = np.isinf(result) if gaps else ~np.isfinite(result)
+    bad = ~(np.abs(result) <= LARGEST)  # also what is not a number
+    if gaps:
+        bad &= ~np.isnan(result)
     if infinite:
         bad &= result != np.inf
-    bad |= (np.abs(result) > LARGEST) & np.isfinite(result)
     if sign == "positive":
         bad |= result <= 0.0
     elif sign == "nonnegative":

@@ -39,6 +39,20 @@ def options_of(kind: type) -> tuple[Field[Any], ...]:
     return tuple(each for each in fields(kind) if "help" in each.metadata)
 
 
+@cache
+def _rules(kind: type) -> tuple[tuple[str, Any, int, dict[str, Any]], ...]:
+    """Return name, default, length (-1: any) and the rule for its number or numbers, of each option of a dataclass."""
+    return tuple(
+        (
+            each.name,
+            each.default,
+            len(each.default) if isinstance(each.default, tuple) and Ellipsis not in get_args(each.type) else -1,
+            {key: each.metadata[key] for key in ("sign", "unit", "infinite")},
+        )
+        for each in options_of(kind)
+    )
+
+
 def check(instance: Any, name: str) -> None:
     """Validate the options of a dataclass that are numbers, flags or counts; for its ``__post_init__``.
 
@@ -46,9 +60,8 @@ def check(instance: Any, name: str) -> None:
     comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite, of the
     wrong sign, or a direction of more than a turn, and for a sequence that is empty or of the wrong length.
     """
-    for each in options_of(type(instance)):  # type: ignore[arg-type]
-        value, rule, default = getattr(instance, each.name), each.metadata, each.default
-        where, how = f"{name} {each.name}".lstrip(), {key: rule[key] for key in ("sign", "unit", "infinite")}
+    for field_name, default, length, rule in _rules(type(instance)):
+        value, where = getattr(instance, field_name), f"{name} {field_name}".lstrip()
         if isinstance(default, bool):
             value = checks.flag(where, value)
         elif isinstance(default, int):
@@ -56,13 +69,12 @@ def check(instance: Any, name: str) -> None:
                 continue
             value = checks.count(where, value, least=int(rule["sign"] == "positive"))
         elif isinstance(default, tuple):
-            length = -1 if Ellipsis in get_args(each.type) else len(default)
-            value = tuple(checks.array(where, value, (length,), **how).tolist())
+            value = tuple(checks.array(where, value, (length,), **rule).tolist())
             if not value:
                 raise InvalidInput(f"{where} is empty", got=value, allowed="one number or more")
         elif isinstance(default, float) or (rule["unit"] and value is not None):
-            value = checks.number(where, value, **how)
+            value = checks.number(where, value, **rule)
             if rule["unit"] == "rad" and rule["sign"] != "nonnegative" and abs(value) > math.tau:
                 fix = f"If these are degrees, give {math.radians(value):.4g}"
                 raise InvalidInput(f"{where} is more than a turn", got=value, allowed="up to 2 pi, in rad", fix=fix)
-        object.__setattr__(instance, each.name, value)
+        object.__setattr__(instance, field_name, value)

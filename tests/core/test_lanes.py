@@ -1,8 +1,10 @@
 """One linearly implicit Euler step in SIMD lanes against the dense solve: states side by side."""
 
+import numba
 import numpy as np
 import pytest
 
+from hyperflex.core import compiler
 from hyperflex.core.chain import lanes as ln
 from tests.core.helpers import chain_of
 from tests.reference import dense
@@ -47,3 +49,13 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(width, n, air, reaction
         lost = dense.dissipation(links, state.q, state.w, (state.base[4], rate), modes[j], velocity)
         # Terms of either sign with printed friction; 1e-10 of their usual size as everywhere.
         assert top[ln.LOST, j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="without machine code there is no stack to align")
+@pytest.mark.parametrize("width", [ln.COLUMNS, ln.MEMBERS], ids=["columns", "members"])
+def test_the_stack_of_loops_over_lanes_begins_at_a_cache_line(width):
+    # Else packed numbers on it cross cache lines in every second process, by chance, which costs a tenth of the speed.
+    signature = tuple(map(numba.typeof, (width, ln.MORE, *ln.rows(width, 3))))
+    ln.advance.part.compile(signature)
+    module = ln.advance.part.overloads[signature].library._get_module_for_linking()
+    assert f"alignstack={compiler.CACHE_LINE}" in str(module)

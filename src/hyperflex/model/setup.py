@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from hyperflex import checks, files, options
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import TORQUE, Drive, X, Y
+from hyperflex.core.chain.drive import ANGLE, TORQUE, Drive, X, Y
 from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
@@ -177,8 +177,8 @@ class Setup:
             )
 
     def _check_drive(self) -> None:
-        turning = self.motion is not None and bool((self.motion.coef[:, 0] != 0.0).any())
-        if self.motion is not None and bool((self.motion.coef[:, TORQUE] != 0.0).any()):
+        turning = self.motion is not None and bool(self.motion.coef[:, ANGLE].any())
+        if self.motion is not None and bool(self.motion.coef[:, TORQUE].any()):
             raise InvalidInput("motion holds a torque", allowed="torque=... for a torque")
         if self.arm is None and turning:
             raise InvalidInput("motion turns an arm, but there is none", fix="Give arm=Arm(length=...)")

@@ -18,6 +18,7 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch.rollouts import LENGTH, LEVER, Members, Terms, observe_block
+from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.core.integrate.step_size import FIRST_STEP
@@ -118,7 +119,9 @@ def members_of(setups: Sequence[Setup], drives: list[Drive]) -> Members:
             fix="Give a torque_profile with one column, or simulate the members one by one",
         )
     chains = [setup.chain() for setup in setups]
-    links = np.stack([np.stack([*c[:LEVER], lever(c)]) for c in chains])
+    rows = np.concatenate([each for chain in chains for each in chain[:LEVER]]).reshape(len(chains), LEVER, -1)
+    together = chains[0]._replace(**dict(zip(Chain._fields, rows.swapaxes(0, 1), strict=False)))
+    links = np.concatenate([rows, lever(together)[:, None]], axis=1)
     whole = np.array(
         [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
     )
