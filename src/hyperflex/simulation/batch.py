@@ -604,12 +604,18 @@ class BatchStepper:
         self._own = int(command == "torque")
         self._members, self._terms = members_of(setups, _intervals(setups)), terms_of(setups[0])
         self._stop = np.zeros(1, dtype=np.int64)
-        workers = Budget(threads=threads).threads
+        self._threads, workers = threads, Budget(threads=threads).threads
         size = -(-len(setups) // (workers * len(MEMBERS))) * len(MEMBERS)
         self._blocks = [(low, min(low + size, len(setups))) for low in range(0, len(setups), size)]
         self._pool = ThreadPoolExecutor(len(self._blocks)) if len(self._blocks) > 1 else None
         if self._pool is not None:
             weakref.finalize(self, self._pool.shutdown, wait=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy or pickle the arguments alone: threads cannot be, and kernels are compiled for read-only arrays."""
+        first = self.setups[0]
+        common = {"arm": first.arm, "command": self.command, "tol": first.tol, "threads": self._threads}
+        return partial(type(self), **common), ([setup.rope for setup in self.setups],)
 
     def start(
         self,

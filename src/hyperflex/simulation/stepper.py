@@ -1,7 +1,7 @@
 """Stepper: a run taken one interval at a time, with a command for each."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -200,6 +200,10 @@ class Stepper:
         self.setup = setup_for(command, full)
         self._interval, kind = Interval(self.setup.drive()), ContactRollout if self.setup.touches else Rollout
         self._run = kind(self.setup, NO_TIMES, drive=self._interval.drive)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy or pickle the set-up alone: the drive of a run is a view of its interval, which a copy would lose."""
+        return partial(type(self), command=self.command), (self.setup,)
 
     @cached_property
     def _linear(self) -> tuple[Rollout, ParameterDirections, Directions]:
