@@ -153,6 +153,17 @@ def test_a_plan_goes_through_by_its_own_samples():
     assert plan.success_probability is not None
 
 
+def test_moves_that_hardly_ever_succeed_in_their_scenarios_are_no_plan():
+    plan = planned()
+    one = Candidate(plan.required(plan.moves, "moves"), 0.0, near())
+    usual, lost = usual_uncertainty(), replace(usual_uncertainty(), place=0.3)  # a place 15 gaps off, by chance
+    found = [InsertTask(plan.problem, SLOT, known, 20).verify(one, Budget(math.inf)) for known in (usual, lost)]
+    assert not found[0].message
+    assert "of 20 sampled scenarios only" in found[1].message
+    few = InsertTask(plan.problem, SLOT, lost, 5).verify(one, Budget(math.inf))
+    assert not few.message  # none of five says little
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_slot_that_is_not_there_is_touched(side):
     plan = planned()

@@ -143,7 +143,7 @@ def members_of(setups: Sequence[Setup], drives: list[Drive]) -> Members:
 def terms_of(setup: Setup, step: float = 0.0) -> Terms:
     """Return what all members have in common: the tolerance of one's set-up, or a chosen `step`, s."""
     table = scheme(next(order for least, order in ORDERS if setup.tol >= least))
-    return Terms(0.0, setup.tol, setup.chain().reaction, step, table.best, table.gap, table.rounding)
+    return Terms(0.0, setup.tol, setup.chain().reaction, step, table.best, table.gaps[0], table.rounding)
 
 
 if TYPE_CHECKING:

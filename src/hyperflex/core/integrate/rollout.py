@@ -37,6 +37,7 @@ from hyperflex.core.integrate.step_size import (
     STEP_SIZE,
     air_size,
     allowed,
+    by_trend,
     cheapest,
     fitted,
     is_rounding,
@@ -47,6 +48,7 @@ from hyperflex.core.integrate.step_size import (
 from hyperflex.core.integrate.steps import (
     COURSE,
     COURSE_ERRORS,
+    ERRORS,
     MOST_SUBSTEPS,
     add_substeps,
     extrapolate,
@@ -145,7 +147,7 @@ class Workspace(NamedTuple):
     """Working arrays of a run."""
 
     out: Array  # (2 n + 2,) state after the step
-    errors: Array  # (2, 2 n + 2), as in steps.extrapolate
+    errors: Array  # (ERRORS, 2 n + 2), as in steps.extrapolate
     still: Array  # (9 or more,) a first joint at rest
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
     dys: Array
@@ -167,7 +169,7 @@ def new_workspace(chain, base):  # type: ignore[no-untyped-def]
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
     width, stiction, search = 2 * n + 2, new_stiction_workspace(n), search_of(new_searches(1, m, n, base), 0)
-    states = zeros(width, (2, width), base, (3, width), (3, width), (3, width), (base, len(ln.COLUMNS)))
+    states = zeros(width, (ERRORS, width), base, (3, width), (3, width), (3, width), (base, len(ln.COLUMNS)))
     return Workspace(*states, lanes, tip, stiction, search, *new_substeps(n))  # type: ignore[call-arg]
 
 
@@ -278,13 +280,14 @@ def error_norm(limits, trig, errors, step, energy, limit):  # type: ignore[no-un
 
 @non_allocating
 def error_norms(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
-    """Sizes of both rows of ``workspace.errors``, see :func:`error_norm`; both inf if one is not finite."""
+    """Sizes of the rows of ``workspace.errors`` (3), see :func:`error_norm`; all inf if one is not finite."""
     n, out, trig = chain.length.size, workspace.out, workspace.stiction.work
     kinetic, _ = energies(chain, out[:n], out[n : 2 * n], workspace.still, trig)
     energy, limit = limits.fall + kinetic, allowed(limits.tol, step, table.rounding)
     size = error_norm(limits, trig, workspace.errors[0], step, energy, limit)
     lower_size = error_norm(limits, trig, workspace.errors[1], step, energy, limit)
-    return (size, lower_size) if size + lower_size < np.inf else (np.inf, np.inf)
+    lowest_size = error_norm(limits, trig, workspace.errors[2], step, energy, limit)
+    return (size, lower_size, lowest_size) if size + lower_size + lowest_size < np.inf else (np.inf, np.inf, np.inf)
 
 
 @kernel
@@ -298,7 +301,8 @@ def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-
             if not abs(x) < np.inf:
                 return np.inf, 0.0
         return 0.0, 0.0
-    size, lower_size = error_norms(chain, limits, table, step, workspace)
+    size, lower_size, lowest_size = error_norms(chain, limits, table, step, workspace)
+    size = max(size, by_trend(lower_size, lowest_size))
     if cut and step < SMALLEST_STEP and size < np.inf:
         size = 0.0  # an end a few rounding errors away: there is nothing to control
     return size, lower_size

@@ -74,6 +74,16 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
+def by_trend(lower_size, lowest_size):  # type: ignore[no-untyped-def]
+    """Error of a step that its estimates at one and two orders less lead to expect.
+
+    They fall from order to order by a factor, and are expected to fall by it once more. An estimate much below that is
+    a chance: columns that all err by much agree there, as they may where the step is long for their series.
+    """
+    return lower_size * min(1.0, lower_size / lowest_size) if 0.0 < lowest_size < np.inf else 0.0
+
+
+@non_allocating
 def cheapest(tables, least, most, order, step, lower_size, grown, longest):  # type: ignore[no-untyped-def]
     """Order of the next step, and its length, s: the order whose rounds for each second are fewest.
 

@@ -23,7 +23,7 @@ from hyperflex.core.jit import inlined, kernel, non_allocating, read, summing, w
 
 MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
 # Parts of the step at which the error is evaluated, where friction settles and in the middle, and its weight there:
-# where friction settles, estimates are half of the error. Two: ``rollout.error_norms`` takes as many errors
+# where friction settles, estimates are half of the error. At most ERRORS, which ``rollout.error_norms`` takes
 LOOKS = ((0.125, 2.0), (0.5, 1.0))
 
 
@@ -88,6 +88,7 @@ def new_substeps(n):  # type: ignore[no-untyped-def]
 
 
 ROUNDING = 3e-16  # m, of a place a metre or two away
+ERRORS = 3  # estimates of a step's error, of successive orders: by their trend a chance agreement shows
 
 
 class Scheme(NamedTuple):
@@ -97,22 +98,24 @@ class Scheme(NamedTuple):
     column: npt.NDArray[np.int64]  # (rounds, lanes) column that a lane works on in a round, 0: idle
     done: npt.NDArray[np.int64]  # (rounds, lanes) substeps of that column taken before
     best: Array  # (p + 1,) weights of the columns in the result of order p
-    gap: Array  # (p + 1,) in its difference to a result of order p - 1: the error estimate
-    lower_gap: Array  # (p + 1,) the same for the result of order p - 1 from the first p - 1 columns
+    gaps: (
+        Array  # (ERRORS, p + 1) in its difference to a result of order p - 1, the error estimate; then the same for the
+    )
+    # results of order p - 1 and p - 2 from the first p - 1 and p - 2 columns
     rounding: float  # m, what the weights make of rounding errors in places some metres away
 
 
 def scheme(order: int) -> Scheme:
     """Build the table of the given order (2 or more)."""
     column, done = _packed(order)
-    best, lower = _weights(1, order, order), _weights(1, order - 1, order)
+    best = _weights(1, order, order)
+    gaps = [_weights(1, last, order) - _weights(2, last, order) for last in range(order, order - ERRORS, -1)]
     return Scheme(
         order,
         column,
         done,
         best,
-        best - _weights(2, order, order),
-        lower - _weights(2, order - 1, order),
+        np.array(gaps),
         ROUNDING * np.abs(best).sum(),
     )
 
@@ -192,12 +195,13 @@ def end_columns(table, turn, y, out, errors, lanes, increments):  # type: ignore
     for j in range(len(ln.COLUMNS)):
         col = table.column[turn, j]
         if col > 0 and table.done[turn, j] == col - 1:
-            best, gap, lower = table.best[col], table.gap[col], table.lower_gap[col]
+            best, gap, lower, lowest = table.best[col], table.gaps[0, col], table.gaps[1, col], table.gaps[2, col]
             write_increments(lanes, j, y, increments)
             for i in range(y.size):
                 out[i] += best * increments[i]
                 errors[0, i] += gap * increments[i]
                 errors[1, i] += lower * increments[i]
+                errors[2, i] += lowest * increments[i]
 
 
 @kernel
@@ -208,7 +212,8 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
     ----------
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out : (2 n + 2,) state, new state (out)
-    errors : (2, 2 n + 2) out, error estimates of the result, and of the one that an order less would have given
+    errors : (ERRORS, 2 n + 2) out, error estimates of the result, and of those that one and two orders less would have
+        given
     kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`write_increments`); (0, ...) where they are not needed
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
     base, work : (base_size(drive), lanes), (6 n,) scratch

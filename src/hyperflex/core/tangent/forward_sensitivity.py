@@ -19,7 +19,7 @@ from hyperflex.core.chain.articulated_body import BASE_SIZE, Array, sincos, sine
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, base_size, base_state, polynomial, segment, within
 from hyperflex.core.integrate.observation import enter_state
 from hyperflex.core.integrate.rollout import DEGREE, END, JOINT, LENGTH, MODES
-from hyperflex.core.integrate.steps import basis, begin_columns, end_columns, rates
+from hyperflex.core.integrate.steps import ERRORS, basis, begin_columns, end_columns, rates
 from hyperflex.core.jit import inlined, kernel, non_allocating, read, write, zeros
 from hyperflex.core.stiction import (
     STICTION,
@@ -148,7 +148,7 @@ class TangentWorkspace(NamedTuple):
     tip: Array
     base: Array  # (9 or more, K)
     work: Array  # (6 n,)
-    errors: Array  # (2, 2 n + 2)
+    errors: Array  # (ERRORS, 2 n + 2)
     store: Array  # (b, n PARTS CELL) derivatives in every lane: at the start of the step, now, summed over the columns
     weight: Array  # (CELL,) of each lane's column in the sum, where it is complete
     anew: Array  # (CELL,) 1.0 where a lane begins a column, else 0.0
@@ -180,7 +180,9 @@ def new_tangent_workspace(chain, drive, pairs):  # type: ignore[no-untyped-def]
     p, width, of_pairs, base = 2 * pairs, 2 * n + 2, (pairs, n * PARTS * CELL), base_size(drive)
     changes = CHANGES + base - BASE_SIZE
     lanes[tg.MOTORS * K] = base - BASE_SIZE
-    step = zeros((base, K), 6 * n, (2, width), of_pairs, CELL, CELL, p, p, p, K, K, changes, (3, width), (3, width))
+    step = zeros(
+        (base, K), 6 * n, (ERRORS, width), of_pairs, CELL, CELL, p, p, p, K, K, changes, (3, width), (3, width)
+    )
     nodes = zeros((3, 2 * n, p), (3, n, p), width)
     ends = new_stiction_workspace(n), *zeros(base, base, (p, changes), (p, changes))
     return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain), *ends)  # type: ignore[call-arg]

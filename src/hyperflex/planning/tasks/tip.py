@@ -103,6 +103,7 @@ class TipOptions:
 
 
 OPTIONS = TipOptions()
+LEAST_CHANCE = 0.1  # success probability below which moves are no plan, whatever their two verified runs show
 TipPlanT = TypeVar("TipPlanT", bound="TipPlan")
 
 
@@ -477,13 +478,13 @@ class TipTask(Task):
         return found
 
     def verify(self, one: Candidate, budget: Budget) -> Verified:
-        """Simulate moves with the links as planned, and then with shorter ones; ends at the first reason to fail."""
+        """Simulate moves with the links as planned, with shorter ones, and in scenarios; ends at the first failure."""
         first, finer = self.simulate(one, False, budget), None
         message = self.failure(one, first, None)
         if not message:
             finer = self.simulate(one, True, budget)
             message = self.failure(one, finer, first)
-            message = f"with shorter links {message}" if message else ""
+            message = f"with shorter links {message}" if message else unlikely(self.estimate(one, budget))
         if message:
             return Verified(one, first, finer, message)
         self._least = max(self._least, one.score)
@@ -548,6 +549,13 @@ class TipTask(Task):
         return found
 
 
+def unlikely(probability: SuccessProbability | None) -> str:
+    """Return why moves with such a success probability are no plan; empty if they may be one, or little is known."""
+    if probability is None or probability.samples * LEAST_CHANCE < 1.0 or probability.estimate >= LEAST_CHANCE:
+        return ""
+    return f"it succeeds in {probability.successes} of {probability.samples} sampled scenarios only"
+
+
 def sample_times(near: float, after: float = 0.15, step: float = 2e-3) -> Array:
     """Return the times of a verified run's samples (T,), s, until `after` the expected time `near`, s."""
     return np.asarray(step * np.arange(np.ceil((near + after) / step) + 1.0))
@@ -603,7 +611,7 @@ def plan_tip(
     given = Budget.of(time_budget, threads=options.threads)
     budget, planner, probability = given.limit(given.remaining), None, None
     known = TipFeasibility(task.distance, math.inf, "interrupted before the random swings were simulated")
-    exhausted = False
+    exhausted, late = False, ""
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         begin = budget.elapsed
         known = task.prepare(budget)
@@ -614,6 +622,7 @@ def plan_tip(
             planner.explain(budget)
             if planner.best is not None and planner.succeeds:
                 probability = task.estimate(planner.best.candidate, budget)
+                late = unlikely(probability)  # of more scenarios than there was time for in the verification
     one, outcome, finer, message = None, None, None, known.message
     if planner is not None:
         one = planner.rolled[0] if planner.rolled else None
@@ -622,7 +631,7 @@ def plan_tip(
         if exhausted:
             message = "no motion was found that brings the tip there"
         elif (best := planner.best) is not None:
-            one, outcome, finer, message = best.candidate, best.outcome, best.finer_outcome, best.message
+            one, outcome, finer, message = best.candidate, best.outcome, best.finer_outcome, best.message or late
     moves, std = (None, math.nan) if one is None else (one.moves, getattr(one, "std", math.nan))
     decided = exhausted or (planner is not None and planner.best is not None)
     found = moves, outcome, finer, message, task.runs, budget.elapsed, stop.received, probability, std, decided
