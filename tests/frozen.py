@@ -54,7 +54,7 @@ class Frozen:
     def step(self, part: Segment, order: int, length: float, grip: Array) -> Array:
         n, out = self.n, np.empty(2 * self.n + 2)
         scratch = (
-            np.empty((2, 2 * n + 2)),
+            np.empty((steppers.ERRORS, 2 * n + 2)),
             new_substeps(n)[0],
             self.lanes,
             self.tip,

@@ -8,7 +8,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.chain.lanes import COLUMNS, load, rows
-from hyperflex.core.integrate.steps import COURSE, add_substeps, extrapolate, new_substeps, scheme, weigh_terms
+from hyperflex.core.integrate.steps import COURSE, ERRORS, add_substeps, extrapolate, new_substeps, scheme, weigh_terms
 from hyperflex.errors import InvalidInput
 from tests.reference.arm import cast, links_of, still
 
@@ -46,7 +46,7 @@ def fixed_steps(order: int, count: int, duration: float, part_of_last: float | N
     setup = hf.Setup(rope=chain(), q0=Q0)
     parameters, drive, table = setup.chain(), setup.drive(), scheme(order)
     n = len(Q0)
-    y, out, errors = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros((2, 2 * n + 2))
+    y, out, errors = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros((ERRORS, 2 * n + 2))
     y[:n] = Q0
     lanes, tip = rows(COLUMNS, n)
     base, work = np.zeros((9, len(COLUMNS))), np.zeros(6 * n)
