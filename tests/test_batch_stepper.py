@@ -1,5 +1,6 @@
 """Members in lanes, taken interval by interval: each as a stepper of its own takes it, whatever its neighbours do."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -163,3 +164,12 @@ def test_a_restart_that_is_refused_changes_nothing():
     assert stepper.restart(state, []) is state
     assert stepper.restart(state, np.zeros(3, dtype=bool)) is state
     assert stepper.restart(state, np.array([True, False, True])).q.shape == state.q.shape
+
+
+def test_a_stepper_that_was_pickled_goes_on_bit_for_bit():
+    rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=12, radius=0.002, friction=1e-4)
+    stepper = hf.BatchStepper(rope, members=3, arm=hf.Arm(0.1), threads=2)
+    state = stepper.step(stepper.start(), [20.0, 10.0, -5.0], 0.05)
+    other, its = pickle.loads(pickle.dumps((stepper, state)))
+    state, its = stepper.step(state, -10.0, 0.05), other.step(its, -10.0, 0.05)
+    np.testing.assert_array_equal(its.q, state.q)

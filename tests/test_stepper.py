@@ -1,5 +1,6 @@
 """A run taken interval by interval: the same as in one go, its derivatives those of dense algebra, no hidden state."""
 
+import copy
 import math
 import pickle
 from collections.abc import Callable
@@ -334,3 +335,20 @@ def test_a_state_goes_from_one_kind_of_command_to_another(command):
         assert after.arm_angle == pytest.approx(0.3, abs=1e-3)
         np.testing.assert_allclose(after.q, begin.q + 1e-3 * begin.qd, atol=2e-4)
         begin = hf.Stepper(rope(), arm=ARM, command="torque").step(run.state, 0.0, 1e-9)
+
+
+@pytest.mark.parametrize("pegs", [(), (hf.Peg(0.1, -0.5, radius=0.03, mu=0.3),)], ids=["free", "peg"])
+@pytest.mark.parametrize(
+    "copied", [lambda both: pickle.loads(pickle.dumps(both)), copy.deepcopy], ids=["pickle", "copy"]
+)
+def test_a_stepper_that_was_pickled_or_copied_goes_on_bit_for_bit(copied, pegs):
+    rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=12, radius=0.002, friction=1e-4)
+    stepper = hf.Stepper(rope, arm=hf.Arm(0.1), pegs=pegs)
+    state = stepper.start()
+    for command in (20.0, -20.0, 30.0):
+        state = stepper.step(state, command, 0.05)
+    other, its = copied((stepper, state))
+    for command in (-10.0, 20.0, -20.0, 30.0):
+        state, its = stepper.step(state, command, 0.05), other.step(its, command, 0.05)
+    np.testing.assert_array_equal(its.q, state.q)
+    np.testing.assert_array_equal(its.qd, state.qd)

@@ -60,7 +60,7 @@ def check(instance: Any, name: str) -> None:
     comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite, of the
     wrong sign, or a direction of more than a turn, and for a sequence that is empty or of the wrong length.
     """
-    for field_name, default, length, rule in _rules(type(instance)):
+    for field_name, default, length, rule in _rules(type(instance)):  # type: ignore[arg-type]
         value, where = getattr(instance, field_name), f"{name} {field_name}".lstrip()
         if isinstance(default, bool):
             value = checks.flag(where, value)

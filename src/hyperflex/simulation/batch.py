@@ -120,7 +120,7 @@ def members_of(setups: Sequence[Setup], drives: list[Drive]) -> Members:
         )
     chains = [setup.chain() for setup in setups]
     rows = np.concatenate([each for chain in chains for each in chain[:LEVER]]).reshape(len(chains), LEVER, -1)
-    together = chains[0]._replace(**dict(zip(Chain._fields, rows.swapaxes(0, 1), strict=False)))
+    together = Chain(*rows.swapaxes(0, 1), *chains[0][LEVER:])  # their links, as those of one chain
     links = np.concatenate([rows, lever(together)[:, None]], axis=1)
     whole = np.array(
         [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
@@ -614,7 +614,7 @@ class BatchStepper:
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle the arguments alone: threads cannot be, and kernels are compiled for read-only arrays."""
         first = self.setups[0]
-        common = {"arm": first.arm, "command": self.command, "tol": first.tol, "threads": self._threads}
+        common: dict[str, Any] = {"arm": first.arm, "command": self.command, "tol": first.tol, "threads": self._threads}
         return partial(type(self), **common), ([setup.rope for setup in self.setups],)
 
     def start(
