@@ -337,6 +337,10 @@ def test_a_state_goes_from_one_kind_of_command_to_another(command):
         begin = hf.Stepper(rope(), arm=ARM, command="torque").step(run.state, 0.0, 1e-9)
 
 
+def pickled(both: Any) -> Any:
+    return pickle.loads(pickle.dumps(both))
+
+
 @pytest.mark.parametrize("pegs", [(), (hf.Peg(0.1, -0.5, radius=0.03, mu=0.3),)], ids=["free", "peg"])
 @pytest.mark.parametrize(
     "copied", [lambda both: pickle.loads(pickle.dumps(both)), copy.deepcopy], ids=["pickle", "copy"]
