@@ -10,7 +10,7 @@ import pytest
 
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, compare_models, identify
 from hyperflex.model import Rope
-from hyperflex.recording import Recording, read_recording
+from hyperflex.recording import Recording, read_channels, read_recording
 from hyperflex.simulation import simulate
 
 FREE = ["inertia", "com", "friction", "dry_friction"]
@@ -197,3 +197,20 @@ def test_an_identified_pendulum_can_be_cast(triple, data_dir):
     )
     # The authors' rates carry some 0.02-0.05 rad/s of noise, which grow to tens of milliradians in 0.9 s.
     np.testing.assert_allclose(run.q, start.data[:900:10], atol=0.08)
+
+
+@pytest.mark.nightly
+def test_a_pendulum_on_a_motor(data_dir: Path) -> None:
+    """A point mass on 0.5 m, swung up by its motor; of its mass the torque tells little, and says so."""
+    path = data_dir / "dfki_single_torque" / "energy_shaping_measured.csv"
+    recording = read_recording(path, kind="angles", time="time", columns=["position"], time_unit="s", unit="rad")
+    torque, swinging = read_channels(path, ["torque"], time="time")[:, 0], recording.t < 3.85  # then it is held upright
+    swing = Recording(recording.t[swinging], recording.data[swinging])
+    guess = Rope(length=[0.5], mass=[0.6755], com=[0.5], inertia=[1e-3], friction=[0.05])
+    free, setup = ["mass", "inertia", "friction", "dry_friction"], RecordingSetup(torque=torque[swinging])
+    found = identify(swing, guess, free, setup=setup, options=FitOptions(train=np.inf, intervals="covariance"))
+    assert found.success
+    assert found.ratios["J/p1"][0] == pytest.approx(0.5, rel=0.01)
+    assert found.ratio_std["J/p1"][0] < 0.02
+    assert 0.05 < found.std["mass"][0] / found.rope.mass[0] < 0.5
+    assert abs(found.rope.mass[0] - 0.6755) < 2.0 * found.std["mass"][0]  # that of the authors' own fit
