@@ -25,7 +25,7 @@ def look(
     The format is recognised by the content. What the file does not declare is assumed in the proposed line, and named:
     check these, they are never assumed when a file is read.
     """
-    from hyperflex.recording.proposal import propose, python_line
+    from hyperflex.recording import propose, python_line
     from hyperflex.report import recording_figure, save_png
 
     check_destination(out, ".png", [file])

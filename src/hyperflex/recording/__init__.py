@@ -2,6 +2,7 @@
 
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations
 from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
+from hyperflex.recording.proposal import propose, python_line
 from hyperflex.recording.read import read_channels, read_recording
 from hyperflex.recording.recording import Recording, unwrap
 
@@ -14,6 +15,8 @@ __all__ = [
     "DeclarationFields",
     "Declarations",
     "Recording",
+    "propose",
+    "python_line",
     "read_channels",
     "read_recording",
     "unwrap",
