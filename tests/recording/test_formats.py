@@ -233,6 +233,11 @@ def test_columns_that_are_not_asked_for_may_hold_anything(tmp_path):
     refuses("column 'b', is infinite", read_recording, path, columns=["b"], kind="angles", unit="rad")
 
 
+def test_a_marker_whose_columns_are_x_and_y_needs_no_name(tmp_path):
+    path = table(tmp_path, "Time (s),X (mm),Y (mm)\n0,1,2\n1,3,4\n")
+    np.testing.assert_allclose(read_recording(path, y_axis="up").data, [[1e-3, 2e-3], [3e-3, 4e-3]], rtol=1e-15)
+
+
 def test_what_holds_no_motion_is_said(tmp_path):
     phone = table(tmp_path, '"Time (s)","Acceleration x (m/s^2)","Acceleration y (m/s^2)"\n0,1,2\n0.1,1,2\n')
     assert format_of(phone).name == "phyphox CSV"

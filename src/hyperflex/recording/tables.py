@@ -70,7 +70,7 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         names=names,
         take=lambda chosen: table.columns([at[name] for name in chosen]),
         points=points,
-        ordered=numbered or points == {ALONE: ("x", "y")},
+        ordered=numbered or (points.keys() == {ALONE} and len(points[ALONE]) == 2),
         angles=angles,
         strangers=[name for name in others if name not in known] if known else [],
         rates=rates,
