@@ -80,7 +80,12 @@ SETUPS = [
     case("arm-motion-without-arm", lambda: hf.Setup(rope=cable(), motion=hf.arm_swings()), "motion", "arm"),
     case("not-a-motion", lambda: hf.Setup(rope=cable(), motion=[0.0, 1.0]), "motion", "[0.0, 1.0]"),
     case("motion-and-torque", lambda: hf.Setup(rope=cable(), arm=hf.Arm(), motion=hf.hold_arm(), torque=PUSH), "both"),
-    case("torque-without-arm", lambda: hf.Setup(rope=cable(), torque=PUSH), "torque", "arm"),
+    case(
+        "control-without-arm",
+        lambda: hf.Setup(rope=cable(), torque=lambda *now: 0.0, control_rate=50.0),
+        "torque",
+        "arm",
+    ),
 ]
 
 RUNS = [
