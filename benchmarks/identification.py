@@ -15,7 +15,7 @@ from hyperflex.identification import identify
 from hyperflex.identification.measurements import measure as measured
 from hyperflex.identification.measurements import usual_length
 from hyperflex.identification.model import Parameters, Plant, parse
-from hyperflex.identification.multi_start import multi_start
+from hyperflex.identification.multi_start import MultiStart
 from hyperflex.paper import iterative_revision
 
 RATE = 7.5  # frames a second
@@ -99,9 +99,8 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
         shifted = hf.Recording(exact.t, exact.data + rng.uniform(-SHIFT, SHIFT, 5))
         began = time.perf_counter()
         usual = usual_length(exact, guess)
-        found = multi_start(
-            plant, replace(measured(exact, guess, None), shape=shifted), 1.001 * exact.duration, usual
-        ).fit
+        seen = replace(measured(exact, guess, None), shape=shifted)
+        found = MultiStart(plant, seen, 1.001 * exact.duration, usual).best().fit
         values = plant.parameters.values(found.x)
         rows.append(row("5 links, 81 frames", f"start {number}", time.perf_counter() - began, found.cost, values))
     return rows

@@ -121,7 +121,10 @@ def single_swing() -> Recording:
 
 
 HIDDEN: dict[str, tuple[list[str], dict[Kind, list[str]]]] = {
-    "length of a single link": (["inertia", "length"], {Kind.NO_EFFECT: ["length[0]"]}),
+    "length of a single link": (
+        ["inertia", "friction", "length"],
+        {Kind.COMBINATION: ["inertia", "friction", "length"]},
+    ),
     "and a common factor": (
         ["inertia", "com", "friction", "length"],
         {Kind.NO_EFFECT: ["length[0]"], Kind.COMBINATION: ["inertia", "com", "friction"]},

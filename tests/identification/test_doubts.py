@@ -137,7 +137,9 @@ def test_one_discrepancy_of_times_and_lengths_counts_once():
     size = basis.fit.x.size
     ruled, lengths_only = np.diag([1e6, 0.0]), np.ones((size, 2)) * [1.0, 0.0]
     lengths = ScoreTest(SCALES, 0.9, np.array([1.02, 1.0]), rate=lengths_only, excess_gain=0.99, information=ruled)
-    clock = ScoreTest("gravity_scale", 0.9, np.array([0.98]), moved=0.02, shift=np.full(size, 0.02), excess_gain=0.99)
+    clock = ScoreTest(
+        "gravity_scale", 0.9, np.array([0.98]), moved=0.02, std=0.01, shift=np.full(size, 0.02), excess_gain=0.99
+    )
     alone = with_model_error(basis, [lengths], np.array([0.01, 0.0, 0.01, 0.0])).information
     both = with_model_error(basis, [clock, lengths], np.array([0.01, 0.0, 0.01, 0.0])).information
     assert np.sqrt(alone.scaled[-1, -1]) == pytest.approx(np.hypot(1e-3, np.log(1.02)), rel=0.02)

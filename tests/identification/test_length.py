@@ -29,15 +29,14 @@ def test_a_longer_cylinder_is_a_cylinder():
     assert parameters.rope(np.log(GUESS.length)).inertia[1] == pytest.approx(GUESS.inertia[1], rel=1e-14)
 
 
-def test_what_is_free_itself_or_not_uniform_stays():
+def test_what_is_free_itself_stays_and_a_mass_keeps_its_part_of_the_length():
     com, inertia = GUESS.com * [1.0, 1.0, 1.1], GUESS.inertia
     rope = GUESS.replace(com=com)
     x = np.log(1.2 * GUESS.length)
     found = freed(rope, "length", "com[0]", "inertia[1]").rope(np.concatenate([x, [com[0] / 0.2], [0.0]]))
-    np.testing.assert_allclose(found.com, [com[0], 1.2 * com[1], com[2]], rtol=1e-14)
-    assert found.inertia[0] > 1.3 * inertia[0]
+    np.testing.assert_allclose(found.com, [com[0], 1.2 * com[1], 1.2 * com[2]], rtol=1e-14)
+    assert (found.inertia[[0, 2]] > 1.3 * inertia[[0, 2]]).all()
     assert found.inertia[1] == 0.0
-    assert found.inertia[2] == inertia[2]
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -6,7 +6,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.identification.fit import Loss, Window, fit
+from hyperflex.identification.fit import Window, fit
 from hyperflex.identification.measurements import build_plant, checked_measurements, measure
 from hyperflex.identification.model import Plant
 from hyperflex.identification.multi_start import MultiStart
@@ -89,9 +89,7 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there():
 def search(plant: Plant) -> MultiStart:
     """What all starts of a recording without declared noise have in common."""
     angles = hf.Recording(np.arange(4.0), np.zeros((4, plant.parameters.guess.n_links)))
-    return MultiStart(
-        plant, measure(angles, plant.parameters.guess, None), Loss(), Budget(), lambda _: None, ambiguous=False
-    )
+    return MultiStart(plant, measure(angles, plant.parameters.guess, None), 1.0, 1.0)
 
 
 def dry() -> hf.Recording:
@@ -106,7 +104,7 @@ def test_a_state_that_is_caught_is_started_elsewhere():
     """Half a turn wrong and at rest: no small change of that state improves it; where the last window ends does."""
     guess = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])
     basis = hf.identify(
-        dry(), guess, ["friction", "dry_friction"], options=hf.FitOptions(train=np.inf, intervals=None)
+        dry(), guess, ["friction", "dry_friction"], options=hf.FitOptions(window=1.2, train=np.inf, intervals=None)
     )._basis
     assert basis is not None
     plant, windows, good = basis.plant, basis.windows, basis.fit

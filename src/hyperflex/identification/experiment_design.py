@@ -12,7 +12,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.identification.findings import NAMES
-from hyperflex.identification.fit import Loss, linearise
+from hyperflex.identification.fit import Linear, Loss, Window, linearise
 from hyperflex.identification.measurements import build_plant, measure, usual_length, with_torque
 from hyperflex.identification.model import (
     PRECISION,
@@ -22,6 +22,7 @@ from hyperflex.identification.model import (
     parse,
     pivot_places,
 )
+from hyperflex.identification.multi_start import PREDICTED, joined_lengths
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.uncertainty.covariance import Information, known_directions, ratio_spread, ratios
@@ -152,19 +153,35 @@ def expected_information(
         torque = run.motor_torque
         measured = with_torque(measured, torque, experiment.torque_noise)
     plant = build_plant(recording, rope, free, arc_lengths, RecordingSetup(motion, base, torque=torque))
-    length = min(usual_length(measured.shape, rope, fewest=0), 1.001 * recording.duration)  # alike for all frame rates
-    windows, _ = measured.windows(length)
+    length = usual_length(measured.shape, rope, fewest=0)  # alike for all frame rates
     x, widths = plant.parameters.start, plant.parameters.widths
-    rows = [np.zeros((x.size, x.size))]
-    for window in windows:  # which the model fits, the noise as given
+
+    def at(window: Window) -> Linear:  # which the model fits, the noise as given
         k = np.searchsorted(t, window.t[0])
-        state = np.append(run.q[k], run.qd[k])
-        rows.append(linearise(plant, window, x, state, np.zeros(window.y.size), Loss()).reduced()[0] * widths)
+        return linearise(plant, window, x, np.append(run.q[k], run.qd[k]), np.zeros(window.y.size), Loss())
+
+    models: list[Linear] = []
+    for longer in joined_lengths(length, recording.duration, rope):
+        windows = measured.windows(longer, measured.step(min(longer, length)))[0]
+        now = [at(window) for window in windows]
+        if models and max(map(_predicted, windows, now), default=np.inf) > PREDICTED:
+            break
+        models = now
+    rows = [np.zeros((x.size, x.size)), *(each.reduced()[0] * widths for each in models)]
     singular, known, unknown = known_directions(rows)
     covariance = (known / singular[: known.shape[1]] ** 2) @ known.T * np.outer(widths, widths)
     tied = in_common_factor(plant.parameters, x, unknown)
     information = Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)
     return plant.parameters, information
+
+
+def _predicted(window: Window, linear: Linear) -> float:
+    """Return what a window's values err by, as a part of their motion, if its first half tells the state."""
+    size = window.y.size
+    by_state, half = linear.state[:size], linear.state[: size // 2]
+    error = by_state @ np.linalg.pinv(half)
+    moved = float(((window.motion * window.weight) ** 2).sum())
+    return float(np.sqrt((error**2).sum() / moved)) if moved > 0.0 else np.inf
 
 
 def spreads(parameters: Parameters, information: Information, want: Iterable[str]) -> dict[str, tuple[float, float]]:

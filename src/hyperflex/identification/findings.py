@@ -249,7 +249,8 @@ class Kind(StrEnum):
     MASS_FAR = (
         "mass far beyond its link",
         """Link {link} would have its mass {reach:.3g} times as far from its joint as it is long. | Inertia over first
-        moment is more than a link can have. Check times, frame rate, scale, lengths and the order of the links.""",
+        moment is more than such a link can have: it is longer, or times are to be multiplied by {clock:.3g}. Check
+        times, frame rate, scale, lengths and the order of the links.""",
     )
     PREDICTION_FAILED = (
         "prediction failed",
@@ -264,8 +265,9 @@ class Kind(StrEnum):
     )
     PREDICTION_OUTSIDE = (
         "prediction outside its band",
-        """Only {part:%} of the held-out part lies where 95 % is expected. | Intervals are far too small: the model
-        omits an effect, or something is not as declared. """
+        """Only {part:%} of the held-out part lies where 95 % is expected: predictions err {factor:.2g} times as much as
+        stated. | Standard deviations and intervals are multiplied by that. The model omits an effect, or something is
+        not as declared. """
         + COMPARE,
     )
     WINDOWS_DISAGREE = (

@@ -68,12 +68,13 @@ class Measurements:
         """Return the step of the decimation that leaves at most ``DENSEST`` samples in a window of `length` (s)."""
         return max(1, int(length / (float(np.median(np.diff(self.channels.t))) * DENSEST)))
 
-    def windows(self, length: float) -> tuple[list[Window], int]:
-        """Cut the samples, decimated, into windows [start, start + `length`), s; return them and the number left out.
+    def windows(self, length: float, step: int | None = None) -> tuple[list[Window], int]:
+        """Cut the samples into windows [start, start + `length`), s; return them and the number left out.
 
-        Windows are left out where some link has too few values, or too long a gap, to tell its angle and rate.
+        Every `step`-th sample is used, by default so many that a window holds DENSEST at most. Windows are left out
+        where some link has too few values, or too long a gap, to tell its angle and rate.
         """
-        step = self.step(length)
+        step = step or self.step(length)
         channels, noise = self.channels.decimate(step), self.channels.noise
         angles, *sides = (each.data[::step] for each in (self.shape, *self.sides))
         t, y = channels.t, np.nan_to_num(channels.data)

@@ -38,7 +38,7 @@ Law = Literal["own", "factor", "taper", "pivot"]
 Part = dict[str, Array]
 
 ARM = tuple(each.name for each in PROPERTIES.values() if each.owner == "arm")
-LED = ("com", "inertia")  # what goes with a uniform link's length
+LED = ("com", "inertia")  # what goes with a link's length
 GRAVITY = ("gravity_angle", "gravity_scale")
 TINY = 1e-30  # imaginary step of derivatives, so small that none of it reaches the real parts
 SMALL = 0.1  # rad, parts of a time or place scale, by which such parameters are compared, and of the rope's length
@@ -104,7 +104,7 @@ class Parameter:
 class Parameters:
     """The free parameters of a rope and of its measurement.
 
-    Where a length is free and the guess uniform, centre of mass and inertia follow unless they are free themselves.
+    Where a length is free, centre of mass and inertia follow unless they are free themselves.
     """
 
     def __init__(self, guess: Rope, chosen: Sequence[Parameter]) -> None:
@@ -721,7 +721,7 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
 def scale_words(plant: Plant) -> dict[int, str]:
     """Return the words for what has a scale and is held, by number: links' lengths, gravity, the arm's length, torque.
 
-    With lengths, what goes with those of uniform links goes along.
+    With lengths, centres of mass and inertias go along.
     """
     driven = plant.motion is not None and plant.arm is not None and plant.arm.length > 0.0
     heavy, names = plant.parameters.guess.gravity.any(), plant.parameters.names

@@ -7,7 +7,8 @@ fits of the parameters to the windows that fit.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from hyperflex import memory
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
+from hyperflex.identification.declarations.held import FEW_LINKS
 from hyperflex.identification.fit import (
     HARDLY,
     POOR,
@@ -25,12 +27,14 @@ from hyperflex.identification.fit import (
     Window,
     fit,
     fit_state,
+    linearise,
     part_left,
     with_entries,
 )
 from hyperflex.identification.measurements import FEWEST_SAMPLES, Measurements
 from hyperflex.identification.model import Plant
 from hyperflex.interruption import stoppable
+from hyperflex.model import Rope
 
 # windows, and parts of one, so many times shorter come first; how many windows, spread over the recording
 FIRST = 8
@@ -57,6 +61,13 @@ DELAY_WINDOWS = 4
 DELAY_ROUNDS = 2
 # part of the cost without delay that another must come below
 CLEARLY = 0.8
+# part of the motion that predictions of windows twice as long may err by for these to be fitted
+PREDICTED = 0.3
+# by which derivatives with respect to the state may grow from one half of a window to the next: 2 if errors grow with
+# time, as those of a phase, some more for several links that beat, and far more where errors grow exponentially
+GROWTH = 4.0
+# a little more than the time from the first sample to the last, for which that is inside
+WHOLE = 1.001
 # of the derivatives of all values that are in memory at once
 COPIES = 4
 
@@ -70,50 +81,68 @@ class Fitted:
     settings: dict[str, Any]
 
 
-def multi_start(
-    plant: Plant,
-    measured: Measurements,
-    length: float,
-    usual: float,
-    *,
-    loss: Loss | None = None,
-    budget: Budget | None = None,
-    report: Report = lambda entry: None,
-) -> Fitted:
-    """Fit windows of `length`, s, shorter ones first; if the fit is bad, also from other starts.
+def joined_lengths(length: float, duration: float, rope: Rope) -> list[float]:
+    """Return lengths of windows, s, each of two or more of those before, from `length` to one of the whole `duration`.
 
-    Out of time, or after Ctrl-C, it returns the best so far, whose `status` says so, or raises what ended it where
-    nothing has been fitted. Raises InvalidInput, before the work, for more derivatives than there is memory for;
-    IdentificationError, where no window can be simulated.
+    A rope of many links stands for a smooth one, which it is not for long: its windows are not joined.
     """
-    links, count = plant.parameters.guess.n_links, len(plant.parameters)
-    values = measured.channels.data.size // measured.step(length)
-    memory.check(
-        8.0 * COPIES * values * (2 * links + count),
-        f"a fit of {count} parameters of {links} links to {values} values",
-        "Free fewer parameters, or give a part of the recording",
-    )
-    ambiguous = bool(measured.sides) and any(window.others for window in measured.windows(length)[0])
-    search = MultiStart(plant, measured, loss or Loss(), budget or Budget(), report, ambiguous)
-    best: Fitted | None = None
-    with stoppable() as stop:
-        for each in search.fits(length, usual):
-            best = each
-    if best is None:
-        raise stop.error or OutOfTime
-    return replace(best, fit=replace(best.fit, status=best.fit.status or stop.status))
+    lengths = [min(length, WHOLE * duration)]
+    while rope.n_links <= FEW_LINKS and lengths[-1] < duration:
+        lengths.append(WHOLE * duration / max(1, round(duration / lengths[-1]) // 2))
+    return lengths
 
 
 @dataclass(frozen=True)
 class MultiStart:
-    """What all starts have in common; `ambiguous`: states have several guesses, of shapes that look alike."""
+    """What all starts have in common.
+
+    length: of the windows, s. usual: that which is usual for this recording (see :func:`usual_length`), and which sets
+    the decimation. ambiguous: whether states have several guesses, of shapes that look alike.
+    """
 
     plant: Plant
     measured: Measurements
-    loss: Loss
-    budget: Budget
-    report: Report
-    ambiguous: bool
+    length: float
+    usual: float
+    loss: Loss = field(default_factory=Loss)
+    budget: Budget = field(default_factory=Budget)
+    report: Report = lambda entry: None
+
+    @cached_property
+    def step(self) -> int:
+        """Which samples are used: the step from one to the next."""
+        return self.measured.step(min(self.length, self.usual))
+
+    @cached_property
+    def ambiguous(self) -> bool:
+        """Whether states have several guesses."""
+        return bool(self.measured.sides) and any(window.others for window in self.windows(self.length)[0])
+
+    def windows(self, length: float) -> tuple[list[Window], int]:
+        """Return windows of `length`, s, and the number left out."""
+        return self.measured.windows(length, min(self.step, self.measured.step(length)))
+
+    def best(self) -> Fitted:
+        """Fit windows of the length, shorter ones first; if the fit is bad, also from other starts.
+
+        Out of time, or after Ctrl-C, it returns the best so far, whose `status` says so, or raises what ended it where
+        nothing has been fitted. Raises InvalidInput, before the work, for more derivatives than there is memory for;
+        IdentificationError, where no window can be simulated.
+        """
+        links, count = self.plant.parameters.guess.n_links, len(self.plant.parameters)
+        values = self.measured.channels.data.size // self.step
+        memory.check(
+            8.0 * COPIES * values * (2 * links + count),
+            f"a fit of {count} parameters of {links} links to {values} values",
+            "Free fewer parameters, or give a part of the recording",
+        )
+        found: Fitted | None = None
+        with stoppable() as stop:
+            for found in self.fits():  # noqa: B007
+                pass
+        if found is None:
+            raise stop.error or OutOfTime
+        return replace(found, fit=replace(found.fit, status=found.fit.status or stop.status))
 
     def fit(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report, **how: Any) -> Fit:
         """Fit all windows from one start; what Ctrl-C leaves of it has the status INTERRUPTED."""
@@ -129,23 +158,23 @@ class MultiStart:
             return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
         return not found.converged or part_left(windows, found.residuals) > POOR
 
-    def fits(self, length: float, usual: float) -> Iterator[Fitted]:
-        """Yield fits of shorter windows, of those of `length`, s, and the best so far from each other start.
+    def fits(self) -> Iterator[Fitted]:
+        """Yield fits of shorter windows, of those of the length, and the best so far from each other start.
 
         Short windows come first, but where states have several guesses, which too few samples do not tell apart. Then
         the `usual` length is doubled until the required one is reached. Only a fit of windows of `length` counts as
         converged, and one that was ended early is the last.
         """
-        channels, x = self.measured.channels, self.plant.parameters.start
+        channels, x, length = self.measured.channels, self.plant.parameters.start, self.length
         lengths = [length]
-        while lengths[0] > 2.0 * usual:
+        while lengths[0] > 2.0 * self.usual:
             lengths.insert(0, 0.5 * lengths[0])
         if not self.ambiguous and lengths[0] / FIRST >= FEWEST_SAMPLES * float(np.median(np.diff(channels.t))):
             lengths.insert(0, lengths[0] / FIRST)
         known: dict[float, Array] = {}
         starts, history = list[Array](), tuple[dict[str, float], ...]()
         for number, part in enumerate(lengths):
-            windows, dropped = self.measured.windows(part)
+            windows, dropped = self.windows(part)
             if part < length:
                 windows = windows[:: max(1, len(windows) // FIRST_WINDOWS)]
                 if not self._enough(windows):
@@ -167,13 +196,55 @@ class MultiStart:
             found = replace(found, converged=converged, status=status, history=history)
             starts.append(x)
             x, known = found.x, {window.t[0]: state for window, state in zip(usable, found.states, strict=True)}
-            left_out, step = dropped + len(windows) - len(usable), self.measured.step(part)
-            settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
-            best = Fitted(found, usable, settings)
+            best = Fitted(found, usable, self.settings(part, usable, dropped + len(windows) - len(usable)))
             yield best
             if status is not None:
                 return
         yield from self.other_starts(best, starts)
+
+    def settings(self, length: float, windows: Sequence[Window], left_out: int) -> dict[str, Any]:
+        """Return what tells how windows of `length`, s, were used."""
+        step = min(self.step, self.measured.step(length))
+        return {"window": length, "windows": len(windows), "left_out": left_out, "decimation": step}
+
+    def joined(self, found: Fitted) -> Fitted | None:
+        """Fit windows of twice the length, or more, from a fit; None where they end before, or are not predicted.
+
+        All windows are of one length, so that none remains at the end. A window is predicted if, from the state that
+        the shorter one has, it leaves less than PREDICTED of the motion: farther ahead errors have grown so much that
+        a fit would not find back, or the model is not right for so long.
+        """
+        duration, x = self.measured.channels.duration, found.fit.x
+        _, *longer = joined_lengths(found.settings["window"], duration, self.plant.parameters.guess)
+        if not longer:
+            return None
+        length = longer[0]
+        windows, dropped = self.windows(length)
+        before = list(zip(found.windows, found.fit.states, strict=True))
+        states = list[Array]()
+        for window in windows:
+            earlier = [each for each in before if each[0].t[0] <= window.t[0]]
+            state = arrived(self.plant, x, *earlier[-1], window) if earlier else []
+            states.append(state[0] if state else window.guess)
+        residuals = [window.residual(self.plant, x, state) for window, state in zip(windows, states, strict=True)]
+        known = [each for each in residuals if each is not None]
+        if not known or len(known) < len(windows) or part_left(windows, known) > PREDICTED:
+            return None
+        if any(self._diverges(x, *each) for each in zip(windows, states, known, strict=True)):
+            return None
+        stage = {"window": length, "stage": 0, "stages": 1}
+        joined = self.fit(windows, x, states, with_entries(self.report, stage), enough=None)
+        history = tuple(entry | stage for entry in joined.history)
+        joined = replace(joined, history=found.fit.history + history)
+        settings = {name: found.settings[name] for name in ("starts", "starts_agree") if name in found.settings}
+        return Fitted(joined, windows, settings | self.settings(length, windows, dropped))
+
+    def _diverges(self, x: Array, window: Window, state: Array, residual: Array) -> bool:
+        """Whether what the state acts on in the second half of a window is so much more that it grows exponentially."""
+        linear = linearise(self.plant, window, x, state, residual, Loss())
+        size = np.abs(linear.state[: residual.size].reshape(window.t.size, -1)).max(axis=1)
+        half = window.t.size // 2
+        return bool(size[half:].max(initial=0.0) > GROWTH * size[:half].max(initial=0.0))
 
     def other_starts(self, best: Fitted, starts: Sequence[Array]) -> Iterator[Fitted]:
         """Yield the best fit so far after each of other `starts`, as long as it is bad.

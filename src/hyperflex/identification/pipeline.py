@@ -37,20 +37,22 @@ from hyperflex.identification.measurements import (
     with_torque,
 )
 from hyperflex.identification.model import ANGLES, CONSTANT, Plant
-from hyperflex.identification.multi_start import multi_start, search_delay, with_delay
+from hyperflex.identification.multi_start import WHOLE, WORSE, Fitted, MultiStart, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
 from hyperflex.identification.symptoms import explaining, first_misdeclared, symptoms
 from hyperflex.identification.uncertainty.covariance import (
     Basis,
+    Information,
     Interval,
+    estimate_covariance,
     fit_information,
     of_ratios,
     ratio_spread,
     ratios,
 )
-from hyperflex.identification.uncertainty.model_error import with_model_error
+from hyperflex.identification.uncertainty.model_error import with_model_error, with_prediction_error
 from hyperflex.identification.uncertainty.profile import all_intervals
 from hyperflex.interruption import deferred, interruptible, stoppable
 from hyperflex.model import Rope
@@ -99,7 +101,7 @@ def identify(
         with a measured torque ``arm_inertia`` and ``arm_friction`` (of the shaft). ``friction[2]`` frees one link,
         ``friction:shared`` one value for all, ``friction:inner`` one for all but the first, ``friction:factor`` one
         factor on all guesses, ``friction:taper`` the logarithm by which it grows along the rope, 0 at its middle. With
-        a free length, com and inertia of links that are uniform in the guess follow, unless they are free too.
+        a free length, com and inertia of the links follow, unless they are free too.
     setup : RecordingSetup, optional
         What moved the rope, where the markers are, and the measured torque; by default the first joint is fixed, and
         angles or markers are those of the joints.
@@ -261,10 +263,12 @@ class _Case:
                     scatter, covariance = scatter_test(trial.plain, trial.scores)
                     basis = with_model_error(trial.plain, tests, stds, covariance if scatter else None)
                     trial = replace(trial, basis=basis, tests=tests, scatter=scatter)
-                ranges = self._intervals(trial, remarks)
-                self.budget.check()
                 if self.rest is not None:
                     held_out = predict(trial.basis, self.rest, self.options, self.budget)
+                if held_out is not None and held_out.understated > 1.0:
+                    trial = replace(trial, basis=with_prediction_error(trial.basis, held_out.understated))
+                ranges = self._intervals(trial, remarks)
+                self.budget.check()
                 with deferred():
                     found = shown()
                 doubts = self._mistakes(trial, found)
@@ -288,7 +292,7 @@ class _Case:
         usual = trial.free
         for _ in range(MOST):
             mistaken = [each.gain for each in trial.tests if each.significant and each.name in (DRIFT, ANGLES)]
-            least = max(mistaken, default=0.0) + TESTING.equal
+            least = max((gain + TESTING.equal for gain in mistaken), default=0.0)
             required = [each for each in trial.tests if self._required(each, trial.free) and each.gain > least]
             if not required or not trial.complete:
                 break
@@ -320,11 +324,13 @@ class _Case:
             delay["delay_from"] = search_delay(replace(plant, torque=False), self.untorqued, usual, loss, self.budget)
             plant = with_delay(plant, delay["delay_from"])
         wanted = usual if self.options.window is None else self.options.window
-        length = min(wanted, 1.001 * self.seen.channels.duration)
-        found = multi_start(plant, self.seen, length, usual, loss=loss, budget=self.budget, report=self.report)
-        windows, done = found.windows, found.fit
-        information, ended = fit_information(plant, windows, done)
-        basis = Basis(plant, windows, done, information)
+        length = min(wanted, WHOLE * self.seen.channels.duration)
+        search = MultiStart(plant, self.seen, length, usual, loss, self.budget, self.report)
+        found = search.best()
+        information, ended = fit_information(plant, found.windows, found.fit)
+        if self.options.window is None:
+            found, information, ended = self._lengthened(search, found, information, ended)
+        basis = Basis(plant, found.windows, found.fit, information, usual)
         trial = Trial(list(free), basis, basis, found.settings | delay, ended)
         with stoppable() as stop:
             if trial.complete:
@@ -334,6 +340,26 @@ class _Case:
                 tests = (*tests, *drift_test(basis, scores, tests))
                 trial = replace(trial, tests=tuple(sorted(tests, key=lambda each: -each.gain)))
         return replace(trial, ended=ended or stop.status)
+
+    def _lengthened(
+        self, search: MultiStart, found: Fitted, information: Information, ended: Status | None
+    ) -> tuple[Fitted, Information, Status | None]:
+        """Return the fit of longer windows, as long as these make the parameters better known.
+
+        A state that is common to a longer time leaves more of the motion to the parameters: a phase, above all. Where
+        errors grow fast, longer windows tell less; where the model is not right for so long, residuals grow.
+        """
+        most = WORSE * information.variance
+        with stoppable() as stop:
+            while ended is None and found.fit.converged and not search.is_bad(found.windows, found.fit):
+                longer = search.joined(found)
+                if longer is None or not longer.fit.converged or search.is_bad(longer.windows, longer.fit):
+                    break
+                more = estimate_covariance(search.plant, longer.windows, longer.fit, self.budget)
+                if more.variance > most or not more.tells_more(information):
+                    break
+                found, information = longer, more
+        return found, information, ended or stop.status
 
     def _settings(self, trial: Trial, began: float) -> dict[str, Any]:
         """Return what was fitted and how."""
@@ -373,7 +399,8 @@ class _Case:
         if wrong and not to_noise and not said:  # which no mistake explains better
             named = first_misdeclared(trial.tests) or explaining(trial.tests)
             said = mistakes(self.recording, short, named)
-        return [*said, *(evidence(self.recording, self.guess) if self.setup.arc_lengths is None else [])]
+        fitted = trial.basis.plant.parameters.rope(trial.basis.fit.x)  # whose lengths may be free
+        return [*said, *(evidence(self.recording, fitted) if self.setup.arc_lengths is None else [])]
 
     def _intervals(self, trial: Trial, remarks: list[Finding]) -> dict[str, Interval] | None:
         basis, how = trial.basis, self.options.intervals

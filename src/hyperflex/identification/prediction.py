@@ -8,13 +8,15 @@ import numpy.typing as npt
 
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.identification.fit import Loss, Window, fit_state, linearise, residuals_of
+from hyperflex.identification.fit import NORMAL, Loss, Window, fit_state, linearise, residuals_of
 from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
 from hyperflex.identification.model import Plant
 from hyperflex.identification.options import FitOptions
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis
 
 BAND = NormalDist().inv_cdf(0.5 * (1.0 + LEVEL))  # standard deviations on either side that hold 95 %
+# part of the values within the 95 % band: fewer are there where deviations are 2.9 times too small
+INSIDE = 0.5
 WIDE = 0.2  # part of what keeping still would err by: where the band of a prediction is wider, chaos has begun
 
 
@@ -53,6 +55,18 @@ class HeldOut:
         known = ~np.isnan(self.measured) & ~np.isnan(self.std)
         away = np.abs(self.measured - self.predicted)[known]
         return float((away <= BAND * self.std[known]).mean()) if known.any() else float("nan")
+
+    @property
+    def understated(self) -> float:
+        """How many times as large as stated the errors are, if less than half of the values are where 95 % should be.
+
+        The median of the errors over their standard deviations tells; 1 where more are inside. As far as foreseeable.
+        """
+        seen = self.foreseeable
+        known = ~np.isnan(seen.measured) & (seen.std > 0.0)
+        if not known.any() or not seen.inside < INSIDE:
+            return 1.0
+        return NORMAL * float(np.median(np.abs(seen.measured - seen.predicted)[known] / seen.std[known]))
 
     @property
     def persistence(self) -> float:

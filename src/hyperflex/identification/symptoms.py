@@ -32,10 +32,11 @@ MISDECLARED = 2.0
 AXES = 0.2
 # lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
 REACH = 2.0
-# Of the prediction: part of the error that no motion would make; parts of the values within the 95 % band: fewer
-# than half are there where deviations are 2.9 times too small, and with 0.9 the error is about as stated
+# part of its length by which a point mass may seem to be beyond the end of its string: rulers and knots err so
+BEYOND = 0.02
+# Of the prediction: part of the error that no motion would make; part of the values within the 95 % band, with which
+# the error is about as stated
 PERSISTENCE = 0.5
-INSIDE = 0.5
 AS_STATED = 0.9
 # std over value, beyond which it is poorly determined, and twice that of frictions and stiffnesses
 LOOSE = 0.15
@@ -60,7 +61,8 @@ def symptoms(
     declared = score_findings(
         tests, odd=any(each.severity is Severity.WRONG for each in odd), known=known, wrong=bool(impossible)
     )
-    found = [*impossible, *declared, *odd, *_far(rope), *loose]
+    std = ratio_spread(basis.plant.parameters, basis.information)["J/p1"]
+    found = [*impossible, *declared, *odd, *_far(rope, basis.plant.parameters.guess, std), *loose]
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
     if abs(angle) > AXES:
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
@@ -80,7 +82,7 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     fit, sensor = basis.fit, basis.plant.sensor
     if not fit.converged:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"ended": fit.status or ""})
-    rms, spread, noise = _sizes(basis)
+    rms, spread, noise = _of_points(basis, _sizes(basis))
     allowed = excused = np.maximum(WHITE_POOR * spread, NOISY * noise)
     white = basis.information.whiteness >= CHANCE
     if not white:
@@ -89,11 +91,20 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     left = np.where(white & (rms <= excused), 0.0, rms / np.maximum(spread, 1e-12))
     worst = int(np.argmax(left[:seen]))
     if rms[worst] > allowed[worst]:
-        what, unit = (f"Link {worst}", "rad") if isinstance(sensor, Angles) else (f"Marker {worst // 2}", "m")
+        what, unit = (f"Link {worst}", "rad") if isinstance(sensor, Angles) else (f"Marker {worst}", "m")
         values = {"what": what, "rms": float(rms[worst]), "motion": float(spread[worst]), "unit": unit}
         yield Finding(Kind.POOR_FIT, Severity.WRONG, values)
     if seen < rms.size and rms[-1] > excused[-1]:
         yield Finding(Kind.POOR_TORQUE, Severity.WRONG, {"rms": float(rms[-1]), "motion": float(spread[-1])})
+
+
+def _of_points(basis: Basis, sizes: Array) -> Array:
+    """Return sizes (3, C) by channel with x and y of each marker as one: a swing hardly moves y."""
+    if isinstance(basis.plant.sensor, Angles):
+        return sizes
+    count = sizes.shape[1] // 2
+    both = np.sqrt((sizes[:, : 2 * count].reshape(3, count, 2) ** 2).sum(axis=2))
+    return np.concatenate([both, sizes[:, 2 * count :]], axis=1)
 
 
 def _sizes(basis: Basis) -> Array:
@@ -122,8 +133,9 @@ def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
     error, still = float(np.sqrt(np.mean(held_out.rms**2))), held_out.persistence
     if error > PERSISTENCE * still > 0.0 and not held_out.inside >= AS_STATED:
         yield Finding(Kind.PREDICTION_POOR, Severity.WRONG, {"part": error / still})
-    elif held_out.inside < INSIDE:
-        yield Finding(Kind.PREDICTION_OUTSIDE, Severity.WRONG, {"part": held_out.inside})
+    elif held_out.understated > 1.0:
+        values = {"part": held_out.inside, "factor": held_out.understated}
+        yield Finding(Kind.PREDICTION_OUTSIDE, Severity.DOUBT, values)
 
 
 def _disagreeing(scatter: Sequence[Scatter]) -> list[Finding]:
@@ -137,17 +149,22 @@ def _disagreeing(scatter: Sequence[Scatter]) -> list[Finding]:
     return found
 
 
-def _far(rope: Rope) -> Iterator[Finding]:
-    """Yield that a link's mass lies far beyond the link.
+def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
+    """Yield that a link's mass lies beyond the link; `std` (n,) is of J/p1.
 
     All mass of a link, and beyond, is between its joints or at the far one, so J <= l p (Cauchy-Schwarz); a real link
-    may reach beyond its joint.
+    may reach beyond its joint, but a point mass at the end of a string does not: J = l p tells its length, or its
+    clock, where gravity is known.
     """
     p, inertia = lumped(rope)
-    reach = inertia / np.where(p > 0.0, p, np.inf) / rope.length
+    span = np.where(p > 0.0, p, np.inf) * rope.length
+    reach, spread = inertia / span, std * p[0] / span
     k = int(np.argmax(reach))
-    if reach[k] > REACH:
-        yield Finding(Kind.MASS_FAR, Severity.WRONG, {"link": k, "reach": float(reach[k])})
+    at_end = guess.com[k] > (1.0 - BEYOND) * guess.length[k]
+    point = at_end and guess.inertia[k] < BEYOND * guess.mass[k] * guess.length[k] ** 2
+    if reach[k] > (1.0 + max(BEYOND, REPORTED.certain * spread[k]) if point else REACH):
+        values = {"link": k, "reach": float(reach[k]), "clock": float(reach[k] ** -0.5)}
+        yield Finding(Kind.MASS_FAR, Severity.WRONG, values)
 
 
 def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:

@@ -39,14 +39,13 @@ def stretched(rope: Rope, length: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any
     Returns
     -------
     dict of str to (n,) ndarray
-        A uniform link's centre of mass stays in its middle, and its inertia grows with the square of its length, but
-        for what the radius makes. Of other links both stay as they were: where their mass sits is not known.
+        A link's mass is where it was, as a part of the length; its inertia grows with the square of the length, but for
+        what the radius makes.
     """
-    alike, flat = uniform(rope), across(rope)
+    ratio, flat = length / rope.length, across(rope)
     with np.errstate(over="ignore", invalid="ignore"):  # a rope refuses what is beyond all numbers
-        grown = flat + (rope.inertia - flat) * (length / rope.length) ** 2
-    com, inertia = np.where(alike, 0.5 * length, rope.com), np.where(alike, grown, rope.inertia)
-    return {"length": length, "com": com, "inertia": inertia}
+        inertia = flat + (rope.inertia - flat) * ratio**2
+    return {"length": length, "com": rope.com * ratio, "inertia": inertia}
 
 
 _LEAST = 1e-12  # m, of a link

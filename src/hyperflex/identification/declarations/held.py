@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model import ANGLES, Plant
+from hyperflex.identification.model import ANGLES, LED, Plant
 from hyperflex.model import DAMPING, PROPERTIES, RESISTANCES, Rope
 from hyperflex.sensors import Markers
 
@@ -156,7 +156,10 @@ def _uneven(name: str, values: Array) -> dict[str, Any]:
 
 
 MASSES = HeldQuantity(
-    Kind.HELD, ("tip_mass", "mass", "com", "inertia"), lambda fit, word: fit.many == (word == "tip_mass")
+    Kind.HELD,
+    ("tip_mass", "mass", *LED),
+    # com and inertia follow a free length: with a value of their own they would not
+    lambda fit, word: fit.many == (word == "tip_mass") and not (word in LED and fit.is_free("length")),
 )
 HELD: tuple[HeldQuantity, ...] = (
     HeldQuantity(

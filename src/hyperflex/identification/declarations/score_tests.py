@@ -1,6 +1,6 @@
 """Tests of what a fit has held and of what was declared: scores, their drift and scatter over the windows, links."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -196,12 +196,12 @@ class ScoreTest:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of W windows about K numbers: the P that were free, and those of words that were fixed.
+    """Scores of W parts of the windows about K numbers: the P that were free, and those of words that were fixed.
 
     All are in units of `scale` (K,), the change of x that each makes a cost of 1; inf of what does not act. score
-    (W, K): derivative of half the sum of squares of a window by each, its state eliminated. information (W, K, K).
-    total: sum of squares. plant, x (K,): with all of them free. groups: numbers of each word. free: which of the P are
-    not at a bound.
+    (W, K): derivative of half the sum of squares of a part by each, its window's state eliminated. information
+    (W, K, K). middle (W,): of each part, s. total: sum of squares. plant, x (K,): with all of them free. groups:
+    numbers of each word. free: which of the P are not at a bound.
     """
 
     plant: Plant
@@ -211,6 +211,7 @@ class Scores:
     scale: Array
     score: Array
     information: Array
+    middle: Array
     total: float
 
     def inverse(self, which: Sequence[int]) -> Array:
@@ -225,13 +226,20 @@ def scores(basis: Basis, words: Sequence[str]) -> Scores | None:
     """Return the scores of a fit, at the cost of one round of it; None where they are not finite."""
     plant, x, held = extended(basis.plant, basis.fit.x, words)
 
-    def reduced(window: Window, state: Array, residual: Array) -> tuple[Array, Array, float]:
+    def reduced(window: Window, state: Array, residual: Array) -> Iterator[tuple[Array, Array, float, float]]:
         slopes, left = linearise(plant, window, x, state, residual, basis.fit.loss).reduced()
-        return slopes.T @ left, slopes.T @ slopes, float(left @ left)
+        span, channels = float(window.t[-1] - window.t[0]), window.weight.shape[1]
+        parts = max(1, round(span / basis.usual))
+        which = np.minimum(((window.t - window.t[0]) * parts / max(span, 1e-300)).astype(int), parts - 1)
+        rows = np.append(np.repeat(which, channels), np.zeros(left.size - residual.size, dtype=int))  # then the prior
+        for part in range(parts):
+            some, own = slopes[rows == part], left[rows == part]
+            yield some.T @ own, some.T @ some, float(own @ own), float(window.t[which == part].mean())
 
-    every = zip(*map(reduced, basis.windows, basis.fit.states, basis.fit.residuals), strict=True)
-    score, matrices, totals = (np.array(each) for each in every)
-    prior, count = basis.fit.noise * plant.parameters.prior, len(basis.windows)  # each window has its part of it
+    each_window = zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True)
+    every = zip(*(part for each in each_window for part in reduced(*each)), strict=True)
+    score, matrices, totals, middle = (np.array(each) for each in every)
+    prior, count = basis.fit.noise * plant.parameters.prior, len(score)  # each part has its part of it
     score += prior.T @ (basis.fit.noise * plant.parameters.prior_residual(x)) / count
     matrices += prior.T @ prior / count
     if not (np.isfinite(matrices).all() and totals.sum() > 0.0):
@@ -242,7 +250,8 @@ def scores(basis: Basis, words: Sequence[str]) -> Scores | None:
         groups[word] = list(range(first, first := first + len(group)))
     scale = np.sqrt(np.diag(matrices.sum(axis=0)))
     scale[scale == 0.0] = np.inf
-    return Scores(plant, x, groups, free, scale, score / scale, matrices / np.outer(scale, scale), float(totals.sum()))
+    score, matrices = score / scale, matrices / np.outer(scale, scale)
+    return Scores(plant, x, groups, free, scale, score, matrices, middle, float(totals.sum()))
 
 
 def score_tests(
@@ -406,14 +415,18 @@ def _refitted(before: Basis | None, test: ScoreTest) -> ScoreTest:
     spread = ratio_spread(before.plant.parameters, before.information)
     then, now = ratios(parameters.rope(x)), ratios(before.plant.parameters.rope(before.fit.x))
     later, size, std = (np.concatenate([each["J/p1"], each["p/p1"]]) for each in (then, now, spread))
+    gain = 1.0 - after.fit.cost / before.fit.cost if before.fit.cost > 0.0 else 0.0
+    excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
+    noise, sure = before.information, before.information.whiteness >= CHANCE
+    if not sure and (excess_gain > TESTING.sure or gain > TESTING.suspect):  # it may be all that colours the residuals
+        mended = estimate_covariance(after.plant, after.windows, after.fit)
+        sure = mended.whiteness >= CHANCE
+        if sure:  # then what it leaves is the noise
+            share = mended.variance * mended.correlation / max(noise.variance * noise.correlation, 1e-300)
+            std, excess_gain = std * np.sqrt(share), 1.0 - (1.0 - excess_gain) * min(share, 1.0)
     step = np.abs(later / size - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):  # what was held has no deviation: inf if it moves
         beyond = np.where(step > TESTING.tiny, np.abs(later - size) / std, 0.0)
-    gain = 1.0 - after.fit.cost / before.fit.cost if before.fit.cost > 0.0 else 0.0
-    excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
-    sure = before.information.whiteness >= CHANCE
-    if not sure and excess_gain > TESTING.sure:  # what is held may be all that colours the residuals
-        sure = estimate_covariance(after.plant, after.windows, after.fit).whiteness >= CHANCE
     return replace(
         test,
         gain=gain,
@@ -452,13 +465,12 @@ def drift_test(basis: Basis, found: Scores | None, tests: Sequence[ScoreTest]) -
     chance and explains little. Quantities that mask others are freed first: the windows' scores are those at the linear
     model's optimum with these.
     """
-    if found is None or CLOCK not in found.groups or len(basis.windows) < WINDOWED.least:
+    if found is None or CLOCK not in found.groups or len(found.score) < WINDOWED.least:
         return ()
     from scipy.special import stdtrit
 
     (gravity,), count = found.groups[CLOCK], basis.fit.x.size
-    middle = np.array([0.5 * (window.t[0] + window.t[-1]) for window in basis.windows])
-    place = (middle - middle.mean()) / np.ptp(middle)
+    place = (found.middle - found.middle.mean()) / np.ptp(found.middle)
     others = [k for each in tests if each.masks and not each.law for k in found.groups.get(each.name, [])]
     mixed = place[:, None] * found.information[:, gravity]
     inverse = found.inverse(sorted({*found.free, gravity, *others}))
@@ -518,7 +530,7 @@ def scatter_test(basis: Basis, found: Scores | None) -> tuple[tuple[Scatter, ...
     is what is rarer than CHANCE, shared by all ratios.
     """
     count = basis.fit.x.size
-    if found is None or len(basis.windows) < WINDOWED.least:
+    if found is None or len(found.score) < WINDOWED.least:
         return (), np.zeros((count, count))
     from scipy.special import gammaincc
 

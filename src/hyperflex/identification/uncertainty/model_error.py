@@ -36,6 +36,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
         own = each.law or each.name == DRIFT  # which has a separate std
         shown = white or own or each.significant or each.suspected
         counts = shown and each.excess_gain > SHOWN and not (each.slight and each.freed_with)
+        counts = counts and (each.std < np.inf or each.name == DRIFT)  # else it acts as free parameters do
         if counts or each.name == LINKS:  # whose excess_gain is a probability
             shift = _shift(each, basis)
             model += each.excess_gain * (np.outer(shift, shift) + (each.added if each.law else 0.0))
@@ -46,9 +47,17 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
         model += scatter
     gravity = next((float(each.values[0]) for each in tests if each.name == CLOCK), 1.0)
     driven = basis.plant.driven
-    observed = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight))
-    scaled = _scale_error(basis, tests, scale_std, observed=observed)
+    believed = driven or white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight
+    observed = driven or (not counted and believed)
+    scaled = _scale_error(basis, tests, scale_std, believed=believed, observed=observed)
     return replace(basis, information=replace(information, model=model, scaled=scaled))
+
+
+def with_prediction_error(basis: Basis, factor: float) -> Basis:
+    """Return a fit whose standard deviations are `factor` times as large, as predictions have shown that they are."""
+    information = basis.information
+    more = (factor**2 - 1.0) * information.total
+    return replace(basis, information=replace(information, model=information.model + more))
 
 
 def _shift(test: ScoreTest, basis: Basis) -> Array:
@@ -70,7 +79,7 @@ def _shift(test: ScoreTest, basis: Basis) -> Array:
     return shift
 
 
-def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observed: bool) -> Array:
+def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, believed: bool, observed: bool) -> Array:
     """Return the covariance (P + 1, P + 1) of x and a length factor's logarithm by errors of the factors of SCALES.
 
     The prior deviations are `std` (4,), of gravity twice that of a clock. A clock also changes frictions and torques by
@@ -95,6 +104,7 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, observ
     rate[:, 1] += rate[:, 3]  # where times are multiplied by a, gravity is by 1 / a^2, and so torque over its reading
     std = np.where(rate.any(axis=0), std, 0.0)
     prior = np.diag(std**2)
+    known *= believed  # what the data tell of the factors, if that is not an omitted law
     error = np.linalg.solve(np.eye(std.size) + prior @ known, prior)
     moved = error @ known @ step
     share = std**2 / max(float(std @ std), 1e-300)  # of the one cause, the probability

@@ -147,11 +147,12 @@ def _bridged(piece: Piece) -> Piece:
 
 def correlated(memory: Array, values: Array) -> Array:
     """Return R values (m, ...): R (m, m) holds the autocorrelations `memory`, by lag."""
+    from scipy.linalg import matmul_toeplitz
+
     if not memory[1:].any():
         return values
     m = values.shape[0]
-    lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
-    return np.asarray(np.tensordot(memory[lags], values, axes=1))
+    return np.asarray(matmul_toeplitz(memory[:m], values.reshape(m, -1), check_finite=False)).reshape(values.shape)
 
 
 def autocorrelation(pieces: Sequence[Piece]) -> float:
