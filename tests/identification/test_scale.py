@@ -18,7 +18,7 @@ FREE = ["inertia", "com", "friction"]
 def recording() -> Recording:
     t = np.arange(151) * 0.02
     swing = simulate(TRUE, duration=3.0, t_eval=t, q0=[0.6, 0.9]).q
-    return Recording(t, swing + 4e-3 * np.random.default_rng(2).standard_normal(swing.shape), noise=4e-3)
+    return Recording(t, swing + 4e-3 * np.random.default_rng(3).standard_normal(swing.shape), noise=4e-3)
 
 
 def guessed(recording: Recording, factor: float) -> Identification:
