@@ -104,7 +104,7 @@ def problem(rope: str, finer: float = 1.0) -> Problem:
     """
     kind = ROPES[rope]
     links = round(finer * kind.links)
-    cable = hf.Rope.uniform(kind.length, kind.mass, links, kind.radius, tip_mass=kind.tip)
+    cable = hf.Rope.uniform(kind.length, kind.mass, links, kind.radius, tip_mass=kind.tip, friction=0.0)
     part = ((np.arange(links) + 0.5) * kind.links / links - 0.5) / (kind.links - 1)  # of the way, at links' middles
     share = 2.0 * (1.0 + (kind.taper - 1.0) * part) / (1.0 + kind.taper)
     friction = np.full(links, kind.friction * finer)

@@ -48,7 +48,7 @@ def rope_and_arm(seed: int, number: int, finer: float = 1.0) -> tuple[hf.Rope, h
     link, mass = length / n, length * density
     share = np.linspace(1.0, 1.0 / taper, n)
     share *= n / share.sum()
-    rope = hf.Rope.uniform(length, mass, n, math.sqrt(density / (1000.0 * math.pi)), tip_mass=tip * mass)
+    rope = hf.Rope.uniform(length, mass, n, math.sqrt(density / (1000.0 * math.pi)), tip_mass=tip * mass, friction=0.0)
     hinge = np.arange(n) == 0
     rope = rope.replace(
         mass=share * rope.mass,

@@ -4,7 +4,7 @@ import numpy as np
 
 import hyperflex as hf
 
-rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=40)
+rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=40, friction=0.0)
 heights = 1.0 - np.cumsum(rope.length)  # of the joints above the tip, m
 shape = 1e-3 * (1.0 - 0.5 * heights)  # roughly the slowest mode, small
 

@@ -15,7 +15,7 @@ Case = tuple[str, Callable[[], object], tuple[str, ...]]
 THREE: dict[str, Any] = {"length": [0.1, 0.2, 0.3], "mass": [0.01, 0.02, 0.03]}
 PUSH = hf.torque_profile([0.0, 1.0], [0.0, 1.0])
 ROD = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=1e-4)
-CABLE: dict[str, Any] = {"length": 2.0, "mass": 0.125, "n_links": 5}
+CABLE: dict[str, Any] = {"length": 2.0, "mass": 0.125, "n_links": 5, "friction": 0.0}
 
 
 def rope(**changes: Any) -> hf.Rope:
@@ -48,6 +48,7 @@ ROPES = [
     ),
     case("link-without-inertia", lambda: rope(mass=[0.1, 0.0, 0.1]), "link 1", "inertia"),
     case("uniform-zero-links", lambda: cable(n_links=0), "n_links", "0", "from 1 to 100000"),
+    case("uniform-no-friction", lambda: cable(friction=None), "friction of the joints is missing", "0.0 for none"),
     case("uniform-unknown-name", lambda: cable(damping=1e-3), "damping", "friction"),
     case("replace-unknown-name", lambda: cable().replace(eta=1.0), "eta", "friction"),
 ]

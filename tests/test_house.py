@@ -96,7 +96,7 @@ def test_every_argument_of_a_public_callable_is_documented():
 
 
 def test_building_a_rope_and_a_motion_loads_nothing_heavy():
-    code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.arm_swings(); hf.simulate"
+    code = "import hyperflex as hf; hf.Rope.uniform(2.0, 0.1, n_links=5, friction=0.0); hf.arm_swings(); hf.simulate"
     assert loaded_by(code) == set()
 
 

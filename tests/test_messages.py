@@ -41,7 +41,7 @@ def test_a_message_is_joined_of_its_parts():
             r"motion is no Motion.*sampled_motion\(t, angle\)",
         ),
         (lambda: hf.Rope(1.0, 0.06), r"how many links.*Rope\.uniform"),
-        (lambda: hf.Rope.uniform(1.0, 0.06, 30.5), r"n_links is not a usable count: got 30\.5"),
+        (lambda: hf.Rope.uniform(1.0, 0.06, 30.5, friction=0.0), r"n_links is not a usable count: got 30\.5"),
         (lambda: hf.identify(ROPE, hf.Recording(np.arange(9.0), np.zeros((9, 2)))), "A Rope is given: check the order"),
         (lambda: hf.Peg(0.5, -0.5, 0.04, friction=0.3), r"Peg\(\) does not know.*'friction'.*It belongs in mu="),
         (lambda: hf.Ground(0.0, -1.0, friction=0.3), "It belongs in mu="),
@@ -54,7 +54,7 @@ def test_a_value_of_another_kind_says_how_the_right_one_is_made(call, advice):
 
 def test_what_is_plainly_meant_is_taken():
     """One angle for all links, of a run, a batch and a rope that is cut near a peg; 30.0 links."""
-    assert hf.Rope.uniform(1.0, 0.06, 30.0) == hf.Rope.uniform(1.0, 0.06, 30)
+    assert hf.Rope.uniform(1.0, 0.06, 30.0, friction=0.0) == hf.Rope.uniform(1.0, 0.06, 30, friction=0.0)
     every, peg = np.full(2, 0.5), [hf.Peg(0.0, -0.8, 0.02)]
     for obstacles in ([], peg):
         one, other = (hf.simulate(ROPE, duration=0.1, q0=q0, pegs=obstacles) for q0 in (0.5, every))

@@ -36,7 +36,7 @@ def test_setup_round_trip(motion, tmp_path):
 def test_totals_are_shared_out(tmp_path):
     (tmp_path / "rope.toml").write_text(TABLE)
     rope = hf.Rope.from_toml(tmp_path / "rope.toml")
-    assert rope == hf.Rope.uniform(length=1.0, mass=0.05, n_links=10)
+    assert rope == hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, friction=0.0)
 
 
 def test_arrays_tell_the_number_of_links():

@@ -75,7 +75,7 @@ def test_nothing_but_the_extras_needs_their_packages(tmp_path):
         f"for name in {HIDDEN}: sys.modules[name] = None\n"
         "import hyperflex as hf, hyperflex.report as report\n"
         "hf.simulate, hf.identify, hf.plan_cast, hf.plan_whip, hf.follow_plan, hf.write_mjcf, hf.read_recording\n"
-        "run = hf.simulate(hf.Rope.uniform(length=1.0, mass=0.1, n_links=2), duration=0.1, q0=[0.1, 0.2])\n"
+        "run = hf.simulate(hf.Rope.uniform(1.0, 0.1, n_links=2, friction=0.0), duration=0.1, q0=[0.1, 0.2])\n"
         "run.to_netcdf('a.nc'); hf.read_trajectory('a.nc').plot(); run.to_html('a.html')\n"
         "import hyperflex.cli.app\n"
         "try:\n    run.dataset\nexcept ImportError as error:\n    print(error)\n"

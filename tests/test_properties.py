@@ -167,8 +167,8 @@ def test_the_notation_tells_each_with_its_unit():
 
 def test_drag_from_a_diameter_and_a_coefficient():
     """Half of the air's density x coefficient x diameter."""
-    rope = hf.Rope.uniform(1.0, 0.1, 4, radius=0.003, drag_coefficient=1.1, air_density=1.3)
+    rope = hf.Rope.uniform(1.0, 0.1, 4, radius=0.003, drag_coefficient=1.1, air_density=1.3, friction=0.0)
     np.testing.assert_allclose(rope.drag, 0.5 * 1.3 * 1.1 * 0.006, rtol=1e-14)
-    assert not hf.Rope.uniform(1.0, 0.1, 4, radius=0.003).drag.any()
+    assert not hf.Rope.uniform(1.0, 0.1, 4, radius=0.003, friction=0.0).drag.any()
     for wrong in ({"drag_coefficient": 1.0}, {"drag_coefficient": 1.0, "radius": 0.003, "drag": 1e-3}):
-        refuses("drag_coefficient", hf.Rope.uniform, 1.0, 0.1, 4, **wrong)
+        refuses("drag_coefficient", hf.Rope.uniform, 1.0, 0.1, 4, friction=0.0, **wrong)

@@ -60,7 +60,7 @@ def test_initial_rates_are_found_along_with_the_angles():
 def test_measured_rates_are_those_of_a_parabola_through_three_samples():
     t = np.array([0.0, 0.1, 0.25, 0.4])
     angle = np.stack([0.3 - 2.0 * t + 5.0 * t**2, 0.1 + t], axis=1)
-    rope = hf.Rope.uniform(0.4, 0.04, 2)
+    rope = hf.Rope.uniform(0.4, 0.04, 2, friction=0.0)
     found = hf.estimate_initial_state(hf.Recording(t, angle), rope, rates="measured", max_evaluations=1)
     np.testing.assert_allclose(found.qd, [-2.0, 1.0], rtol=1e-12)
 
@@ -192,7 +192,7 @@ def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):
 
 
 def test_recordings_and_ropes_that_do_not_fit_are_refused():
-    refuses("different numbers of links", hf.iterative_revision, swing(), hf.Rope.uniform(0.6, 0.06, 4))
+    refuses("different numbers of links", hf.iterative_revision, swing(), hf.Rope.uniform(0.6, 0.06, 4, friction=0.0))
     refuses("profile is not known", hf.iterative_revision, swing(), GUESS, profile="integrated")
     refuses("rates is not known", hf.estimate_initial_state, swing(), ROPE, rates="zero")
     data = swing().data.copy()
@@ -215,7 +215,7 @@ def test_natural_period_of_a_single_link_is_that_of_a_pendulum():
 
 def test_natural_period_of_a_fine_chain_is_that_of_a_hanging_chain():
     # A continuous chain: omega = (j0 / 2) sqrt(g / L) with the first zero j0 of Bessel's J0; n links: off by 1 / n^2.
-    rope = hf.Rope.uniform(1.0, 0.01, 100)
+    rope = hf.Rope.uniform(1.0, 0.01, 100, friction=0.0)
     assert natural_period(rope) == pytest.approx(2.0 * np.pi / (0.5 * 2.404825557695773 * np.sqrt(9.81)), rel=1e-4)
 
 
@@ -224,21 +224,21 @@ def test_inertia_by_natural_frequency_inverts_the_period_of_a_rod():
     length, mass = 0.8, 0.1
     inertia = mass * length**2 / 12.0
     period = 2.0 * np.pi * np.sqrt((inertia + mass * 0.16) / (mass * 9.81 * 0.4))
-    rope = hf.Rope.uniform(length, mass, 2)
+    rope = hf.Rope.uniform(length, mass, 2, friction=0.0)
     assert natural_frequency_inertia(rope, period) == pytest.approx(inertia / 2.0, rel=1e-12)
     refuses("too short", natural_frequency_inertia, rope, 0.5 * period)
 
 
 def test_inertia_of_the_papers_rope_by_natural_frequency_is_near_its_figure():
     # Printed: 102e-6. L = 1.0 m and 1.53e-3 kg a link are inferred from rounded figures; 2 % in T is 12 % in J.
-    rope = hf.Rope.uniform(1.0, 5 * 1.53e-3, 5)
+    rope = hf.Rope.uniform(1.0, 5 * 1.53e-3, 5, friction=0.0)
     assert natural_frequency_inertia(rope, 1.61) == pytest.approx(102e-6, rel=0.12)
 
 
 def test_cylinder_inertia_is_the_ropes_default():
-    rope = hf.Rope.uniform(2.0, 0.125, 50, radius=0.0025)
+    rope = hf.Rope.uniform(2.0, 0.125, 50, radius=0.0025, friction=0.0)
     np.testing.assert_array_equal(cylinder_inertia(rope), rope.inertia)
-    assert cylinder_inertia(hf.Rope.uniform(1.0, 5 * 1.53e-3, 5))[0] == pytest.approx(5.09e-6, rel=5e-3)
+    assert cylinder_inertia(hf.Rope.uniform(1.0, 5 * 1.53e-3, 5, friction=0.0))[0] == pytest.approx(5.09e-6, rel=5e-3)
 
 
 @pytest.mark.parametrize(("step", "noise"), [(0.1, 0.02), (0.01, 0.03)], ids=["few samples", "noise about zero"])

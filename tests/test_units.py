@@ -12,10 +12,16 @@ from hyperflex.cli import output
 from hyperflex.cli.app import run
 from hyperflex.errors import InvalidInput
 
-ROPE = hf.Rope.uniform(length=0.9, mass=0.05, n_links=10)
+ROPE = hf.Rope.uniform(length=0.9, mass=0.05, n_links=10, friction=0.0)
 SLIPS: list[tuple[Callable[[], object], str]] = [
-    (lambda: hf.Rope.uniform(length=900, mass=0.05, n_links=10), "rope length is 900 m: is it meant in mm.*are 0.9"),
-    (lambda: hf.Rope.uniform(length=0.9, mass=50, n_links=10), "mass over length is 55.5.*kg/m: is it meant in g/m"),
+    (
+        lambda: hf.Rope.uniform(length=900, mass=0.05, n_links=10, friction=0.0),
+        "rope length is 900 m: is it meant in mm.*are 0.9",
+    ),
+    (
+        lambda: hf.Rope.uniform(length=0.9, mass=50, n_links=10, friction=0.0),
+        "mass over length is 55.5.*kg/m: is it meant in g/m",
+    ),
     (lambda: hf.Arm(length=150), "arm length is 150 m: is it meant in mm.*are 0.15"),
     (lambda: hf.Peg(x=-800, y=-0.6, radius=0.03), "peg x is -800 m: is it meant in mm.*are -0.8"),
     (lambda: hf.TipTarget(x=0.3, y=-2050, direction=0.2), "target y is -2050 m: is it meant in mm"),
@@ -37,7 +43,9 @@ def test_a_value_off_by_a_unit_is_named_with_it(call, words):
 
 def test_real_large_ropes_and_arms_pass():
     """Warnings are errors in these tests."""
-    assert hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02).total_length == pytest.approx(30.0)
+    assert hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02, friction=0.0).total_length == pytest.approx(
+        30.0
+    )
     assert hf.Rope(length=[0.3], mass=[60.0]).mass[0] == 60.0  # masses in proportion, from angles alone
     assert hf.Arm(length=3.0).length == 3.0
     assert hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0).breaks[-1] == 60.0

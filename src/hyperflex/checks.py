@@ -44,7 +44,7 @@ _MADE_BY = {
     "Motion": "hyperflex.sampled_motion(t, angle) makes one from samples, hyperflex.arm_moves(...) from moves",
     "Peg": "Write hyperflex.Peg(x, y, radius)",
     "Recording": "Read the file with read_recording, or write hyperflex.Recording(t, angles)",
-    "Rope": "hyperflex.Rope.uniform(length, mass, n_links) makes one, Rope.from_toml(file) reads one",
+    "Rope": "hyperflex.Rope.uniform(length, mass, n_links, friction=...) makes one, Rope.from_toml(file) reads one",
     "Setup": "Write hyperflex.Setup(rope, motion, arm), or read it by Setup.from_toml(file)",
     "Trajectory": "hyperflex.simulate(...) makes one, read_trajectory(file) reads one",
 }

@@ -92,7 +92,7 @@ def forward_kinematics(rope: Rope, q: ArrayLike, *, arm: Arm | None = None, arm_
     Examples
     --------
     >>> import hyperflex as hf
-    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=2, radius=0.002)
+    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=2, radius=0.002, friction=0.0)
     >>> hf.forward_kinematics(rope, [0.0, 0.0], arm=hf.Arm(length=0.5)).tolist()
     [[0.0, -0.5], [0.0, -1.5], [0.0, -2.5]]
     """

@@ -155,7 +155,7 @@ class Markers(PostureSensor):
     --------
     >>> import hyperflex as hf
     >>> from hyperflex.sensors import Markers
-    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=4, radius=0.002)
+    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=4, radius=0.002, friction=0.0)
     >>> seen = Markers([0.75, 2.0]).measure(rope, hf.Arm(length=0.1), hf.State(0.0, [0.0] * 4, [0.0] * 4))
     >>> seen.y.round(9).tolist(), seen.H.shape
     ([0.0, -0.85, 0.0, -2.1], (4, 10))
@@ -239,7 +239,7 @@ class Accelerometer:
     --------
     >>> import hyperflex as hf
     >>> from hyperflex.sensors import Accelerometer
-    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=4, radius=0.002)
+    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=4, radius=0.002, friction=0.0)
     >>> seen = Accelerometer(1, 0.75).measure(rope, hf.Arm(length=0.1), hf.State(0.0, [0.0] * 4, [0.0] * 4))
     >>> abs(seen.y).round(9).tolist(), seen.H.shape, seen.D.shape
     ([0.0, 9.81], (2, 10), (2, 1))

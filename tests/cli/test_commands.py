@@ -51,7 +51,7 @@ def test_wrong_usage_exits_with_2_and_names_the_help(hyperflex, arguments, told)
 
 
 def test_the_installed_program_keeps_standard_output_clean(tmp_path):
-    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=2)
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=2, friction=0.0)
     hf.Setup(rope, duration=0.1).to_toml(tmp_path / "swing.toml")
     program = [sys.executable, "-m", "hyperflex"]
     arguments = ["simulate", "swing.toml", "-o", "swing.nc", "--json"]

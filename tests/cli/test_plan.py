@@ -467,7 +467,7 @@ def test_a_set_up_file_without_a_rope_a_target_or_with_more_is_refused(hyperflex
 @pytest.mark.parametrize(
     ("rope", "words"),
     [
-        (hf.Rope.uniform(length=2.0, mass=0.1, n_links=1, radius=0.002), "too few links"),
+        (hf.Rope.uniform(length=2.0, mass=0.1, n_links=1, radius=0.002, friction=0.0), "too few links"),
         (CABLE.replace(friction_model="printed"), "need joint friction that acts on both links"),
     ],
 )

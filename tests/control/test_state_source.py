@@ -75,7 +75,7 @@ def test_before_the_first_frame_the_rope_hangs():
 
 
 def test_another_number_of_links_is_refused():
-    finer = hf.Rope.uniform(length=1.0, mass=0.1, n_links=7, radius=0.003)
+    finer = hf.Rope.uniform(length=1.0, mass=0.1, n_links=7, radius=0.003, friction=0.0)
     with pytest.raises(InvalidInput, match="links"):
         camera(rope=finer).state(1.0, MOTION)
 

@@ -36,7 +36,7 @@ def test_members_agree_with_the_single_run():
 
 def test_the_kernels_are_compiled_for_one_kind_of_arrays():
     """Whether an array may be written to is part of its type; each new type would cost half a minute of compiling."""
-    rope, arm = hf.Rope.uniform(length=1.0, mass=0.1, n_links=3), hf.Arm(0.1, 1e-3, pivot=(0.1, 0.0))
+    rope, arm = hf.Rope.uniform(length=1.0, mass=0.1, n_links=3, friction=0.0), hf.Arm(0.1, 1e-3, pivot=(0.1, 0.0))
     torque = hf.torque_profile([0.0, 1.0], [1.0, 0.0])
     kinds = set()
     for setup in (hf.Setup(rope), hf.Setup(rope, hf.arm_swings(), arm), hf.Setup(rope, arm=arm, torque=torque)):

@@ -124,7 +124,11 @@ def test_what_is_drawn():
 
 
 def test_targets_are_in_reach_of_the_rope_that_is_given():
-    cord, arm, limits = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15), hf.Arm(length=0.15), hf.MotorLimits()
+    cord, arm, limits = (
+        hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, friction=0.0),
+        hf.Arm(length=0.15),
+        hf.MotorLimits(),
+    )
     for rope in (default_rope(40), cord):
         env = gymnasium.make(IDS[1], rope=rope, arm=arm)
         problem = hf.Problem(rope, arm, limits, side=-1)
@@ -135,7 +139,7 @@ def test_targets_are_in_reach_of_the_rope_that_is_given():
             assert 0.3 <= abs(peg.x) / rope.total_length <= 0.55
             assert 0.3 <= -peg.y / rope.total_length <= 0.55
     with pytest.raises(InvalidInput, match=r"of 100 none is in reach.*Give target="):
-        gymnasium.make(IDS[1], rope=hf.Rope.uniform(length=0.3, mass=0.02, n_links=10)).reset(seed=0)
+        gymnasium.make(IDS[1], rope=hf.Rope.uniform(length=0.3, mass=0.02, n_links=10, friction=0.0)).reset(seed=0)
 
 
 def wound(turns: float, peg: hf.Peg, count: int) -> Array:

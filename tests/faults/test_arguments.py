@@ -47,7 +47,7 @@ SEARCH |= {"conditions": hf.Conditions(time_limit=2.0)}
 # Calls with sound arguments; in each, any parameter of the signature is then given something odd.
 CALLS: dict[str, Callable[[], partial[Any]]] = {
     "Rope": lambda: partial(hf.Rope, length=[0.1, 0.1], mass=[0.1, 0.1], friction=1e-3),
-    "Rope.uniform": lambda: partial(hf.Rope.uniform, length=1.0, mass=0.1, n_links=3, radius=0.002),
+    "Rope.uniform": lambda: partial(hf.Rope.uniform, length=1.0, mass=0.1, n_links=3, radius=0.002, friction=0.0),
     "Rope.replace": lambda: partial(ROPE.replace, mass=[0.1, 0.2], gravity=(0.0, -9.81), name="other"),
     "Rope.with_bend_radius": lambda: partial(ROPE.with_bend_radius, radius=0.1),
     "Rope.from_table": lambda: partial(hf.Rope.from_table, table=ROPE.table()),

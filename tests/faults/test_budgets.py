@@ -75,7 +75,7 @@ def test_memory_that_a_process_may_not_have_is_not_there():
     script = """
 import resource
 import hyperflex as hf
-rope = hf.Rope.uniform(length=0.4, mass=0.02, n_links=40)
+rope = hf.Rope.uniform(length=0.4, mass=0.02, n_links=40, friction=0.0)
 hf.simulate(rope, duration=0.1)
 resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
 try:
@@ -118,7 +118,9 @@ def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, err
 
 def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
     ticks = iter([0.0, 0.5, *[2.0] * 100])
-    short = hf.simulate(hf.Rope.uniform(1.0, 0.1, 3), duration=0.01, time_budget=Budget(1.0, clock=lambda: next(ticks)))
+    short = hf.simulate(
+        hf.Rope.uniform(1.0, 0.1, 3, friction=0.0), duration=0.01, time_budget=Budget(1.0, clock=lambda: next(ticks))
+    )
     assert (short.status, short.t[-1]) == ("success", 0.01)
 
 
@@ -183,7 +185,7 @@ def test_a_fit_ends_when_its_time_budget_is_over():
 def test_a_fit_that_would_fill_the_memory_is_refused_before_it_is_begun():
     t = np.arange(300_000) / 100.0
     many = hf.Recording(t, np.random.default_rng(1).normal(0.0, 0.1, (t.size, 10)))
-    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10)
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, friction=0.0)
     with pytest.raises(
         InvalidInput, match=r"fit of 20 parameters of 10 links to 2400000 values would fill.*Free fewer"
     ):

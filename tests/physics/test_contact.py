@@ -113,7 +113,9 @@ def test_a_throw_that_went_wrong_once_keeps_the_goals(number, duration, limit):
 
 
 def test_a_whole_set_up_is_not_cut():
-    setup = hf.Setup(hf.Rope.uniform(length=1.0, mass=0.1, n_links=4), duration=0.1, pegs=[hf.Peg(0.5, -0.5, 0.03)])
+    setup = hf.Setup(
+        hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, friction=0.0), duration=0.1, pegs=[hf.Peg(0.5, -0.5, 0.03)]
+    )
     with pytest.raises(hf.InvalidInput, match="a whole set-up is not cut"):
         hf.simulate(setup, refine=True)
 

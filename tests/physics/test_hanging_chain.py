@@ -15,7 +15,7 @@ STRING = jn_zeros(0, 4) / 2 * np.sqrt(9.81 / LENGTH)  # rad/s; Daniel Bernoulli'
 
 def modes(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, rad/s, and shapes (n, n) of a hanging chain of n links, from its accelerations."""
-    links = links_of(hf.Rope.uniform(length=LENGTH, mass=0.125, n_links=n))
+    links = links_of(hf.Rope.uniform(length=LENGTH, mass=0.125, n_links=n, friction=0.0))
     eps = 1e-6  # accelerations are odd in the angles, so the difference is right to eps^2
     columns = [sweep(links, State(eps * one, np.zeros(n), np.zeros(7))).alpha / eps for one in np.eye(n)]
     squares, shapes = np.linalg.eig(-np.array(columns).T)
@@ -42,7 +42,7 @@ def test_a_simulated_mode_swings_at_its_frequency(mode):
     omega = frequencies[mode]
     shape = shapes[:, mode] / np.abs(shapes[:, mode]).max()
     t = np.linspace(0.0, 3 * 2 * np.pi / omega, 31)
-    rope = hf.Rope.uniform(length=LENGTH, mass=0.125, n_links=n)
+    rope = hf.Rope.uniform(length=LENGTH, mass=0.125, n_links=n, friction=0.0)
     run = hf.simulate(rope, duration=float(t[-1]) + 0.1, q0=1e-4 * shape, t_eval=t, tol=1e-12)
     ideal = 1e-4 * np.cos(omega * t)[:, None] * shape  # small: the sine's next term slows it by 1e-9 of its phase
     x = np.cumsum(rope.length * ideal, axis=1)  # sideways displacement of the joints, m

@@ -22,7 +22,7 @@ from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=30, radius=0.003, friction=2e-4)
 ARM, TARGET, BEFORE = hf.Arm(length=0.2), hf.Peg(-0.5, -0.7, 0.03), hf.Peg(-0.25, -0.35, 0.03)
 
-ROD = hf.Rope.uniform(length=1.0, mass=0.1, n_links=5, radius=0.01)
+ROD = hf.Rope.uniform(length=1.0, mass=0.1, n_links=5, radius=0.01, friction=0.0)
 STRAIGHT = np.zeros((3, 5)), np.zeros((3, 2))  # three samples of a rope that hangs straight down
 
 

@@ -52,14 +52,14 @@ def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes():
 def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
     """A wall where the arm is, of its thickness, and a peg for the shaft; links that hang from the arm left out."""
     random, arm = np.random.default_rng(6), hf.Arm(length=0.2, pivot=(0.1, -0.2), radius=0.004, shaft_radius=0.012)
-    rope = hf.Rope.uniform(1.2, 0.06, 12, 0.003)
+    rope = hf.Rope.uniform(1.2, 0.06, 12, 0.003, friction=0.0)
     pivot, shaft = np.array(arm.pivot), hf.Peg(*arm.pivot, arm.shaft_radius)
     for _ in range(40):
         angle, q = random.uniform(-np.pi, np.pi), random.uniform(-np.pi, np.pi, (1, 12))
         tip = pivot + 0.2 * np.array([np.sin(angle), -np.cos(angle)])
         whole = float(sampled_obstacle_gaps(rope, [shaft], q, tip[None])[0])
         begin = tip + 0.1 * np.array([np.sin(q[0, 0]), -np.cos(q[0, 0])])  # one link hangs from it
-        rest = hf.Rope.uniform(1.1, 0.055, 11, 0.003)
+        rest = hf.Rope.uniform(1.1, 0.055, 11, 0.003, friction=0.0)
         wall = hf.Wall(*arm.pivot, *tip)
         away = float(sampled_obstacle_gaps(rest, [wall], q[:, 1:], begin[None])[0]) - arm.radius
         assert sampled_clearance(rope, arm, q, tip[None])[0] == pytest.approx(min(whole, away), abs=1e-12)
@@ -67,7 +67,11 @@ def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
 
 def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not():
     """All links at all samples, beside those alone that may be near."""
-    random, arm, far = np.random.default_rng(5), hf.Arm(length=0.15), hf.Rope.uniform(1.2, 0.06, 12, 0.003)
+    random, arm, far = (
+        np.random.default_rng(5),
+        hf.Arm(length=0.15),
+        hf.Rope.uniform(1.2, 0.06, 12, 0.003, friction=0.0),
+    )
     q = np.cumsum(random.normal(0.0, 0.4, (40, 60, 12)), axis=1) + random.uniform(-np.pi, np.pi, (40, 1, 12))
     angle = random.uniform(-np.pi, np.pi, (40, 60))
     base = 0.15 * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
@@ -100,7 +104,7 @@ def test_a_swing_that_goes_through_its_arm_does_not_strike():
     """A rope that folds over the shaft, and strikes the peg on the other side of it."""
     t: np.ndarray = np.arange(0.0, 0.6, 0.02)
     turn = np.linspace(0.0, 1.9 * np.pi, t.size)[:, None]
-    rope, arm = hf.Rope.uniform(1.2, 0.06, 12, 0.003), hf.Arm(length=0.2, shaft_radius=0.03)
+    rope, arm = hf.Rope.uniform(1.2, 0.06, 12, 0.003, friction=0.0), hf.Arm(length=0.2, shaft_radius=0.03)
     q, motion = np.broadcast_to(0.3 + turn, (t.size, 12))[None], hf.hold_arm(0.5 * np.pi)
     strike = {}
     for clearance in (0.0, -np.inf):

@@ -101,7 +101,7 @@ def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual():
     assert np.std([d.rope.friction[0] for d in draws]) == pytest.approx(2e-4, rel=0.06)  # 3 deviations of one from 1500
     assert all(d.rope.total_length == ROPE.total_length for d in draws[:9])
     assert np.std([d.peg.mu for d in draws]) == pytest.approx(0.03, rel=0.06)
-    for other in (hf.Rope.uniform(length=1.0, mass=0.1, n_links=5), scaled_rope(ROPE, 0.8, 1.0, 1.0)):
+    for other in (hf.Rope.uniform(length=1.0, mass=0.1, n_links=5, friction=0.0), scaled_rope(ROPE, 0.8, 1.0, 1.0)):
         with pytest.raises(InvalidInput, match="of another rope"):
             known.sample(1, replace(CAST_SETUP, rope=other), PEG)
     thick = replace(CAST_SETUP, rope=ROPE.replace(radius=2.0 * ROPE.radius + 1e-3))

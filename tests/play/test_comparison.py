@@ -29,7 +29,9 @@ def folder(tmp_path_factory):
     covariance = {"parameters": ["friction[0]"], "covariance": [[1e-10]], "values": {"friction": [3e-5] * 3}}
     files.write_toml(path / "known.toml", {"rope": truth.table(), "identification": covariance})
     files.write_toml(path / "rope.toml", {"rope": truth.table()})
-    files.write_toml(path / "longer.toml", {"rope": hf.Rope.uniform(length=0.6, mass=0.06, n_links=4).table()})
+    files.write_toml(
+        path / "longer.toml", {"rope": hf.Rope.uniform(length=0.6, mass=0.06, n_links=4, friction=0.0).table()}
+    )
     return path, run
 
 

@@ -357,7 +357,7 @@ def test_the_planning_process_sends_each_plan_that_succeeds(monkeypatch):
 
 def test_plans_keep_to_the_obstacles_and_the_motor_of_the_opened_file(server, page, folder):
     session, aside, floor = server.runner.session, hf.Peg(1.2, 0.4, 0.1), hf.Ground(0.0, -3.0)
-    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6)
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, friction=0.0)
     setup = hf.Setup(rope, arm=hf.Arm(length=0.1), pegs=(hf.Peg(9.0, 9.0, 0.03), aside, floor)).dumps()
     (folder / "motor.toml").write_text(setup + "[limits]\nspeed = 4.0\ntorque = 0.3\nangles = [-1.0, 1.5]\n")
     page.ask(open="motor.toml")

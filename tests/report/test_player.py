@@ -76,7 +76,7 @@ def test_the_page_is_true_to_samples_that_are_closer_than_frames_and_to_what_lie
 
 
 def test_a_rope_of_20_m_is_as_precise(browser, tmp_path):
-    rope = hf.Rope.uniform(length=20.0, mass=1.0, n_links=8)
+    rope = hf.Rope.uniform(length=20.0, mass=1.0, n_links=8, friction=0.0)
     run = hf.simulate(rope, duration=1.0, q0=np.full(8, 1.2), t_eval=np.linspace(0.0, 1.0, 61))
     run.to_html(tmp_path / "long.html")
     browser.open((tmp_path / "long.html").as_uri())
