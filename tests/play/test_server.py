@@ -434,3 +434,24 @@ def test_a_connection_that_says_nothing_does_not_keep_the_server(folder):
         ended.start()
         ended.join(PATIENCE / 2)
         assert not ended.is_alive()
+
+
+def test_closing_ends_a_long_simulation_that_holds_the_session(folder):
+    """As that of a plan up to its strike: Ctrl-C on a busy machine once waited for its end."""
+    rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=150, friction=1e-4)
+    setup = hf.Setup(rope, hf.arm_swings(), hf.Arm(), duration=5e3)
+    running = PlayServer(Folder(folder), Session(Settings().changed(SMALL)))
+
+    def skip():
+        with running.runner.news, pytest.raises(hf.SimulationError):
+            running.runner.session.play(setup, "file", skip=5e3)  # minutes of work
+
+    busy = threading.Thread(target=skip, daemon=True)
+    busy.start()
+    while running.runner.session.setup is not setup:
+        time.sleep(0.01)
+    ended = threading.Thread(target=running.close, daemon=True)
+    ended.start()
+    ended.join(PATIENCE / 2)
+    busy.join(PATIENCE / 2)
+    assert [ended.is_alive(), busy.is_alive()] == [False, False]

@@ -53,6 +53,7 @@ class Runner:
     def close(self) -> None:
         """End thread and planning."""
         self.closed.set()
+        self.session.cancel()  # a request may be simulating up to the strike of a plan, and all wait for it
         self._thread.join()
         with self.news:
             self._cancel()

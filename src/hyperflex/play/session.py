@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperflex import control
+from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
@@ -108,6 +109,7 @@ class Session:
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self.obstacles: tuple[Obstacle, ...] = ()
+        self._work = Budget()  # of all simulations: cancelled when the page is closed
         self._motor = MotorLimits()  # whose torque and angles are kept to
         self._like = CABLE, Arm()  # opened rope and arm, which the settings change
         self.activity, self.t, self._begun = "hang", 0.0, 0.0
@@ -230,6 +232,10 @@ class Session:
             "targets": [] if self._target(self.setup) else [[self.settings.target_x, self.settings.target_y]],
         }
 
+    def cancel(self) -> None:
+        """End what is being simulated, in whatever thread, and all that is begun later."""
+        self._work.cancel()
+
     def recorded(self) -> Recorded:
         """Return the motion since the last change, at most MOST_RECORDED s."""
         return Recorded(self.setup, self._origin, self.t - self._begun)
@@ -244,7 +250,8 @@ class Session:
     def _simulate(self, dt: float, time_budget: float | None = None) -> None:
         try:
             end = [self.t + dt]
-            self._run = simulate(self.setup, duration=dt, t_eval=end, state=self._state, time_budget=time_budget)
+            budget = self._work if time_budget is None else self._work.limit(time_budget)
+            self._run = simulate(self.setup, duration=dt, t_eval=end, state=self._state, time_budget=budget)
         except SimulationError as error:
             if error.status != Status.OUT_OF_TIME or time_budget is None:
                 raise
