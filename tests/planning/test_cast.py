@@ -418,6 +418,6 @@ def test_a_run_that_a_busy_machine_made_late_says_so():
     assert late.startswith(TOO_LONG)
     assert "this machine is busy" in late
     alone = Budget(1.0, clock=time.process_time)
-    while alone.elapsed < 0.02:
+    while alone.elapsed < 1.01:
         pass
     assert too_long(alone) == TOO_LONG

@@ -172,7 +172,7 @@ class PlanReport(ABC, Generic[PlanT]):
         sections: list[Section] = [
             Section("In short", verdict=verdict, text=(*remarks, *self.advice), tiles=self.tiles, notes=notes)
         ]
-        sections += self.without_run() if plan.run is None else ()
+        sections += self.without_run() if plan.run is None and not plan.interrupted else ()  # to end soon
         if self.story:
             sections.append(Section("The plan" if plan.run is None else "What happens", text=self.story))
         if shown:
