@@ -6,6 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.identification.comparison import FittedModel, ModelComparison, compare_models
+    from hyperflex.identification.declarations.faults import faults
     from hyperflex.identification.declarations.score_tests import ScoreTest
     from hyperflex.identification.experiment_design import (
         Experiment,

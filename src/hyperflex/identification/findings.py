@@ -45,6 +45,37 @@ class Kind(StrEnum):
         """Markers {first} and {second} are swapped from t = {times:list} s. | In these times the distances fit the
         other order. Swap the two back there.""",
     )
+    LOST = (
+        "lost samples written as a place",
+        """{what} {numbers:list}: exactly {place} in up to {part:%} of the frames. | Programs write so what they have
+        lost. Write it as a gap (nan, or an empty cell).""",
+    )
+    WRAPPED = (
+        "wrapped angles",
+        """The angle of link {link} jumps by whole turns, {count} times, first at t = {time:.4g} s. | Angles must not be
+        wrapped. Read the file with wrapped=True, or unwrap them (numpy.unwrap).""",
+    )
+    REPEATED_FRAMES = (
+        "repeated frames",
+        """{part:%} of the frames repeat the frame before, to the last digit, while the rope moves. | A slower camera
+        was stored at a higher rate, or lost frames were filled. Drop the repeated rows and keep the times of the
+        others.""",
+    )
+    UNEVEN_FRAMES = (
+        "frames at wrong times",
+        """Frames are early or late by {part:%} of a frame time or more, while their times are even. | Frames are
+        missing and the times count on, or the frame rate varies. Use the time stamps of the frames.""",
+    )
+    MISSING_FRAMES = (
+        "missing frames",
+        """The motion skips whole frames, at t = {times:list} s. | Frames are missing and the times count on. Use the
+        time stamps of the frames.""",
+    )
+    JUMP = (
+        "jump of a channel",
+        """The {channel} jumps by {size:{unit}} at t = {time:.4g} s and stays there. | A zero has moved, or a marker has
+        slipped. Use the recording before or after it, or subtract the jump.""",
+    )
     PICTURE_SCALE = (
         "different scales along x and y",
         """Lengths at {angle:deg} from +x are about {factor:.3g} times those across. | Pixels are not square, x and y
@@ -110,6 +141,11 @@ class Kind(StrEnum):
         "scale of the angles",
         """The fit is better with angles multiplied by {factor:.3g}. | The sensor's scale is not as declared; ratios
         move by up to {moved:%}. Check what an angle of the sensor is in radians.""",
+    )
+    LINK_LATE = (
+        "one link late",
+        """The angle of link {link} seems {delay:.3g} s late. | Its sensor has another clock or a filter, or its samples
+        came later. Check its time stamps.""",
     )
     RELATIVE = (
         "angles are relative",
@@ -217,6 +253,12 @@ class Kind(StrEnum):
         "links too long",
         """The residuals look like those of a rope of finer links (probability {probability:%}). | Values are off by up
         to {moved:%} with so few links. Use more links.""",
+    )
+    OUTLIERS = (
+        "outliers",
+        """{part:%} of the residuals are larger than {beyond:.0f} standard deviations of the others, and make
+        {squares:%} of the sum of squares. | A few wrong samples decide the fit. Fit again with
+        FitOptions(loss='cauchy') or 'huber', or take them out.""",
     )
     # What the fit looks like
     HANGS_UPWARDS = (
@@ -424,6 +466,9 @@ class Finding:
     severity: Severity = Severity.DOUBT
     values: dict[str, Any] = field(default_factory=dict)
     gain: float = 0.0
+
+    def __str__(self) -> str:
+        return text(self)
 
     @property
     def table(self) -> dict[str, Any]:

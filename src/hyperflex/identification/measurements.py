@@ -175,7 +175,7 @@ def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.Array
 
 
 def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
-    """Refuse markers that stand still while the rope swings: a tracker's fault."""
+    """Refuse markers that stand still while the rope swings: a tracker's fault, another order, or a rope held there."""
     if recording.kind != "markers":
         return
     places = recording.data.reshape(recording.t.size, -1, 2)
@@ -183,11 +183,16 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
     beyond = arc_lengths > 1e-9 * arc_lengths.max()
     swing = reach[beyond] / arc_lengths[beyond]
     if swing.max() > STILL and (swing < STUCK * swing.max()).any():
-        marker = int(np.flatnonzero(beyond)[np.argmin(swing)])
+        marker, last = int(np.flatnonzero(beyond)[np.argmin(swing)]), len(reach) - 1
+        fix = "See what the tracker holds there, and leave that marker out (and give arc_lengths=... of the others)"
+        if marker == last > 0 and reach[0] > reach[last]:
+            fix = "The first marker moves: count them from where the rope hangs to its free end"
+        elif marker == last > 0:
+            fix = "The last marker is to be at a free end. A rope or cable held at both ends cannot be identified"
         raise InvalidInput(
             f"marker {marker} never moves while others do",
             got=f"{reach[marker]:.3g} m over the recording, marker {int(np.argmax(reach))} {reach.max():.3g} m",
-            fix="See what the tracker holds there, and leave that marker out (and give arc_lengths=... of the others)",
+            fix=fix,
         )
 
 

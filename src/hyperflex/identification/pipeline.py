@@ -13,6 +13,7 @@ from hyperflex.budget import Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.declarations.evidence import evidence
+from hyperflex.identification.declarations.faults import faults
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
 from hyperflex.identification.declarations.score_tests import (
@@ -25,7 +26,7 @@ from hyperflex.identification.declarations.score_tests import (
     scatter_test,
     score_tests,
 )
-from hyperflex.identification.findings import Finding, Kind, Severity, ordered
+from hyperflex.identification.findings import Finding, Kind, Severity, ordered, text
 from hyperflex.identification.fit import POOR, Loss, Report, part_left, residuals_of
 from hyperflex.identification.measurements import (
     Measurements,
@@ -145,18 +146,33 @@ def identify(
     budget = Budget.of(TIME_BUDGET if time_budget is None else time_budget)
     setup = checks.instance("setup", RecordingSetup() if setup is None else setup, RecordingSetup)
     options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
-    measured, places = checked_measurements(recording, rope_guess, setup)
-    fitted, rest = split(measured, options, setup.arc_lengths)
-    check_excitation(fitted.channels, fitted.shape, rope_guess, moved=setup.motion is not None or setup.drives)
+    faulty = faults(checks.instance("recording", recording, Recording))
+    with _refused(faulty):
+        measured, places = checked_measurements(recording, rope_guess, setup)
+        fitted, rest = split(measured, options, setup.arc_lengths)
+        check_excitation(fitted.channels, fitted.shape, rope_guess, moved=setup.motion is not None or setup.drives)
     seen = fitted
     if setup.torque is not None and not setup.drives:
         seen = split(with_torque(measured, setup.torque, setup.torque_noise), options, setup.arc_lengths)[0]
     with rounds_shown(progress) as report:
-        case = _Case(recording, rope_guess, setup, options, seen, fitted, rest, places, budget, report)
+        case = _Case(recording, rope_guess, setup, options, faulty, seen, fitted, rest, places, budget, report)
         result = case.solve(free)
     if result.status is Status.INTERRUPTED:
         raise Interrupted(result)
     return result
+
+
+@contextmanager
+def _refused(faulty: Sequence[Finding]) -> Iterator[None]:
+    """Refuse wrapped angles, which no fit explains; what refuses a recording otherwise names its faults as well."""
+    for each in faulty:
+        if each.kind is Kind.WRAPPED:
+            raise InvalidInput(text(each))
+    try:
+        yield
+    except InvalidInput as error:
+        fix = " ".join([error.fix, *map(text, faulty)]).strip()
+        raise InvalidInput(error.what, got=error.got, allowed=error.allowed, fix=fix) from None
 
 
 @contextmanager
@@ -221,13 +237,14 @@ class _Case:
     """What is to be identified.
 
     seen and rest are the measurements to fit and those held out, untorqued those to fit without torque; places are the
-    markers' arc lengths.
+    markers' arc lengths, faulty what the recording shows by itself.
     """
 
     recording: Recording
     guess: Rope
     setup: RecordingSetup
     options: FitOptions
+    faulty: Sequence[Finding]
     seen: Measurements
     untorqued: Measurements
     rest: Measurements | None
@@ -396,9 +413,11 @@ class _Case:
             or any(each.suspected and each.quantity.declared for each in trial.tests)
         )
         to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
-        if wrong and not to_noise and not said:  # which no mistake explains better
+        if wrong and not to_noise and not said and not self.faulty:  # which no mistake explains better
             named = first_misdeclared(trial.tests) or explaining(trial.tests)
             said = mistakes(self.recording, short, named)
+        severity = Severity.WRONG if any(each.severity is Severity.WRONG for each in found) else Severity.DOUBT
+        said += [replace(each, severity=severity) for each in self.faulty]
         fitted = trial.basis.plant.parameters.rope(trial.basis.fit.x)  # whose lengths may be free
         return [*said, *(evidence(self.recording, fitted) if self.setup.arc_lengths is None else [])]
 

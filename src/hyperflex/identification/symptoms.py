@@ -42,6 +42,9 @@ AS_STATED = 0.9
 LOOSE = 0.15
 # part of a friction: by more than another law would change it, it is called a model error
 FRICTION_MOVES = 0.1
+# robust standard deviations of an outlier: of a million of normal errors none is so large; part of the squares from
+# which they decide the fit
+OUTLYING, DECIDE = 6.0, 0.5
 # part of the windows
 LEFT_OUT = 0.2
 
@@ -67,7 +70,8 @@ def symptoms(
     if abs(angle) > AXES:
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
     wrong = any(each.severity is Severity.WRONG for each in found)
-    found += [replace(each, severity=Severity.WRONG if wrong else each.severity) for each in unlike_lengths(rope)]
+    doubtful = [*unlike_lengths(rope), *_outliers(basis)]
+    found += [replace(each, severity=Severity.WRONG if wrong else each.severity) for each in doubtful]
     if settings["noise_declared"]:
         found += _of_noise(basis, tests)
     return [*found, *_limits(basis, tests, scatter, settings), *_identifiable(basis)]
@@ -105,6 +109,19 @@ def _of_points(basis: Basis, sizes: Array) -> Array:
     count = sizes.shape[1] // 2
     both = np.sqrt((sizes[:, : 2 * count].reshape(3, count, 2) ** 2).sum(axis=2))
     return np.concatenate([both, sizes[:, 2 * count :]], axis=1)
+
+
+def _outliers(basis: Basis) -> Iterator[Finding]:
+    """Yield that few residuals, far larger than the others, make most of a sum of plain squares."""
+    if basis.fit.loss.name != "squares":
+        return
+    residuals = residuals_of(basis.windows, basis.fit)
+    size = np.abs(residuals) / np.maximum(NORMAL * np.nanmedian(np.abs(residuals), axis=0), 1e-300)
+    size = size[np.isfinite(size)]
+    out = size > OUTLYING
+    squares = float((size[out] ** 2).sum() / (size**2).sum())
+    if squares > DECIDE:
+        yield Finding(Kind.OUTLIERS, values={"part": float(out.mean()), "beyond": OUTLYING, "squares": squares})
 
 
 def _sizes(basis: Basis) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, PathLike, Variable
 from hyperflex.model import unit_across
+
+if TYPE_CHECKING:
+    from hyperflex.identification import Finding
 
 Kind = Literal["angles", "markers"]
 
@@ -171,6 +174,23 @@ class Recording:
             raise InvalidInput("a recording of angles has no lengths", got=self.kind, allowed="markers")
         along = self._lines("lengths of links")
         return np.asarray(np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0))
+
+    def check(self) -> "list[Finding]":
+        """Return what is wrong with the samples themselves; nothing is repaired.
+
+        Samples that programs write where they have lost a marker (such as exact (0, 0)), repeated and missing frames,
+        wrapped angles, and channels that jump by a constant. `identify` names them before anything else. A fault that
+        is small against noise and motion is not found; ``print(finding)`` shows one as a line.
+
+        Examples
+        --------
+        >>> swing = np.sin(np.linspace(0.0, 20.0, 400))
+        >>> print(*Recording(np.arange(400) / 60.0, np.repeat(swing[::2], 2)[:, None]).check())  # doctest: +ELLIPSIS
+        49 % of the frames repeat the frame before, to the last digit, while the rope moves. ...
+        """
+        from hyperflex.identification import faults
+
+        return faults(self)
 
     def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
         """Write to NetCDF-4, for ``read_recording(path)``; FileProblem on failure: an earlier file is then unchanged.

@@ -3,7 +3,7 @@
 To add one, yield its finding and the data as they would be then from `_angles_meant` or `_markers_meant`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +48,8 @@ class MistakeOptions:
     rounds: int = 12
     # rad, 5 degrees, of a link's zero: between what is no mistake and the 10 degrees that were tried
     zero: float = 0.09
+    # s, of a link that is late: a filter of a sensor, or a part of a frame
+    late: float = 0.01
     # logarithms of factors of angles, or of the arm's length: the largest believed, and the least reported
     farthest: float = 0.3
     least_gain: float = 0.005
@@ -102,7 +104,8 @@ def _markers_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Vari
     away = places - middle
     yield Finding(Kind.Y_AXIS), middle + away * np.array([1.0, -1.0]), 1.0
     yield Finding(Kind.AXES_SWAPPED), middle + away[:, :, ::-1], 1.0
-    if n > 1:
+    reach = np.hypot(*(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).T)
+    if reach[-1] < reach[0]:  # what the rope hangs from moves least
         yield Finding(Kind.REVERSED, values={"what": "the markers"}), places[:, ::-1], 1.0
     for k in range(n - 1) if 2 < n <= SHORT_FIT.swaps + 1 else ():
         yield _swap("markers", k), places[:, neighbours_swapped(n, k)], 1.0
@@ -184,8 +187,8 @@ def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> l
 
     A mistake is named if it leaves half of what the recording as declared leaves at most, and that is little. It has to
     leave half of what a wrong clock or scale and a camera that is not level leave, and of what a fit with the quantity
-    of the score test `named` freed leaves, too; one that explains as much as the former is named with them. The zero of
-    one link comes where nothing else explains.
+    of the score test `named` freed leaves, too; one that explains as much as the former is named with them. The zero or
+    the times of one link come where nothing else explains.
     """
     declared, _ = left(recording)
     skewed, (scale, angle) = left(recording, SKEWED)
@@ -193,7 +196,7 @@ def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> l
     most = min(declared, left(recording, (name,))[0]) if name not in ("", *SKEWED) else declared
     if named is not None and name == "delay":  # what a short fit leaves depends on its search for the delay
         most = min(most, declared * float(np.sqrt(1.0 - named.gain)))
-    for tried in ([*_meant(recording, left), *_driven(recording, left)], _zeros(recording, left, declared)):
+    for tried in ([*_meant(recording, left), *_driven(recording, left)], _of_links(recording, left, declared)):
         least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
         if least > SHORT_FIT.better * skewed:
             as_well = found if least <= SHORT_FIT.as_good * skewed else []
@@ -218,22 +221,32 @@ def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
         yield part if all(np.cos(angle) > np.sqrt(0.5) for angle in angles) else np.inf, [finding]
 
 
-def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tried]:
-    """Yield what a short fit leaves with the zero of each link moved to where the sum of squares is least.
+def _of_links(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tried]:
+    """Yield what a short fit leaves with the zero of each link, or its times, moved to where the squares are least.
 
-    About quadratic in the zero: its least value follows from what is left at three zeros.
+    About quadratic in either: the least value follows from what is left at three.
     """
-    n = recording.data.shape[1]
+    n, t = recording.data.shape[1], recording.t
 
-    def moved(k: int, zero: float) -> float:
-        return left(_declared_as(recording, recording.data - zero * np.eye(n)[k]))[0]
+    def early(k: int, time: float) -> Array:
+        known = ~np.isnan(recording.data[:, k])
+        column = np.where(known, np.interp(t + time, t[known], recording.data[known, k]), np.nan)
+        return np.where(np.arange(n) == k, column[:, None], recording.data)
 
+    quantities: tuple[tuple[Kind, str, float, Callable[[int, float], Array]], ...] = (
+        (Kind.LINK_ZERO, "angle", SHORT_FIT.zero, lambda k, zero: recording.data - zero * np.eye(n)[k]),
+        (Kind.LINK_LATE, "delay", SHORT_FIT.late, early),
+    )
     for k in range(n) if recording.kind == "angles" and 1 < n <= SHORT_FIT.swaps else ():
-        below, above = moved(k, -SHORT_FIT.zero) ** 2, moved(k, SHORT_FIT.zero) ** 2
-        bend = below - 2.0 * declared**2 + above
-        if 0.0 < bend < np.inf:
-            zero = 0.5 * SHORT_FIT.zero * (below - above) / bend
-            yield moved(k, zero), [Finding(Kind.LINK_ZERO, values={"link": k, "angle": zero})]
+        for kind, name, step, moved in quantities:
+            below, above = (left(_declared_as(recording, moved(k, each)))[0] ** 2 for each in (-step, step))
+            bend = below - 2.0 * declared**2 + above
+            if 0.0 < bend < np.inf:
+                value = 0.5 * step * (below - above) / bend
+                yield (
+                    left(_declared_as(recording, moved(k, value)))[0],
+                    [Finding(kind, values={"link": k, name: value})],
+                )
 
 
 def _driven(recording: Recording, left: ShortFit) -> Iterator[Tried]:

@@ -1,0 +1,249 @@
+"""Faults of a recording that its samples show by themselves, before any fit: lost markers, jumps, frames.
+
+To add one, write a function of a recording that yields findings, and list it in FAULTS. Nothing is repaired here, and
+what is not sure is left to the fit.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.findings import Finding, Kind
+from hyperflex.recording import Recording
+
+
+@dataclass(frozen=True)
+class FaultLimits:
+    """Limits beyond which samples are no motion of a rope with noise."""
+
+    # times what a sample usually is off from its neighbours: a tumbling rope at 30 frames/s makes 2
+    far: float = 4.0
+    # times the resolution, the least step: a channel that moves so much between frames is not at rest
+    moving: float = 4.0
+    # part of the steps: fewer repeated frames do no harm
+    several: float = 0.01
+    # rad: a step longer than three quarters of a turn is a wrapped one
+    wrapped: float = 1.5 * np.pi
+    # part of a frame time by which frames are early or late; the least number of samples that show it
+    uneven: float = 0.15
+    many: int = 20
+    # times what noise, and the motion across, make of it
+    clear: float = 2.0
+    # part of the motion's reach: smaller jumps change little
+    matters: float = 0.01
+    # standard deviations of a jump: of a million of normal errors none is so large. Where cubics follow the motion no
+    # better than to more than noise, so many times as large: a whip of the tip at 25 frames/s makes 8
+    jump: float = 6.0
+    sharp: float = 8.0
+    # samples on either side of a jump, through which cubics go, and by how much more variance they may leave than fewer
+    # samples do, to be used; standard deviations by which jumps of fewer samples, and what is left, may differ
+    sides: tuple[int, ...] = (4, 5, 8, 12, 20)
+    alike: float = 1.5
+    agree: float = 3.0
+    # frames that are missing at a time at most, and by how much their number may seem to be no whole one
+    missing: int = 3
+    whole: float = 0.4
+
+
+LIMITS = FaultLimits()
+BLOCK = 1 << 14  # windows whose samples are in memory at a time
+
+
+def lost(recording: Recording) -> Iterator[Finding]:
+    """Yield that a marker or an angle falls to exactly one place again and again, as programs write what they lost.
+
+    Not where that place is near the samples before and after, as at the turn of a swing or for a marker at rest.
+    """
+    markers = recording.kind == "markers"
+    found = {}
+    for number, place in enumerate(np.moveaxis(recording.data.reshape(recording.t.size, -1, 1 + markers), 1, 0)):
+        place = place[np.isfinite(place).all(axis=1)]
+        places, which, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
+        at = which.ravel() == np.argmax(count)
+        ends = np.diff(at.astype(int))
+        last, after = np.flatnonzero(ends == 1), np.flatnonzero(ends == -1) + 1  # before and after each fall
+        after = after[after > (last[0] if last.size else 0)]
+        last = last[: after.size]
+        if not last.size or not 1 < count.max() < 0.5 * at.size:
+            continue
+        off = np.linalg.norm(place[1:-1] - 0.5 * (place[:-2] + place[2:]), axis=1)
+        other = ~(at[:-2] | at[1:-1] | at[2:])
+        away = np.linalg.norm(0.5 * (place[last] + place[after]) - places[np.argmax(count)], axis=1)
+        if other.any() and np.median(away) > max(
+            LIMITS.far * np.quantile(off[other], 0.9), LIMITS.matters * np.ptp(place)
+        ):
+            found[number] = places[np.argmax(count)].tolist(), float(at.mean())
+    for place, _ in {str(place): (place, part) for place, part in found.values()}.values():
+        numbers = [number for number, each in found.items() if each[0] == place]
+        part = max(found[number][1] for number in numbers)
+        what, shown = ("marker", f"({place[0]:.4g}, {place[-1]:.4g})") if markers else ("link", f"{place[0]:.4g} rad")
+        yield Finding(Kind.LOST, values={"what": what, "numbers": numbers, "place": shown, "part": part})
+
+
+def wrapped(recording: Recording) -> Iterator[Finding]:
+    """Yield that an angle jumps by about a whole turn, and not there and back at once as an outlier does."""
+    for link, column in enumerate(recording.data.T if recording.kind == "angles" else ()):
+        known = np.flatnonzero(~np.isnan(column))
+        step = np.diff(column[known], prepend=column[known[0]], append=column[known[-1]])
+        turned = np.abs(np.abs(step) - 2.0 * np.pi) < 2.0 * np.pi - LIMITS.wrapped
+        back = np.abs(step[1:] + step[:-1]) < np.pi
+        turned &= ~(np.append(back, False) | np.append(False, back))
+        if turned.any():
+            first = float(recording.t[known[min(int(np.argmax(turned)), known.size - 1)]])
+            yield Finding(Kind.WRAPPED, values={"link": link, "count": int(turned.sum()), "time": first})
+
+
+def repeated(recording: Recording) -> Iterator[Finding]:
+    """Yield that frames repeat the frame before while the rope moves: a slower camera, stored faster.
+
+    Frames that nearly repeat it tell how often noise of a coarse sensor does so by chance.
+    """
+    size = np.abs(np.diff(recording.data, axis=0))
+    resolution = np.where(size > 0.0, size, np.inf).min(axis=0, initial=np.inf)
+    moves = (size >= LIMITS.moving * resolution).any(axis=1)
+    between = moves[:-2] & moves[2:]
+    same = between & (size[1:-1] == 0.0).all(axis=1)
+    nearly = between & (size[1:-1] <= 1.5 * resolution).all(axis=1) & ~same
+    if same.sum() > max(LIMITS.several * size.shape[0], nearly.sum()):
+        yield Finding(Kind.REPEATED_FRAMES, values={"part": float(same.sum() / size.shape[0])})
+
+
+def _even(recording: Recording, longest: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Return whether times are even (T - longest + 1,) in windows of so many samples: uneven ones know of gaps."""
+    dt = np.diff(recording.t)
+    odd = np.abs(dt / np.median(dt) - 1.0) > 0.1
+    return np.convolve(odd, np.ones(longest - 1), "valid") == 0.0
+
+
+def uneven_frames(recording: Recording) -> Iterator[Finding]:
+    """Yield that frames are early or late, while their times are even: frames are missing, and times count on.
+
+    A sample is compared with a cubic through its four neighbours. Frames at wrong times are off along the motion of all
+    channels together, more where it is fast. Noise is off in all directions and at all speeds alike.
+    """
+    from scipy.ndimage import median_filter
+
+    data, around = recording.data, 3
+    if recording.t.size < 2 * around + 4 + LIMITS.many:
+        return
+    off = (data[2:-2] - (4.0 * (data[1:-3] + data[3:-1]) - data[:-4] - data[4:]) / 6.0)[around:-around]
+    smooth = np.where(np.isnan(data), np.nan, median_filter(np.nan_to_num(data), size=(5, 1)))  # without outliers
+    speed = ((smooth[2 * around :] - smooth[: -2 * around]) / (2.0 * around))[2:-2]
+    rows = np.isfinite(off).all(axis=1) & np.isfinite(speed).all(axis=1) & _even(recording, 2 * around + 5)
+    reach = np.nanmax(data, axis=0) - np.nanmin(data, axis=0)
+    moving = reach > 0.1 * reach.max()
+    off, speed = off[rows][:, moving], speed[rows][:, moving]
+    fast = np.linalg.norm(speed, axis=1)
+    if fast.size < LIMITS.many or not np.median(fast) > 0.0:
+        return
+    along = (off * speed).sum(axis=1) / np.maximum(fast, 1e-300)
+    upper, lower = fast >= np.median(fast), fast <= np.quantile(fast, 0.25)
+    seen = float(np.median(np.abs(along[upper])))
+    noise = float(np.median(np.abs(along[lower])))
+    if moving.sum() > 1:
+        across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0) / (moving.sum() - 1))
+        noise = max(noise, float(np.median(across[upper])))
+    part = float(np.median(np.abs(along[upper]) / fast[upper]))
+    if part > LIMITS.uneven and seen > LIMITS.clear * noise:
+        yield Finding(Kind.UNEVEN_FRAMES, values={"part": part})
+
+
+class _Jump(NamedTuple):
+    """A jump between the sample `before` and the next: how large, in standard deviations, and over the usual step."""
+
+    channel: int
+    before: int
+    size: float
+    certain: float
+    steps: float
+
+
+def _jumps(column: Array, channel: int, recording: Recording, reach: float) -> Iterator[_Jump]:
+    """Yield jumps of a channel: where cubics with a jump in the middle leave no more than usual, without one far more.
+
+    As many samples are used as leave no more variance than fewer ones, so that it is noise; those must see it as well.
+    """
+    fits = list[_Cubics]()
+    for side in LIMITS.sides:
+        if 4 * side > column.size:
+            break
+        fit = _Cubics.of(np.where(_even(recording, 2 * side), 1.0, np.nan), column, side)
+        if not np.isfinite(fit.usual) or (fits and fit.usual > LIMITS.alike * fits[0].usual):
+            break
+        fits.append(fit)
+    if not fits or not fits[-1].usual > 0.0:
+        return
+    best = fits[-1]
+    certain = np.abs(best.size) / best.std
+    certain[~(best.variance <= best.usual * (1.0 + LIMITS.agree * np.sqrt(2.0 / (2 * best.side - 5))))] = 0.0
+    certain[np.abs(best.size) < LIMITS.matters * reach] = 0.0
+    for fit in fits[:-1]:
+        inner = slice(best.side - fit.side, best.side - fit.side + certain.size)
+        certain[~(np.abs(fit.size[inner] - best.size) <= LIMITS.agree * fit.std)] = 0.0
+    limit = LIMITS.jump * (LIMITS.sharp if len(fits) == 1 else 1.0)
+    while certain.max(initial=0.0) > limit:
+        k = int(np.argmax(certain))
+        steps = float(best.size[k] / best.slope[k]) if best.slope[k] else np.inf
+        yield _Jump(channel, k + best.side - 1, float(best.size[k]), float(certain[k]), steps)
+        certain[max(0, k - best.side) : k + best.side + 1] = 0.0
+
+
+class _Cubics(NamedTuple):
+    """Cubics with a jump in the middle through each window of 2 `side` samples (W,), NaN where it has gaps.
+
+    The jump, the slope a sample, the variance left, its median, and the jump's standard deviation from that.
+    """
+
+    side: int
+    size: Array
+    slope: Array
+    variance: Array
+    usual: float
+    std: float
+
+    @classmethod
+    def of(cls, known: Array, column: Array, side: int) -> "_Cubics":
+        """Return those of the windows that are `known` (W,): 1, or NaN."""
+        u = (np.arange(2 * side) - side + 0.5) / side
+        model = np.column_stack([u > 0.0, np.vander(u, 4, increasing=True)]).astype(float)
+        parts, rest = np.linalg.pinv(model)[[0, 2]].T, np.linalg.svd(model)[0][:, model.shape[1] :]
+        windows = np.lib.stride_tricks.sliding_window_view(column, 2 * side)
+        found = []
+        for block in range(0, len(windows), BLOCK):
+            samples = windows[block : block + BLOCK] - windows[block : block + BLOCK, :1]
+            found.append([*(samples @ parts).T, ((samples @ rest) ** 2).sum(axis=1) / rest.shape[1]])
+        size, slope, variance = np.concatenate(found, axis=1) * known
+        usual = float(np.nanmedian(variance)) if np.isfinite(variance).any() else np.inf
+        return cls(side, size, slope / side, variance, usual, float(np.sqrt(usual) * np.linalg.norm(parts[:, 0])))
+
+
+def jumps(recording: Recording) -> Iterator[Finding]:
+    """Yield that a channel jumps by a constant and stays there, or that motion skips steps: frames are missing."""
+    reach = float((np.nanmax(recording.data, axis=0) - np.nanmin(recording.data, axis=0)).max())
+    reach = min(reach, 2.0 * np.pi) if recording.kind == "angles" else reach
+    found = [each for k, column in enumerate(recording.data.T) for each in _jumps(column, k, recording, reach)]
+    if not found:
+        return
+    steps = np.array([each.steps for each in found])
+    frames = np.round(steps)
+    skipped = (frames >= 1) & (frames <= LIMITS.missing) & (np.abs(steps - frames) < LIMITS.whole)
+    if skipped.sum() > 1 and skipped.mean() > 0.5:
+        at = sorted({each.before for each, gone in zip(found, skipped, strict=True) if gone})
+        yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
+        return
+    most = max(found, key=lambda each: each.certain)
+    markers = recording.kind == "markers"
+    channel = f"{'xy'[most.channel % 2]} of marker {most.channel // 2}" if markers else f"angle of link {most.channel}"
+    values = {"channel": channel, "size": most.size, "unit": "m" if markers else "rad"}
+    yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
+
+
+FAULTS = (wrapped, lost, repeated, uneven_frames, jumps)
+
+
+def faults(recording: Recording) -> list[Finding]:
+    """Return what the first of them finds that finds anything: others may follow from it."""
+    return next((found for check in FAULTS if (found := list(check(recording)))), [])
