@@ -57,6 +57,14 @@ CAUSES: dict[
     "arm's length x 1.01": (Kind.LENGTHS,),
     "stamps 20 ms late": (Kind.DELAY,),
     "bent at rest, held straight": (Kind.REST_BEND,),
+    "5 % lost, written as 0": (Kind.LOST,),
+    "lost for 0.2 s every 2 s, written as 0": (Kind.LOST,),
+    "half of the frames dropped, times counted on": (Kind.UNEVEN_FRAMES, Kind.MISSING_FRAMES, *TIMES_OR_LENGTHS),
+    "half the frames, each twice": (Kind.REPEATED_FRAMES,),
+    "a zero moved halfway": (Kind.JUMP, *ANGLES),
+    "4 % outliers": (Kind.OUTLIERS,),
+    "last link 10 ms late": (Kind.LINK_LATE,),
+    "last link 30 ms late": (Kind.LINK_LATE,),
 }
 BOTH = "clock x 1.1 and lengths x 1.21: a longer rope that moves alike"
 DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -143,7 +151,7 @@ def simulated() -> Iterator[Case]:
     q = noisy(q)
     truth = ratios(DOUBLE)
     double = [*slips("double", t, q, guess, truth), *poor(t, q, guess, truth), *held(t, q, truth)]
-    for cases in (double, of_single(), of_markers(guess, truth), of_ropes(), driven(guess, truth)):
+    for cases in (double, of_single(), of_markers(guess, truth), of_ropes(), driven(guess, truth), *of_samples()):
         yield from beside_right(cases)
 
 
@@ -262,6 +270,76 @@ def driven(guess: hf.Rope, truth: dict[str, Array]) -> Iterator[Case]:
     yield case("arm's length x 1.2", arm=hf.Arm(length=0.12))
     yield case("stamps 20 ms late", t + 0.02)
     yield case("stamps 100 ms late", t + 0.1)
+
+
+def of_samples() -> Iterator[Iterator[Case]]:
+    """Yield motions whose samples are spoiled, as angles and as markers, regular and not, at 30 to 100 frames/s."""
+    truth, guess = ratios(DOUBLE), DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
+    t, q = swing(DOUBLE, [0.9, 0.6], rate=100.0)
+    yield spoiled("fast double", Case("", lambda: hf.Recording(t, noisy(q)), guess, truth))
+    wild = swing(DOUBLE, [2.6, 2.2], rate=100.0)[1]
+    yield spoiled("tumbling double", Case("", lambda: hf.Recording(t, noisy(wild)), guess, truth))
+    places = noisy(np.stack([DOUBLE.joints(row, np.zeros(2)) for row in q]) + [0.4, 0.9], 5e-4).reshape(t.size, -1)
+    yield spoiled("fast markers", Case("", lambda: hf.Recording(t, places, kind="markers"), guess, truth))
+    alone = {"arc_lengths": [0.55], "origin": (0.4, 0.9)}
+    yield spoiled(
+        "a marker alone", Case("", lambda: hf.Recording(t, places[:, 4:], kind="markers"), guess, truth, setup=alone)
+    )
+    mass = {"length": [0.8], "mass": [0.05], "com": [0.8]}
+    string = hf.Rope(**mass, inertia=1e-6, friction=2e-4)
+    t30, q30 = swing(string, [0.5], 20.0, 30.0)
+    seen = noisy(np.stack([string.joints(row, np.zeros(2)) for row in q30]) + [0.4, 0.9], 1e-3).reshape(t30.size, -1)
+    held = hf.Rope(**mass, inertia=5e-4, friction=5e-4)
+    of_string = Case("", lambda: hf.Recording(t30, seen, kind="markers"), held, ratios(string), ("inertia", "friction"))
+    yield spoiled("string", of_string)
+    alone = {"arc_lengths": [0.8], "origin": (0.4, 0.9)}
+    bob = replace(of_string, recording=lambda: hf.Recording(t30, seen[:, 2:], kind="markers"), setup=alone)
+    yield spoiled("string's bob alone", bob)
+
+
+def spoiled(name: str, right: Case) -> Iterator[Case]:
+    """Yield a case as it is, and with its samples spoiled as programs, cameras and sensors spoil them."""
+    recording, random = right.recording(), np.random.default_rng(3)
+    t, data, markers = recording.t, recording.data, recording.kind == "markers"
+    last, middle = slice(-2, None) if markers else slice(-1, None), t.size // 2
+
+    def case(what: str, data: Array, times: Array = t, **more: Any) -> Case:
+        made = lambda: hf.Recording(times, data, kind=recording.kind)  # noqa: E731
+        return replace(right, name=f"{name}: {what}", recording=made, **more)
+
+    def changed(where: Any, what: Any, columns: slice = last) -> Array:
+        result = data.copy()
+        result[where, columns] = what
+        return result
+
+    yield case("as it is", data)
+    few = random.random(t.size) < 0.05
+    yield case("5 % lost, written as 0", changed(few, 0.0))
+    runs = (t % 2.0) > 1.8
+    yield case("lost for 0.2 s every 2 s, written as 0", changed(runs, 0.0))
+    yield case("the same as gaps", changed(runs, np.nan), widest=POOR)
+    kept = np.sort(random.permutation(t.size)[:middle])
+    yield case("half of the frames dropped, times counted on", data[kept], t[:middle])
+    yield case("half of the frames dropped, with their times", data[kept], t[kept], widest=POOR)
+    yield case("half the frames, each twice", np.repeat(data[::2], 2, axis=0)[: t.size])
+    shift = 0.03 if markers else 0.1
+    yield case("a zero moved halfway", changed(slice(middle, None), data[middle:, last] + shift))
+    wild = random.random(data.shape) < 0.04
+    outliers = data + np.where(wild, random.normal(0.0, 0.1 if markers else 0.3, data.shape), 0.0)
+    yield case("4 % outliers", outliers, widest=POOR)
+    yield case("4 % outliers, robust", outliers, loss="cauchy", widest=POOR)
+    yield case("held for a second first", np.vstack([np.repeat(data[:1], 30, axis=0), data[:-30]]))
+    yield case("rounded to two digits", np.round(data, 2), widest=POOR)
+    if not markers:
+        yield case("wrapped", (2.0 * data + np.pi) % (2.0 * np.pi) - np.pi)
+    if not markers and data.shape[1] > 1:
+        for late in (0.01, 0.03):
+            column = np.interp(t - late, t, data[:, -1])
+            yield case(f"last link {1e3 * late:.0f} ms late", np.column_stack([data[:, :-1], column]))
+    if markers and data.shape[1] > 2:
+        flipped = data * np.tile([1.0, -1.0], data.shape[1] // 2)
+        yield case("y points down", flipped)
+        yield case("the last marker stands still", changed(slice(None), data[:1, last] + 1e-3 * data[:, last]))
 
 
 def turned(places: Array, angle: float) -> Array:

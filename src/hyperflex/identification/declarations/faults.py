@@ -6,6 +6,7 @@ what is not sure is left to the fit.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -34,13 +35,13 @@ class FaultLimits:
     clear: float = 2.0
     # part of the motion's reach: smaller jumps change little
     matters: float = 0.01
-    # standard deviations of a jump: of a million of normal errors none is so large. Where cubics follow the motion no
-    # better than to more than noise, so many times as large: a whip of the tip at 25 frames/s makes 8
-    jump: float = 6.0
-    sharp: float = 8.0
-    # samples on either side of a jump, through which cubics go, and by how much more variance they may leave than fewer
-    # samples do, to be used; standard deviations by which jumps of fewer samples, and what is left, may differ
-    sides: tuple[int, ...] = (4, 5, 8, 12, 20)
+    # standard deviations of a jump: tumbling links with noise make 7 in a million samples. Where polynomials do not
+    # follow the motion to noise, so many times as large: a whip of the tip at 25 frames/s makes 8
+    jump: float = 8.0
+    sharp: float = 6.0
+    # samples on either side of a jump, through which polynomials go, and by how much more variance they may leave than
+    # fewer samples do, to be used; standard deviations by which jumps of fewer samples, and what is left, may differ
+    sides: tuple[int, ...] = (5, 6, 8, 12, 20)
     alike: float = 1.5
     agree: float = 3.0
     # frames that are missing at a time at most, and by how much their number may seem to be no whole one
@@ -49,6 +50,8 @@ class FaultLimits:
 
 
 LIMITS = FaultLimits()
+TERMS = 6  # of a polynomial of fifth degree: twice as many samples as a cubic follows
+BAND = 0.95  # part of the windows from which the deviation of jumps is taken: those about a true one are fewer
 BLOCK = 1 << 14  # windows whose samples are in memory at a time
 
 
@@ -61,6 +64,8 @@ def lost(recording: Recording) -> Iterator[Finding]:
     found = {}
     for number, place in enumerate(np.moveaxis(recording.data.reshape(recording.t.size, -1, 1 + markers), 1, 0)):
         place = place[np.isfinite(place).all(axis=1)]
+        if len(place) < LIMITS.many:
+            continue
         places, which, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
         at = which.ravel() == np.argmax(count)
         ends = np.diff(at.astype(int))
@@ -162,15 +167,15 @@ class _Jump(NamedTuple):
 
 
 def _jumps(column: Array, channel: int, recording: Recording, reach: float) -> Iterator[_Jump]:
-    """Yield jumps of a channel: where cubics with a jump in the middle leave no more than usual, without one far more.
+    """Yield jumps of a channel: where polynomials with a jump in the middle leave no more than usual.
 
     As many samples are used as leave no more variance than fewer ones, so that it is noise; those must see it as well.
     """
-    fits = list[_Cubics]()
+    fits = list[_Polynomials]()
     for side in LIMITS.sides:
         if 4 * side > column.size:
             break
-        fit = _Cubics.of(np.where(_even(recording, 2 * side), 1.0, np.nan), column, side)
+        fit = _Polynomials.of(np.where(_even(recording, 2 * side), 1.0, np.nan), column, side)
         if not np.isfinite(fit.usual) or (fits and fit.usual > LIMITS.alike * fits[0].usual):
             break
         fits.append(fit)
@@ -178,7 +183,7 @@ def _jumps(column: Array, channel: int, recording: Recording, reach: float) -> I
         return
     best = fits[-1]
     certain = np.abs(best.size) / best.std
-    certain[~(best.variance <= best.usual * (1.0 + LIMITS.agree * np.sqrt(2.0 / (2 * best.side - 5))))] = 0.0
+    certain[~(best.variance <= best.usual * (1.0 + LIMITS.agree * np.sqrt(2.0 / (2 * best.side - TERMS - 1))))] = 0.0
     certain[np.abs(best.size) < LIMITS.matters * reach] = 0.0
     for fit in fits[:-1]:
         inner = slice(best.side - fit.side, best.side - fit.side + certain.size)
@@ -191,10 +196,10 @@ def _jumps(column: Array, channel: int, recording: Recording, reach: float) -> I
         certain[max(0, k - best.side) : k + best.side + 1] = 0.0
 
 
-class _Cubics(NamedTuple):
-    """Cubics with a jump in the middle through each window of 2 `side` samples (W,), NaN where it has gaps.
+class _Polynomials(NamedTuple):
+    """Polynomials of fifth degree with a jump in the middle, through each window of 2 `side` samples (W,); NaN in gaps.
 
-    The jump, the slope a sample, the variance left, its median, and the jump's standard deviation from that.
+    The jump, the slope a sample, the variance left, its median, and the standard deviation of jumps that are none.
     """
 
     side: int
@@ -205,10 +210,10 @@ class _Cubics(NamedTuple):
     std: float
 
     @classmethod
-    def of(cls, known: Array, column: Array, side: int) -> "_Cubics":
+    def of(cls, known: Array, column: Array, side: int) -> "_Polynomials":
         """Return those of the windows that are `known` (W,): 1, or NaN."""
         u = (np.arange(2 * side) - side + 0.5) / side
-        model = np.column_stack([u > 0.0, np.vander(u, 4, increasing=True)]).astype(float)
+        model = np.column_stack([u > 0.0, np.vander(u, TERMS, increasing=True)]).astype(float)
         parts, rest = np.linalg.pinv(model)[[0, 2]].T, np.linalg.svd(model)[0][:, model.shape[1] :]
         windows = np.lib.stride_tricks.sliding_window_view(column, 2 * side)
         found = []
@@ -216,8 +221,10 @@ class _Cubics(NamedTuple):
             samples = windows[block : block + BLOCK] - windows[block : block + BLOCK, :1]
             found.append([*(samples @ parts).T, ((samples @ rest) ** 2).sum(axis=1) / rest.shape[1]])
         size, slope, variance = np.concatenate(found, axis=1) * known
-        usual = float(np.nanmedian(variance)) if np.isfinite(variance).any() else np.inf
-        return cls(side, size, slope / side, variance, usual, float(np.sqrt(usual) * np.linalg.norm(parts[:, 0])))
+        if not np.isfinite(size).any():
+            return cls(side, size, slope, variance, np.inf, np.inf)
+        std = float(np.nanquantile(np.abs(size), BAND)) / NormalDist().inv_cdf(0.5 + 0.5 * BAND)
+        return cls(side, size, slope / side, variance, float(np.nanmedian(variance)), std)
 
 
 def jumps(recording: Recording) -> Iterator[Finding]:
