@@ -279,20 +279,21 @@ def of_samples() -> Iterator[Iterator[Case]]:
     yield spoiled("fast double", Case("", lambda: hf.Recording(t, noisy(q)), guess, truth))
     wild = swing(DOUBLE, [2.6, 2.2], rate=100.0)[1]
     yield spoiled("tumbling double", Case("", lambda: hf.Recording(t, noisy(wild)), guess, truth))
-    places = noisy(np.stack([DOUBLE.joints(row, np.zeros(2)) for row in q]) + [0.4, 0.9], 5e-4).reshape(t.size, -1)
+    pivot = np.array([0.4, 0.9])
+    places = noisy(np.stack([DOUBLE.joints(row, pivot) for row in q]), 5e-4).reshape(t.size, -1)
     yield spoiled("fast markers", Case("", lambda: hf.Recording(t, places, kind="markers"), guess, truth))
-    alone = {"arc_lengths": [0.55], "origin": (0.4, 0.9)}
+    alone = {"arc_lengths": [0.55], "origin": pivot}
     yield spoiled(
         "a marker alone", Case("", lambda: hf.Recording(t, places[:, 4:], kind="markers"), guess, truth, setup=alone)
     )
     mass = {"length": [0.8], "mass": [0.05], "com": [0.8]}
     string = hf.Rope(**mass, inertia=1e-6, friction=2e-4)
     t30, q30 = swing(string, [0.5], 20.0, 30.0)
-    seen = noisy(np.stack([string.joints(row, np.zeros(2)) for row in q30]) + [0.4, 0.9], 1e-3).reshape(t30.size, -1)
+    seen = noisy(np.stack([string.joints(row, pivot) for row in q30]), 1e-3).reshape(t30.size, -1)
     held = hf.Rope(**mass, inertia=5e-4, friction=5e-4)
     of_string = Case("", lambda: hf.Recording(t30, seen, kind="markers"), held, ratios(string), ("inertia", "friction"))
     yield spoiled("string", of_string)
-    alone = {"arc_lengths": [0.8], "origin": (0.4, 0.9)}
+    alone = {"arc_lengths": [0.8], "origin": pivot}
     bob = replace(of_string, recording=lambda: hf.Recording(t30, seen[:, 2:], kind="markers"), setup=alone)
     yield spoiled("string's bob alone", bob)
 

@@ -145,6 +145,8 @@ def identify(
     driven = {**_drive(setup), **torque.read(recording, reading)}
     placed, options = RecordingSetup(**driven, arc_lengths=places, origin=origin), FitOptions(**fit)
     measured, guess, chosen = reading.read(recording), Rope.from_toml(rope), words(free) or None
+    for fault in measured.check():
+        output.note(str(fault))
     how: dict[str, Any] = {"setup": placed, "options": options, "time_budget": time_budget, "progress": True}
     result, stopped = output.run(lambda: run(measured, guess, chosen, **how))
     summary = {"output": out, **result.summary()}

@@ -45,6 +45,7 @@ FRICTION_MOVES = 0.1
 # robust standard deviations of an outlier: of a million of normal errors none is so large; part of the squares from
 # which they decide the fit
 OUTLYING, DECIDE = 6.0, 0.5
+ALONE = 0.5  # part of the outliers that others follow at most
 # part of the windows
 LEFT_OUT = 0.2
 
@@ -112,16 +113,19 @@ def _of_points(basis: Basis, sizes: Array) -> Array:
 
 
 def _outliers(basis: Basis) -> Iterator[Finding]:
-    """Yield that few residuals, far larger than the others, make most of a sum of plain squares."""
+    """Yield that single residuals, far larger than the others, make most of a sum of plain squares.
+
+    Those that follow one another are of the model.
+    """
     if basis.fit.loss.name != "squares":
         return
     residuals = residuals_of(basis.windows, basis.fit)
     size = np.abs(residuals) / np.maximum(NORMAL * np.nanmedian(np.abs(residuals), axis=0), 1e-300)
-    size = size[np.isfinite(size)]
-    out = size > OUTLYING
-    squares = float((size[out] ** 2).sum() / (size**2).sum())
-    if squares > DECIDE:
-        yield Finding(Kind.OUTLIERS, values={"part": float(out.mean()), "beyond": OUTLYING, "squares": squares})
+    out, known = size > OUTLYING, np.isfinite(size)
+    squares = float((size[out] ** 2).sum() / (size[known] ** 2).sum())
+    if squares > DECIDE and (out[1:] & out[:-1]).sum() < ALONE * out.sum():
+        values = {"part": float(out.sum() / known.sum()), "beyond": OUTLYING, "squares": squares}
+        yield Finding(Kind.OUTLIERS, values=values)
 
 
 def _sizes(basis: Basis) -> Array:

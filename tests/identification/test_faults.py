@@ -1,0 +1,153 @@
+"""Faults that samples show by themselves: found before a fit, never where a recording is right, never repaired."""
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from hyperflex.identification import Kind
+
+LENGTHS = np.array([0.3, 0.2])
+SWING, TUMBLE = ([0.6, 0.4], [0.0, 0.0]), ([2.6, 2.0], [3.0, -5.0])
+
+
+def recorded(rate=60.0, start=SWING, kind="angles", noise=1e-3, duration=10.0, n=2):
+    """A point-mass pendulum of n links, by the simulator, with noise (m)."""
+    t = np.arange(round(duration * rate)) / rate
+    rope = hf.Rope(LENGTHS[:n], [0.1, 0.1][:n], com=LENGTHS[:n], inertia=1e-7, friction=2e-5)
+    q0, qd0 = (each[:n] for each in start)
+    q = hf.simulate(rope, duration=float(t[-1]), t_eval=t, q0=q0, qd0=qd0, tol=1e-7).q
+    if kind == "angles":
+        return hf.Recording(t, noisy(q, noise / LENGTHS.mean()))
+    places = np.stack([rope.joints(row, np.zeros(2)) for row in q]).reshape(t.size, -1)
+    places[:, 2:] = noisy(places[:, 2:], noise)
+    return hf.Recording(t, places, kind="markers")
+
+
+def noisy(values, size):
+    return values + size * np.random.default_rng(0).standard_normal(values.shape)
+
+
+def spoiled(recording, data=None, t=None):
+    return hf.Recording(recording.t if t is None else t, recording.data if data is None else data, kind=recording.kind)
+
+
+@pytest.mark.parametrize("kind", ["angles", "markers"])
+@pytest.mark.parametrize("start", [SWING, TUMBLE], ids=["swing", "tumble"])
+@pytest.mark.parametrize("rate", [30.0, 200.0])
+def test_right_recordings_have_no_faults(kind, start, rate):
+    """Noise, outliers, gaps, coarse sensors and a pivot that is exactly at the origin are none."""
+    right = recorded(rate, start, kind)
+    random = np.random.default_rng(1)
+    outliers = right.data + np.where(random.random(right.data.shape) < 0.03, random.normal(0.0, 0.3), 0.0)
+    gaps = np.where(random.random(right.data.shape) < 0.3, np.nan, right.data)
+    coarse = np.round(right.data, 2)
+    for data in (right.data, outliers, gaps, coarse):
+        assert [str(each) for each in spoiled(right, data).check()] == []
+
+
+def test_uneven_times_are_no_missing_frames():
+    right = recorded()
+    kept = np.sort(np.random.default_rng(0).permutation(right.t.size)[:300])
+    assert spoiled(right, right.data[kept], right.t[kept]).check() == []
+
+
+@pytest.mark.parametrize("step", [1, 5, 20])
+def test_real_recordings_have_no_faults(data_dir, step):
+    names = ("triple/Triple", "single/Single")
+    real = [hf.read_recording(data_dir / f"multiarm_{each}PendulumDataForParameterEstimation.mat") for each in names]
+    for run in ("run06", "run16"):
+        path = data_dir / "ibm_double_pendulum" / f"{run}_500Hz.csv"
+        markers = hf.read_recording(path, time_unit="s", unit="m", y_axis="up")
+        real += [markers, markers.angles()]
+    assert [each.decimate(step).check() for each in real] == [[]] * 6
+
+
+def lost(data, columns):
+    data = data.copy()
+    data[np.random.default_rng(2).random(len(data)) < 0.05, columns] = 0.0
+    return data
+
+
+def moved(data, column, size):
+    data = data.copy()
+    data[len(data) // 2 :, column] += size
+    return data
+
+
+MARKERS, ANGLES, FAST = recorded(kind="markers"), recorded(), recorded(200.0, noise=2e-4)
+KEPT = np.flatnonzero(np.arange(2000) % 100 > 0)
+HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
+
+
+@pytest.mark.parametrize(
+    ("recording", "kind", "said"),
+    [
+        (spoiled(MARKERS, lost(MARKERS.data, slice(4, 6))), Kind.LOST, "marker 2: exactly (0, 0) in"),
+        (spoiled(ANGLES, lost(ANGLES.data, 1)), Kind.LOST, "link 1: exactly 0 rad in"),
+        (spoiled(MARKERS, np.repeat(MARKERS.data[::2], 2, axis=0)), Kind.REPEATED_FRAMES, "50 % of the frames"),
+        (
+            spoiled(ANGLES, (8.0 * ANGLES.data) % (2.0 * np.pi)),
+            Kind.WRAPPED,
+            "The angle of link 0 jumps by whole turns",
+        ),
+        (spoiled(MARKERS, MARKERS.data[HALF], MARKERS.t[:300]), Kind.UNEVEN_FRAMES, "early or late"),
+        (spoiled(ANGLES, ANGLES.data[HALF], ANGLES.t[:300]), Kind.UNEVEN_FRAMES, "early or late"),
+        # 25 standard deviations of the noise
+        (spoiled(FAST, moved(FAST.data, 1, 0.02)), Kind.JUMP, "The angle of link 1 jumps by 0.0191 rad at t = 4.995 s"),
+        (spoiled(MARKERS, moved(MARKERS.data, 4, 0.02)), Kind.JUMP, "The x of marker 2 jumps by"),
+        (spoiled(FAST, FAST.data[KEPT], FAST.t[: KEPT.size]), Kind.MISSING_FRAMES, "skips whole frames"),
+    ],
+    ids=["marker lost", "angle lost", "repeated", "wrapped", "half", "half, angles", "zero", "slipped", "some missing"],
+)
+def test_faults_are_found(recording, kind, said):
+    before = recording.data.copy()
+    (found,) = recording.check() if kind is not Kind.WRAPPED else recording.check()[:1]
+    assert found.kind is kind
+    assert said in str(found)
+    assert (recording.data == before).all()
+
+
+def test_wrapped_angles_are_refused_at_once():
+    wrapped = spoiled(ANGLES, (5.0 * ANGLES.data + np.pi) % (2.0 * np.pi) - np.pi)
+    with pytest.raises(InvalidInput, match=r"jumps by whole turns.*wrapped=True"):
+        hf.identify(wrapped, hf.Rope(LENGTHS, 0.1))
+
+
+SINGLE = hf.Rope(LENGTHS[:1], [0.1], com=LENGTHS[:1], inertia=1e-5, friction=1e-4)
+
+
+def test_faults_come_first_in_a_report():
+    right = recorded(n=1, kind="markers", duration=5.0)
+    found = hf.identify(spoiled(right, lost(right.data, slice(2, 4))), SINGLE)
+    assert found.findings[0].kind is Kind.LOST
+    assert "exactly (0, 0)" in found.report().splitlines()[1]
+
+
+def test_outliers_are_named_and_bring_no_doubt_under_a_robust_loss():
+    right = recorded(n=1, duration=5.0)
+    random = np.random.default_rng(4)
+    data = right.data + np.where(random.random(right.data.shape) < 0.04, random.normal(0.0, 0.2, right.data.shape), 0.0)
+    found = hf.identify(spoiled(right, data), SINGLE)
+    named = next(each for each in found.findings if each.kind is Kind.OUTLIERS)
+    assert "loss='cauchy'" in str(named)
+    assert 0.01 < named.values["part"] < 0.05  # of 4 %, some are small
+    assert not hf.identify(spoiled(right, data), SINGLE, options=hf.FitOptions(loss="cauchy")).has(Kind.OUTLIERS)
+    assert not hf.identify(right, SINGLE).has(Kind.OUTLIERS)
+
+
+def test_y_that_points_down_is_no_reversed_order():
+    """For one link both turn the picture by half a turn; the marker that stands still is the pivot."""
+    right = recorded(n=1, kind="markers", duration=5.0)
+    found = hf.identify(spoiled(right, right.data * [1.0, -1.0, 1.0, -1.0]), SINGLE)
+    assert found.findings[0].kind is Kind.Y_AXIS
+
+
+@pytest.mark.parametrize(("first", "said"), [(0.0, "held at both ends"), (0.05, "where the rope hangs")])
+def test_a_last_marker_that_stands_still(first, said):
+    t = np.arange(300) / 60.0
+    wave = np.column_stack([np.sin(5.0 * t), np.cos(7.0 * t)])
+    ends = np.array([0.0, 0.0]), np.array([0.5, 0.0])
+    places = np.column_stack([ends[0] + first * wave, [0.25, -0.1] + 0.05 * wave, ends[1] + 0.0 * wave])
+    with pytest.raises(InvalidInput, match=said):
+        hf.identify(hf.Recording(t, places, kind="markers"), hf.Rope([0.27, 0.27], 0.1))
