@@ -64,6 +64,7 @@ from hyperflex.status import Status
 
 TIME_BUDGET = 1800.0  # s, where no time budget is given
 SMALL = 0.06  # rad: half a turn that was read as degrees
+ODD = 0.02  # part of the motion that right fits do not leave, but for noise
 MOST = 3  # parameters that are freed at most beyond the first ones: each costs a fit
 # Of what was held, what a user is likely not to know: the likeliest first
 ALLOWED = ("com", "gravity_angle", "delay", *LAWS)
@@ -407,10 +408,12 @@ class _Case:
         """Return what seems wrong in the declaration of the recording, as far as it and short fits show."""
         short = ShortFit(self.guess, trial.free, self.setup, Loss(self.options.loss), self.budget)
         said = spring_or_angles(self.recording, short)
+        left = part_left(trial.plain.windows, trial.plain.fit.residuals)
         wrong = (
             any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
             or float(np.nanmax(np.abs(self.seen.shape.data))) < SMALL
             or any(each.suspected and each.quantity.declared for each in trial.tests)
+            or (any(each.kind is Kind.COLOURED for each in found) and left > ODD)
         )
         to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
         if wrong and not to_noise and not said and not self.faulty:  # which no mistake explains better

@@ -248,7 +248,7 @@ def jumps(recording: Recording) -> Iterator[Finding]:
     yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
 
 
-FAULTS = (wrapped, lost, repeated, uneven_frames, jumps)
+FAULTS = (lost, wrapped, repeated, uneven_frames, jumps)
 
 
 def faults(recording: Recording) -> list[Finding]:
