@@ -286,11 +286,10 @@ def of_samples() -> Iterator[Iterator[Case]]:
     yield spoiled(
         "a marker alone", Case("", lambda: hf.Recording(t, places[:, 4:], kind="markers"), guess, truth, setup=alone)
     )
-    mass = {"length": [0.8], "mass": [0.05], "com": [0.8]}
-    string = hf.Rope(**mass, inertia=1e-6, friction=2e-4)
+    string = hf.Rope([0.8], [0.05], com=[0.8], inertia=1e-6, friction=2e-4)
     t30, q30 = swing(string, [0.5], 20.0, 30.0)
     seen = noisy(np.stack([string.joints(row, pivot) for row in q30]), 1e-3).reshape(t30.size, -1)
-    held = hf.Rope(**mass, inertia=5e-4, friction=5e-4)
+    held = string.replace(inertia=5e-4, friction=5e-4)
     of_string = Case("", lambda: hf.Recording(t30, seen, kind="markers"), held, ratios(string), ("inertia", "friction"))
     yield spoiled("string", of_string)
     alone = {"arc_lengths": [0.8], "origin": pivot}
@@ -329,7 +328,7 @@ def spoiled(name: str, right: Case) -> Iterator[Case]:
     outliers = data + np.where(wild, random.normal(0.0, 0.1 if markers else 0.3, data.shape), 0.0)
     yield case("4 % outliers", outliers, widest=POOR)
     yield case("4 % outliers, robust", outliers, loss="cauchy", widest=POOR)
-    yield case("held for a second first", np.vstack([np.repeat(data[:1], 30, axis=0), data[:-30]]))
+    yield case("held for a second first", np.vstack([np.repeat(data[:1], 30, axis=0), data[:-30]]), widest=POOR)
     yield case("rounded to two digits", np.round(data, 2), widest=POOR)
     if not markers and np.abs(data).max() > np.pi:
         yield case("wrapped", (data + np.pi) % (2.0 * np.pi) - np.pi)

@@ -120,7 +120,7 @@ def _even(recording: Recording, longest: int) -> np.ndarray[tuple[int], np.dtype
     """Return whether times are even (T - longest + 1,) in windows of so many samples: uneven ones know of gaps."""
     dt = np.diff(recording.t)
     odd = np.abs(dt / np.median(dt) - 1.0) > 0.1
-    return np.convolve(odd, np.ones(longest - 1), "valid") == 0.0
+    return np.asarray(np.convolve(odd, np.ones(longest - 1), "valid") == 0.0, dtype=np.bool_)
 
 
 def uneven_frames(recording: Recording) -> Iterator[Finding]:

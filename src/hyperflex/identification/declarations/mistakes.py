@@ -48,8 +48,9 @@ class MistakeOptions:
     rounds: int = 12
     # rad, 5 degrees, of a link's zero: between what is no mistake and the 10 degrees that were tried
     zero: float = 0.09
-    # s, of a link that is late: a filter of a sensor, or a part of a frame
-    late: float = 0.01
+    # s, of a link that is late: a frame of a camera
+    late: float = 0.02
+    refined: int = 2  # times that either is followed to where the squares are least
     # logarithms of factors of angles, or of the arm's length: the largest believed, and the least reported
     farthest: float = 0.3
     least_gain: float = 0.005
@@ -224,7 +225,7 @@ def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
 def _of_links(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tried]:
     """Yield what a short fit leaves with the zero of each link, or its times, moved to where the squares are least.
 
-    About quadratic in either: the least value follows from what is left at three.
+    About quadratic in either: the least value follows from what is left at three, and once more from there.
     """
     n, t = recording.data.shape[1], recording.t
 
@@ -239,14 +240,16 @@ def _of_links(recording: Recording, left: ShortFit, declared: float) -> Iterator
     )
     for k in range(n) if recording.kind == "angles" and 1 < n <= SHORT_FIT.swaps else ():
         for kind, name, step, moved in quantities:
-            below, above = (left(_declared_as(recording, moved(k, each)))[0] ** 2 for each in (-step, step))
-            bend = below - 2.0 * declared**2 + above
-            if 0.0 < bend < np.inf:
-                value = 0.5 * step * (below - above) / bend
-                yield (
-                    left(_declared_as(recording, moved(k, value)))[0],
-                    [Finding(kind, values={"link": k, name: value})],
-                )
+            value, squares = 0.0, declared**2
+            for _ in range(SHORT_FIT.refined):
+                below, above = (left(_declared_as(recording, moved(k, value + each)))[0] ** 2 for each in (-step, step))
+                bend = below - 2.0 * squares + above
+                if not 0.0 < bend < np.inf:
+                    break
+                value += 0.5 * step * (below - above) / bend
+                squares = left(_declared_as(recording, moved(k, value)))[0] ** 2
+            if value > 0.0 or kind is Kind.LINK_ZERO:  # no sensor sees ahead
+                yield float(np.sqrt(squares)), [Finding(kind, values={"link": k, name: value})]
 
 
 def _driven(recording: Recording, left: ShortFit) -> Iterator[Tried]:
