@@ -65,6 +65,25 @@ NAMED = {  # the kind of the first finding
     "driven: arm's length x 1.2": Kind.ARM_LENGTH,
     "driven: stamps 100 ms late": Kind.DELAY,
 }
+SPOILED = {  # samples, of each motion
+    "5 % lost, written as 0": Kind.LOST,
+    "lost for 0.2 s every 2 s, written as 0": Kind.LOST,
+    "half the frames, each twice": Kind.REPEATED_FRAMES,
+    "wrapped": None,
+    "the last marker stands still": None,
+    "y points down": Kind.Y_AXIS,
+}
+NAMED |= {case.name: SPOILED[case.wrong] for case in SIMULATED if case.wrong in SPOILED and case.name not in NAMED}
+NAMED |= {
+    f"fast {kind}: {what}": named
+    for kind in ("double", "markers")
+    for what, named in (
+        ("half of the frames dropped, times counted on", Kind.UNEVEN_FRAMES),
+        ("a zero moved halfway", Kind.JUMP),
+        ("4 % outliers", Kind.OUTLIERS),
+    )
+}
+NAMED |= {f"fast double: last link {late} ms late": Kind.LINK_LATE for late in (10, 30)}
 FIT = (
     "as it is",
     "moves alike",
@@ -72,6 +91,10 @@ FIT = (
     "default",
     "40 % of samples missing",
     "guess off by 3",
+    "the same as gaps",
+    "with their times",
+    "outliers, robust",
+    "rounded to two digits",
 )  # must not be refused either
 
 
