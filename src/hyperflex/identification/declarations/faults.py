@@ -52,7 +52,7 @@ class FaultLimits:
 LIMITS = FaultLimits()
 TERMS = 6  # of a polynomial of fifth degree: twice as many samples as a cubic follows
 BAND = 0.95  # part of the windows from which the deviation of jumps is taken: those about a true one are fewer
-BLOCK = 1 << 14  # windows whose samples are in memory at a time
+BLOCK = 1 << 12  # windows whose samples are in memory at a time
 
 
 def lost(recording: Recording) -> Iterator[Finding]:
@@ -214,12 +214,15 @@ class _Polynomials(NamedTuple):
         """Return those of the windows that are `known` (W,): 1, or NaN."""
         u = (np.arange(2 * side) - side + 0.5) / side
         model = np.column_stack([u > 0.0, np.vander(u, TERMS, increasing=True)]).astype(float)
-        parts, rest = np.linalg.pinv(model)[[0, 2]].T, np.linalg.svd(model)[0][:, model.shape[1] :]
+        parts = np.linalg.pinv(model)[[0, 2]].T
+        table = np.column_stack([parts, np.linalg.qr(model)[0]])
         windows = np.lib.stride_tricks.sliding_window_view(column, 2 * side)
         found = []
         for block in range(0, len(windows), BLOCK):
             samples = windows[block : block + BLOCK] - windows[block : block + BLOCK, :1]
-            found.append([*(samples @ parts).T, ((samples @ rest) ** 2).sum(axis=1) / rest.shape[1]])
+            size, slope, *along = (samples @ table).T
+            left = np.einsum("ij,ij->i", samples, samples) - np.sum(np.square(along), axis=0)
+            found.append([size, slope, np.maximum(left, 0.0) / (2 * side - TERMS - 1)])
         size, slope, variance = np.concatenate(found, axis=1) * known
         if not np.isfinite(size).any():
             return cls(side, size, slope, variance, np.inf, np.inf)
