@@ -335,7 +335,7 @@ def spoiled(name: str, right: Case) -> Iterator[Case]:
     if not markers and data.shape[1] > 1:
         for late in (0.01, 0.03):
             column = np.interp(t - late, t, data[:, -1])
-            yield case(f"last link {1e3 * late:.0f} ms late", np.column_stack([data[:, :-1], column]))
+            yield case(f"last link {1e3 * late:.0f} ms late", np.column_stack([data[:, :-1], column]), widest=POOR)
     if markers and data.shape[1] > 2:
         flipped = data * np.tile([1.0, -1.0], data.shape[1] // 2)
         yield case("y points down", flipped)
