@@ -191,8 +191,7 @@ def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
     unit = readable_unit(found.unit, found.residual_rms)
     rows = [("ended", str(found.status)), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
-        worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
-        rows.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))
+        rows.append((f"prediction error over {held.ahead:g} s, rms", f"{held.error / unit.size:.3g} {unit.name}"))
     yield from found.report().splitlines()
     yield from (text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"])
     if "gravity_angle" in found.values:

@@ -170,7 +170,7 @@ def _rows(result: Mapping[str, Any], above: str = "", unit: str = "") -> Iterato
         label = f"{above} {words}".strip().replace("_", " ")
         if isinstance(value, Mapping):
             if value.keys() == {"value", "std"}:
-                yield label, f"{value['value']:.5g} ± {value['std']:.2g} {own}".rstrip()
+                yield label, f"{value['value']:.5g} (std {value['std']:.2g}) {own}".rstrip()
             else:
                 yield from _rows(value, label, own)
         elif isinstance(value, list) and not all(isinstance(each, int | float) for each in value):

@@ -339,7 +339,7 @@ class Kind(StrEnum):
     )
     POORLY_DETERMINED = (
         "poorly determined values",
-        """Poorly determined: {parts:each (± %)}. | Their standard deviations are large; all other {others} are known
+        """Poorly determined: {parts:each (std %)}. | Their standard deviations are large; all other {others} are known
         better. Record longer or larger swings, or hold what you know otherwise.""",
     )
     LONE_START = (

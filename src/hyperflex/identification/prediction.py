@@ -95,6 +95,14 @@ class HeldOut:
         )
 
     @property
+    def error(self) -> float:
+        """Prediction error, rms over all channels, rad or m: what terminal, page and findings report.
+
+        As far as predictions are foreseeable; inf if one failed.
+        """
+        return float(np.sqrt(np.mean((self if self.failed.size else self.foreseeable).rms ** 2)))
+
+    @property
     def failed(self) -> Array:
         """Start times of the predictions that failed, s."""
         return self.starts[np.isinf(self.window_rms).any(axis=1)]

@@ -276,7 +276,7 @@ def _with_std(values: Array, spreads: Array, models: Array) -> str:
     Those that were held are left out, what all links share stands once.
     """
     pairs = [
-        f"{x:.5g} ± {s:.2g}" + (f" (model {m:.2g})" if m > LARGE * s else "")
+        f"{x:.5g} (std {s:.2g}{f', of the model {m:.2g}' if m > LARGE * s else ''})"
         for x, s, m in zip(values, spreads, models, strict=True)
     ]
     free = np.flatnonzero(spreads)

@@ -151,7 +151,7 @@ def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
         yield Finding(Kind.PREDICTION_FAILED, Severity.WRONG, values)
         return
     held_out = held_out.foreseeable
-    error, still = float(np.sqrt(np.mean(held_out.rms**2))), held_out.persistence
+    error, still = held_out.error, held_out.persistence
     if error > PERSISTENCE * still > 0.0 and not held_out.inside >= AS_STATED:
         yield Finding(Kind.PREDICTION_POOR, Severity.WRONG, {"part": error / still})
     elif held_out.understated > 1.0:

@@ -97,8 +97,8 @@ def _assessment(found: Identification) -> Section:
         (amount(found.residual_rms_all, found.unit), "residual of the fit (rms over all channels)"),
     ]
     if (held := found.held_out) is not None:
-        error = float(np.sqrt(np.mean(held.rms**2)))
-        words = amount(error, found.unit) if np.isfinite(error) else "failed"
+        words = amount(held.error, found.unit) if np.isfinite(held.error) else "failed"
+        held = held.foreseeable
         tiles.append((words, f"error of predicting {held.ahead:g} s that were not fitted (rms)"))
         if np.isfinite(held.inside):
             half = amount(BAND * float(np.sqrt(np.nanmean(held.std**2))), found.unit)
