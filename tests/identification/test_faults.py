@@ -83,8 +83,8 @@ HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
 @pytest.mark.parametrize(
     ("recording", "kind", "said"),
     [
-        (spoiled(MARKERS, lost(MARKERS.data, slice(4, 6))), Kind.LOST, "marker 2: exactly (0, 0) in"),
-        (spoiled(ANGLES, lost(ANGLES.data, 1)), Kind.LOST, "link 1: exactly 0 rad in"),
+        (spoiled(MARKERS, lost(MARKERS.data, slice(4, 6))), Kind.LOST, "Marker 2: exactly (0, 0) in"),
+        (spoiled(ANGLES, lost(ANGLES.data, 1)), Kind.LOST, "Link 1: exactly 0 rad in"),
         (spoiled(MARKERS, np.repeat(MARKERS.data[::2], 2, axis=0)), Kind.REPEATED_FRAMES, "50 % of the frames"),
         (
             spoiled(ANGLES, (8.0 * ANGLES.data) % (2.0 * np.pi)),

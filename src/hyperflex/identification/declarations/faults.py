@@ -84,7 +84,7 @@ def lost(recording: Recording) -> Iterator[Finding]:
     for place, _ in {str(place): (place, part) for place, part in found.values()}.values():
         numbers = [number for number, each in found.items() if each[0] == place]
         part = max(found[number][1] for number in numbers)
-        what, shown = ("marker", f"({place[0]:.4g}, {place[-1]:.4g})") if markers else ("link", f"{place[0]:.4g} rad")
+        what, shown = ("Marker", f"({place[0]:.4g}, {place[-1]:.4g})") if markers else ("Link", f"{place[0]:.4g} rad")
         yield Finding(Kind.LOST, values={"what": what, "numbers": numbers, "place": shown, "part": part})
 
 
