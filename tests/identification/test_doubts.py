@@ -103,7 +103,7 @@ def test_stamps_that_come_late_are_named_where_links_turn_fast(number):
         case.recording,
         case.guess,
         case.free,
-        setup=hf.RecordingSetup(**case.setup),
+        setup=case.setup,
         options=hf.FitOptions(intervals=None, train=np.inf),
     )
     assert found.converged

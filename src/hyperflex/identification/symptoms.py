@@ -87,26 +87,27 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     fit, sensor = basis.fit, basis.plant.sensor
     if not fit.converged:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"ended": fit.status or ""})
-    rms, spread, noise = _of_points(basis, _sizes(basis))
+    white, points = basis.information.whiteness >= CHANCE, not isinstance(sensor, Angles)
+    rms, spread, noise = _of_points(_sizes(basis)) if white and points else _sizes(basis)
     allowed = excused = np.maximum(WHITE_POOR * spread, NOISY * noise)
-    white = basis.information.whiteness >= CHANCE
     if not white:
         allowed = np.clip(NOISY * noise, POOR * spread, WHITE_POOR * spread)
     seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
     left = np.where(white & (rms <= excused), 0.0, rms / np.maximum(spread, 1e-12))
     worst = int(np.argmax(left[:seen]))
     if rms[worst] > allowed[worst]:
-        what, unit = (f"Link {worst}", "rad") if isinstance(sensor, Angles) else (f"Marker {worst}", "m")
+        what, unit = (f"Marker {worst // (2 - white)}", "m") if points else (f"Link {worst}", "rad")
         values = {"what": what, "rms": float(rms[worst]), "motion": float(spread[worst]), "unit": unit}
         yield Finding(Kind.POOR_FIT, Severity.WRONG, values)
     if seen < rms.size and rms[-1] > excused[-1]:
         yield Finding(Kind.POOR_TORQUE, Severity.WRONG, {"rms": float(rms[-1]), "motion": float(spread[-1])})
 
 
-def _of_points(basis: Basis, sizes: Array) -> Array:
-    """Return sizes (3, C) by channel with x and y of each marker as one: a swing hardly moves y."""
-    if isinstance(basis.plant.sensor, Angles):
-        return sizes
+def _of_points(sizes: Array) -> Array:
+    """Return sizes (3, C) by channel with x and y of each marker as one: noise is the same in both.
+
+    A swing hardly moves y.
+    """
     count = sizes.shape[1] // 2
     both = np.sqrt((sizes[:, : 2 * count].reshape(3, count, 2) ** 2).sum(axis=2))
     return np.concatenate([both, sizes[:, 2 * count :]], axis=1)

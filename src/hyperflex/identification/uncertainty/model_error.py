@@ -7,12 +7,15 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, QUANTITIES, SCALES, base
-from hyperflex.identification.declarations.score_tests import ScoreTest
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.model import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 
 SHOWN = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits of a law, which cannot be negative
+# standard deviations of a moment or inertia: what moves it by more acts nearly as it does, and would leave nothing
+# known by a size that chance can give it; so it counts only if it is sure. A spring acts so, and a string's inertia.
+ALIKE = 10.0
 CLOCK_POWER = {"N m s/rad": -0.5, "N m": -1.0, "N m/rad": -1.0}  # of gravity's factor, in resistances: by their unit
 LARGEST = 3.0  # logarithm of a factor, as far as it counts: 20 times; to first order it may be any number
 
@@ -30,13 +33,16 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
     counted = False
+    resists = np.array([each.name in LAWS for each in basis.plant.parameters.all])
+    known = np.where(resists, np.inf, np.diag(information.covariance))
     for each in tests:
         if each.name == SCALES or (each.uneven and not each.significant):
             continue
         own = each.law or each.name == DRIFT  # which has a separate std
         shown = white or own or each.significant or each.suspected
         counts = shown and each.excess_gain > SHOWN and not (each.slight and each.freed_with)
-        counts = counts and (each.std < np.inf or each.name == DRIFT)  # else it acts as free parameters do
+        if each.std == np.inf or (_shift(each, basis) ** 2 > ALIKE**2 * known).any():
+            counts = counts and each.excess_gain > TESTING.sure
         if counts or each.name == LINKS:  # whose excess_gain is a probability
             shift = _shift(each, basis)
             model += each.excess_gain * (np.outer(shift, shift) + (each.added if each.law else 0.0))
