@@ -342,9 +342,7 @@ def pickled(both: Any) -> Any:
 
 
 @pytest.mark.parametrize("pegs", [(), (hf.Peg(0.1, -0.5, radius=0.03, mu=0.3),)], ids=["free", "peg"])
-@pytest.mark.parametrize(
-    "copied", [lambda both: pickle.loads(pickle.dumps(both)), copy.deepcopy], ids=["pickle", "copy"]
-)
+@pytest.mark.parametrize("copied", [pickled, copy.deepcopy], ids=["pickle", "copy"])
 def test_a_stepper_that_was_pickled_or_copied_goes_on_bit_for_bit(copied, pegs):
     rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=12, radius=0.002, friction=1e-4)
     stepper = hf.Stepper(rope, arm=hf.Arm(0.1), pegs=pegs)
