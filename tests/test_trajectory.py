@@ -138,7 +138,7 @@ def test_netcdf_keeps_every_bit(tmp_path):
 
 def test_missing_empty_and_truncated_files_are_named(tmp_path):
     path = tmp_path / "run.nc"
-    with pytest.raises(FileProblem, match=r"no NetCDF file .*run\.nc"):
+    with pytest.raises(FileProblem, match=r"no NetCDF-4 file .*run\.nc"):
         read_trajectory(path)
     made_up().to_netcdf(path)
     whole = path.read_bytes()

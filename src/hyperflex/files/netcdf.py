@@ -73,7 +73,7 @@ def read_netcdf(path: PathLike) -> NetCDF:
     class Content(h5netcdf.File):  # type: ignore[misc]
         _writable = False  # else h5netcdf prints a traceback when it closes a file that it could not open
 
-    with open_hdf5(path, "NetCDF file") as opened, Content(opened, "r") as content:
+    with open_hdf5(path, "NetCDF-4 file") as opened, Content(opened, "r") as content:
         most = most_bytes(path)
         groups = {name: _variables(group, most) for name, group in content.groups.items()}
         attributes = {key: _plain(value) for key, value in content.attrs.items()}
