@@ -142,7 +142,9 @@ def test_an_interrupted_plan_of_a_worker_is_filed_under_its_own_target():
 def test_targets_and_fallbacks_share_a_budget_that_is_given():
     slippery = [hf.Peg(x, -0.7, 0.03, 0.02) for x in (-0.5, 0.5)]
     plans = plan_cast(CORD, ARM, slippery, time_budget=processor(2.0))
-    assert all(plan.runs and 0.5 < plan.seconds < 1.5 for plan in plans)
+    assert all(
+        plan.runs and 0.3 < plan.seconds < 1.8 for plan in plans
+    )  # neither takes it all; the first loads kernels
 
 
 def test_a_fallback_that_fails_is_none():
