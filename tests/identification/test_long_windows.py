@@ -82,3 +82,16 @@ def test_the_length_of_a_string_follows_from_its_swing():
     )
     assert LENGTH in found.intervals["length[0]"]
     assert found.std["length"][0] < 1e-3 * LENGTH
+
+
+def test_ctrl_c_while_windows_are_joined_is_not_finished():
+    """The fit of short windows has converged by then: what is returned says that it was interrupted."""
+
+    def stop(entry):
+        if entry["window"] > 5.0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(hf.errors.Interrupted) as caught:
+        hf.identify(string(20), GUESS, options=EXACT, progress=stop)
+    assert caught.value.partial.status == "interrupted"
+    assert not caught.value.partial.success

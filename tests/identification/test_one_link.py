@@ -5,6 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.identification import FitOptions, Kind, RecordingSetup
+from hyperflex.identification.pipeline import first_choice
 
 MOTION, ARM = hf.arm_swings(0.7, 0.4, "minimum-jerk"), hf.Arm(length=0.1)
 TRUE = hf.Rope(length=[0.3], mass=[0.1], com=[0.2], inertia=[8e-4], friction=[3e-4])
@@ -36,3 +37,12 @@ def test_lengths_that_move_nothing_are_not_spoken_of(seed):
     guess = true.replace(friction=1e-3)
     found = hf.identify(hf.Recording(t, q), guess, ["com", "friction"], setup=setup, options=options)
     assert not found.has(Kind.LENGTHS)
+
+
+def test_a_torque_frees_the_masses_of_few_links_and_of_many():
+    for rope, words in (
+        (hf.Rope.uniform(1.0, 0.1, 3, friction=1e-4), ["mass", "inertia", "friction"]),
+        (hf.Rope.uniform(1.0, 0.1, 8, friction=1e-4), ["mass:shared", "inertia:shared", "friction:shared"]),
+    ):
+        assert first_choice(rope, torque=True) == words
+        assert first_choice(rope) == words[1:]

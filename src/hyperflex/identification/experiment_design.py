@@ -22,7 +22,7 @@ from hyperflex.identification.model import (
     parse,
     pivot_places,
 )
-from hyperflex.identification.multi_start import PREDICTED, joined_lengths
+from hyperflex.identification.multi_start import diverges, joined_lengths
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.uncertainty.covariance import Information, known_directions, ratio_spread, ratios
@@ -164,7 +164,7 @@ def expected_information(
     for longer in joined_lengths(length, recording.duration, rope):
         windows = measured.windows(longer, measured.step(min(longer, length)))[0]
         now = [at(window) for window in windows]
-        if models and max(map(_predicted, windows, now), default=np.inf) > PREDICTED:
+        if models and any(map(diverges, windows, now)):
             break
         models = now
     rows = [np.zeros((x.size, x.size)), *(each.reduced()[0] * widths for each in models)]
@@ -173,15 +173,6 @@ def expected_information(
     tied = in_common_factor(plant.parameters, x, unknown)
     information = Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)
     return plant.parameters, information
-
-
-def _predicted(window: Window, linear: Linear) -> float:
-    """Return what a window's values err by, as a part of their motion, if its first half tells the state."""
-    size = window.y.size
-    by_state, half = linear.state[:size], linear.state[: size // 2]
-    error = by_state @ np.linalg.pinv(half)
-    moved = float(((window.motion * window.weight) ** 2).sum())
-    return float(np.sqrt((error**2).sum() / moved)) if moved > 0.0 else np.inf
 
 
 def spreads(parameters: Parameters, information: Information, want: Iterable[str]) -> dict[str, tuple[float, float]]:

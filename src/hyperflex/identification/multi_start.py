@@ -22,6 +22,7 @@ from hyperflex.identification.fit import (
     HARDLY,
     POOR,
     Fit,
+    Linear,
     Loss,
     Report,
     Window,
@@ -90,6 +91,13 @@ def joined_lengths(length: float, duration: float, rope: Rope) -> list[float]:
     while rope.n_links <= FEW_LINKS and lengths[-1] < duration:
         lengths.append(WHOLE * duration / max(1, round(duration / lengths[-1]) // 2))
     return lengths
+
+
+def diverges(window: Window, linear: Linear) -> bool:
+    """Whether errors of a window's state grow exponentially: far more acts in its second half than in its first."""
+    size = np.abs(linear.state[: window.y.size].reshape(window.t.size, -1)).max(axis=1)
+    half = window.t.size // 2
+    return bool(size[half:].max(initial=0.0) > GROWTH * size[:half].max(initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -230,7 +238,11 @@ class MultiStart:
         known = [each for each in residuals if each is not None]
         if not known or len(known) < len(windows) or part_left(windows, known) > PREDICTED:
             return None
-        if any(self._diverges(x, *each) for each in zip(windows, states, known, strict=True)):
+        models = (
+            linearise(self.plant, window, x, state, residual, Loss())
+            for window, state, residual in zip(windows, states, known, strict=True)
+        )
+        if any(map(diverges, windows, models)):
             return None
         stage = {"window": length, "stage": 0, "stages": 1}
         joined = self.fit(windows, x, states, with_entries(self.report, stage), enough=None)
@@ -238,13 +250,6 @@ class MultiStart:
         joined = replace(joined, history=found.fit.history + history)
         settings = {name: found.settings[name] for name in ("starts", "starts_agree") if name in found.settings}
         return Fitted(joined, windows, settings | self.settings(length, windows, dropped))
-
-    def _diverges(self, x: Array, window: Window, state: Array, residual: Array) -> bool:
-        """Whether what the state acts on in the second half of a window is so much more that it grows exponentially."""
-        linear = linearise(self.plant, window, x, state, residual, Loss())
-        size = np.abs(linear.state[: residual.size].reshape(window.t.size, -1)).max(axis=1)
-        half = window.t.size // 2
-        return bool(size[half:].max(initial=0.0) > GROWTH * size[:half].max(initial=0.0))
 
     def other_starts(self, best: Fitted, starts: Sequence[Array]) -> Iterator[Fitted]:
         """Yield the best fit so far after each of other `starts`, as long as it is bad.

@@ -129,7 +129,8 @@ def identify(
     Notes
     -----
     Without a known force or torque a common factor of masses, inertias and frictions is not identifiable: `std` is inf
-    there, and `ratios` hold what is known. Samples denser than 200 a window are decimated (``settings["decimation"]``).
+    there, and `ratios` hold what is known. Samples denser than 200 in a window of 1.2 periods are decimated
+    (``settings["decimation"]``).
     Samples without given noise have equal weights. With fewer markers than links, a prior keeps neighbouring links
     about in line (0.5 rad over the root of their number).
 
@@ -229,7 +230,7 @@ def first_choice(guess: Rope, *, torque: bool = False) -> list[str]:
     """
     if guess.n_links <= FEW_LINKS:
         return ["mass"] * torque + ["inertia", "friction"]
-    words = ["mass"] * torque + ["friction", "stiffness"] if guess.stiffness.any() else ["inertia", "friction"]
+    words = ["mass"] * torque + (["friction", "stiffness"] if guess.stiffness.any() else ["inertia", "friction"])
     return [f"{word}:{'shared' if np.ptp(getattr(guess, word)) == 0.0 else 'factor'}" for word in words]
 
 
@@ -371,6 +372,7 @@ class _Case:
         with stoppable() as stop:
             while ended is None and found.fit.converged and not search.is_bad(found.windows, found.fit):
                 longer = search.joined(found)
+                ended = None if longer is None else longer.fit.status  # what was interrupted is not finished
                 if longer is None or not longer.fit.converged or search.is_bad(longer.windows, longer.fit):
                     break
                 more = estimate_covariance(search.plant, longer.windows, longer.fit, self.budget)
