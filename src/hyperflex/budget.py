@@ -18,6 +18,7 @@ from hyperflex.progress import progress_bar
 
 __all__ = ["Budget", "OutOfTime", "one_thread"]
 
+DEFAULT_TIME = 1800.0  # s, of a run or a fit whose user gives no time budget
 PROCESSORS = os.cpu_count() or 1  # asked for once: it takes a hundredth of a short run
 
 

@@ -1,11 +1,13 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from hyperflex.status import Status
+
+LISTED = 12  # of many names or numbers, so many are shown in a line
 
 
 class HyperflexError(Exception):
@@ -114,6 +116,12 @@ class Interrupted(KeyboardInterrupt):
     def partial(self) -> Any:
         """What had been done by then, of the kind that the interrupted function returns; None if there is nothing."""
         return self._partial() if callable(self._partial) else self._partial
+
+
+def listed(names: Sequence[str], most: int = LISTED) -> str:
+    """Return names side by side; of many the first ones and the number of the others."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def _bounded(text: str, head: int = 400, tail: int = 180) -> str:

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 from hyperflex.errors import InvalidInput
 
 HOST = "127.0.0.1"  # this machine alone
+OPEN = 1.0  # s between two checks whether a page that gets nothing is still open
 _SILENCE = 30.0  # s, after which a connection that sends or takes nothing is closed
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "

@@ -126,7 +126,7 @@ def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
 
 def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch):
     monkeypatch.setattr(rollouts, "PREDICTED", 0.0)
-    monkeypatch.setattr(rollouts, "LONGEST", 0.0)
+    monkeypatch.setattr(rollouts, "DEFAULT_TIME", 0.0)
     times = np.linspace(0.0, 1e4, 10_001)
     with pytest.raises(SimulationError, match=r"minutes in all\. Check units and gravity.*time_budget=inf"):
         hf.simulate(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4)

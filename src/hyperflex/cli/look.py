@@ -1,7 +1,7 @@
 """``hyperflex look``: what a file of a recording holds, drawn, and the line that reads it."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,8 +10,7 @@ import typer
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.cli.output import Rows
-
-_SHOWN = 12  # names of markers or columns that are listed
+from hyperflex.errors import listed
 
 
 def look(
@@ -47,7 +46,7 @@ def look(
         "command": command if recording is not None else None,
         "problem": found.problem or None,
     }
-    rows = [("format", found.format), (result["holds"], f"{len(names)}: {_listed(names)}")]
+    rows = [("format", found.format), (result["holds"], f"{len(names)}: {listed(names)}")]
     if recording is not None:
         step = recording.duration / (recording.t.size - 1)
         gaps = recording.gaps / recording.data.size
@@ -79,15 +78,9 @@ def _command(file: Path, arguments: Mapping[str, Any]) -> str:
     words = ["hyperflex", "identify", str(file), "--rope", "rope.toml"]
     for key, value in arguments.items():
         option = f"--{key.replace('_', '-')}"
-        listed = ",".join(value) if isinstance(value, list) else str(value)
-        words += [option] if value is True else [option, listed]
+        words += [option] if value is True else [option, ",".join(value) if isinstance(value, list) else str(value)]
     return shlex.join([*words, "-o", "identified"])
 
 
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _SHOWN
-    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
-
-
 def _text(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key} = {_listed(value) if isinstance(value, list) else value}" for key, value in values.items())
+    return ", ".join(f"{key} = {listed(value) if isinstance(value, list) else value}" for key, value in values.items())

@@ -10,7 +10,7 @@ from hyperflex.errors import SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.observations import InputFrame, MarkerModel
 from hyperflex.estimate.process import BEYOND, Process, StatePrediction
-from hyperflex.estimate.square_root import CLOSE
+from hyperflex.estimate.square_root import CLOSE, SHORTEST
 from hyperflex.interfaces import RopeState
 from hyperflex.status import Status
 
@@ -99,7 +99,6 @@ def _updated(mean: Array, rows: Array, seen: Measured) -> tuple[Array, Array, fl
     return upper[:m, m:].T @ innovation.whitened, upper[m:, m:], innovation.log_likelihood
 
 
-SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step that is tried
 ROOM = 6  # squares that are allowed in addition to one for each measurement
 RIDGE = 1e-9  # of a covariance's diagonal, added to it when it is inverted
 

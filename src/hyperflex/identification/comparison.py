@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex import checks, extras, files
-from hyperflex.budget import Budget, one_thread
+from hyperflex.budget import DEFAULT_TIME, Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Loss
 from hyperflex.identification.model import scales
 from hyperflex.identification.options import FitOptions, RecordingSetup
-from hyperflex.identification.pipeline import TIME_BUDGET, identify
+from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.result import Identification
@@ -321,7 +321,7 @@ def compare_models(
     if links and setup.arc_lengths is None:
         setup = replace(setup, arc_lengths=np.append(0.0, rope_guess.link_ends))
     todo = candidates(rope_guess, free, models, links)
-    budget = Budget.of(TIME_BUDGET * len(todo) if time_budget is None else time_budget)
+    budget = Budget.of(DEFAULT_TIME * len(todo) if time_budget is None else time_budget)
     done: list[FittedModel] = []
     with stoppable() as stop, budget.progress(progress, "comparing", len(todo), "models"):
         for number, each in enumerate(todo):

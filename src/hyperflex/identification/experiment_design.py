@@ -35,7 +35,7 @@ from hyperflex.simulation import simulate
 from hyperflex.status import Status
 
 MOST_FRAMES = 1_000_000  # of an experiment: some minutes of work
-RATE, DURATION, MARKERS = 30.0, 10.0, 11  # frames a second, s, and most markers of the default experiments
+MARKERS = 11  # at most, of the default experiments
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
 RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
 RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
@@ -70,8 +70,8 @@ class Experiment:
     motion: Motion | None = None
     q0: npt.ArrayLike | None = None
     qd0: npt.ArrayLike | None = None
-    rate: float = RATE
-    duration: float = DURATION
+    rate: float = 30.0
+    duration: float = 10.0
     markers: int | None = None
     noise: float | None = None
     torque_noise: float | None = None

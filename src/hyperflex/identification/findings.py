@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from hyperflex.errors import listed
+
 LINES = 5  # of a short report, the grade's line included
 NAMES = 4  # of a list, or numbers of a kind, that are shown in a line
 COMPARE = "See whether another model predicts better (compare_models), and check what was declared."
@@ -525,8 +527,7 @@ class _Formatter(string.Formatter):
         if spec == "list":
             value = [" to ".join(f"{end:.4g}" for end in each) if isinstance(each, list) else each for each in value]
             shown = [f"{each:.4g}" if isinstance(each, float) else str(each) for each in value]
-            more = f" and {len(shown) - NAMES} more" if len(shown) > NAMES else ""
-            return (", ".join(shown[:NAMES]) or "none") + more
+            return listed(shown, NAMES) or "none"
         return str(super().format_field(value, spec))
 
 

@@ -30,7 +30,7 @@ from hyperflex.model import (
     parse_label,
     stretched,
 )
-from hyperflex.motion import Motion, hold_arm, torque_profile
+from hyperflex.motion import TINY, Motion, hold_arm, torque_profile
 from hyperflex.sensors import Angles, Markers, MotorTorque, PostureSensor
 from hyperflex.simulation import ParameterDirections, Rollout, forward_derivatives
 
@@ -40,7 +40,6 @@ Part = dict[str, Array]
 ARM = tuple(each.name for each in PROPERTIES.values() if each.owner == "arm")
 LED = ("com", "inertia")  # what goes with a link's length
 GRAVITY = ("gravity_angle", "gravity_scale")
-TINY = 1e-30  # imaginary step of derivatives, so small that none of it reaches the real parts
 SMALL = 0.1  # rad, parts of a time or place scale, by which such parameters are compared, and of the rope's length
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.budget import Budget, OutOfTime, one_thread
+from hyperflex.budget import DEFAULT_TIME, Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.declarations.evidence import evidence
@@ -62,7 +62,6 @@ from hyperflex.recording import Recording
 from hyperflex.sensors import Angles, Markers
 from hyperflex.status import Status
 
-TIME_BUDGET = 1800.0  # s, where no time budget is given
 SMALL = 0.06  # rad: half a turn that was read as degrees
 ODD = 0.02  # part of the motion that right fits do not leave, but for noise
 MOST = 3  # parameters that are freed at most beyond the first ones: each costs a fit
@@ -145,7 +144,7 @@ def identify(
     >>> bool(abs(result.rope.friction[0] / 2e-4 - 1.0) < 1e-3)
     True
     """
-    budget = Budget.of(TIME_BUDGET if time_budget is None else time_budget)
+    budget = Budget.of(DEFAULT_TIME if time_budget is None else time_budget)
     setup = checks.instance("setup", RecordingSetup() if setup is None else setup, RecordingSetup)
     options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
     faulty = faults(checks.instance("recording", recording, Recording))

@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex import files
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import LISTED, InvalidInput, listed
 from hyperflex.files import PathLike
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding, Grade, Kind, Severity, grade, report, text
@@ -26,7 +26,6 @@ SHOWN = (  # of a summary
     *("ratio_std", "ratio_model_std", "held", "parameters", "covariance", "length_covariance", "residual_rms"),
     *("residual_rms_all", "settings"),
 )
-MANY = 8  # numbers of a kind that are printed
 LARGE = 0.3  # part of a standard deviation from which the model's is printed
 
 
@@ -258,14 +257,14 @@ class Identification:
                     lines.append(f"  {title} {name:<13} {said}")
         ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
         ranges = [(name, each) for name, each in ranges if each.kind != "unknown"]
-        lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:MANY]]
-        if len(ranges) > MANY:
-            lines.append(f"  and {len(ranges) - MANY} more in intervals")
-        lines.append(f"  fit error, m{self.unit}       {_first_few([f'{1e3 * x:.2f}' for x in self.residual_rms])}")
+        lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:LISTED]]
+        if len(ranges) > LISTED:
+            lines.append(f"  and {len(ranges) - LISTED} more in intervals")
+        lines.append(f"  fit error, m{self.unit}       {listed([f'{1e3 * x:.2f}' for x in self.residual_rms])}")
         if self.torque_rms is not None:
             lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
-            errors = _first_few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
+            errors = listed([f"{1e3 * x:.2f}" for x in self.held_out.rms])
             lines.append(f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  {errors}")
         return "\n".join(lines)
 
@@ -283,14 +282,8 @@ def _with_std(values: Array, spreads: Array, models: Array) -> str:
     if len(pairs) > 1 and len(set(pairs)) == 1:
         return f"{pairs[0]} each" if free.size else ""
     if free.size < len(pairs):
-        return _first_few([f"[{k}] {pairs[k]}" for k in free])
-    return _first_few(pairs)
-
-
-def _first_few(words: list[str]) -> str:
-    """Return words side by side; of many the first ones."""
-    more = f"  and {len(words) - MANY} more" if len(words) > MANY else ""
-    return "  ".join(words[:MANY]) + more
+        return listed([f"[{k}] {pairs[k]}" for k in free])
+    return listed(pairs)
 
 
 def _without_none(content: Any) -> Any:

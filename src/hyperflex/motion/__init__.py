@@ -11,6 +11,7 @@ if TYPE_CHECKING:
         MOVES,
         PATHS,
         PROFILES,
+        TINY,
         Profile,
         arm_moves,
         arm_strokes,

@@ -413,7 +413,7 @@ def _from_pieces(breaks: list[float], coef: list[float], switch: list[bool], loo
     return Motion(np.array(breaks), flat.reshape(-1, channels, POWERS), np.array(switch), loop)
 
 
-_TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
+TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
 
 
 class Kind(NamedTuple):
@@ -477,10 +477,10 @@ def motion_derivatives(motion: Motion, name: str) -> tuple[Array, Array]:
     if kind.pieces is None:
         return _of_sample(motion, kind, name)
     durations, rows = kind.pieces(**_complex_step(motion, name))
-    breaks = np.concatenate([[0.0], np.cumsum(np.imag(durations))]) / _TINY
+    breaks = np.concatenate([[0.0], np.cumsum(np.imag(durations))]) / TINY
     coef = np.zeros_like(motion.coef)
     for piece, row in zip(coef, rows, strict=True):
-        piece[ANGLE, : len(row)] = np.imag(row) / _TINY
+        piece[ANGLE, : len(row)] = np.imag(row) / TINY
     return breaks, coef
 
 
@@ -502,7 +502,7 @@ def _complex_step(motion: Motion, name: str) -> dict[str, Any]:
         raise InvalidInput(
             f"motion without a rest or a ramp cannot vary {name}", got=value, allowed="a rest > 0, in s, a ramp < 0.5"
         )
-    value = value + 1j * _TINY
+    value = value + 1j * TINY
     if index:
         value = [*values[key][: int(index)], value, *values[key][int(index) + 1 :]]
     return values | {key: value}

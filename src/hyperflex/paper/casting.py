@@ -38,7 +38,7 @@ REPLAY_ARM = Arm(length=0.105, inertia=1e-3, friction=1e-3)  # the paper names n
 REPLAY_SPAN = 2.0 * (T_MOVE + T_REST["success"])  # s, one whole swing there and back
 REPLAY_RATE = 2000  # torque samples per second
 _BEFORE = 1e-7  # s, the torque is also sampled this long before each of its jumps
-_TOP = 3.0  # m, whip spikes of r and of the portrait are cut off here so that the steps can be seen
+TOP = 3.0  # m, whip spikes of r and of the portrait are cut off here so that the steps can be seen
 _DASH: dict[Outcome, Any] = {"success": "-", "failure": (0, (4.0, 1.6))}
 
 
@@ -235,7 +235,7 @@ def _draw_fig11() -> "Figure":
             for start, end in cast(reading, "success").intervals:
                 label = "the successful arm moves" if start == 0.0 else ""
                 axis.axvspan(start, min(end, DURATION), color=BLUE, alpha=0.08, lw=0, label=label)
-            axis.set_ylim(0.0, _TOP)
+            axis.set_ylim(0.0, TOP)
         _note_cut(axes[0, 0].figure, "r", lambda each: each.spiral.r)
 
     measures = dict(zip(("r, m", "theta, rad"), SPIRAL.values(), strict=True))
@@ -261,20 +261,20 @@ def _draw_portrait(axis: Any, portrait: PhasePortrait, colour: str) -> None:
     from matplotlib.collections import LineCollection
 
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    for radius in np.arange(0.5, _TOP + 0.1, 0.5):
+    for radius in np.arange(0.5, TOP + 0.1, 0.5):
         axis.plot(radius * np.cos(angle), radius * np.sin(angle), color="#dfe3e9", zorder=0)
     axis.add_collection(LineCollection(portrait.resting, colors=colour, linewidths=0.6, alpha=0.8))
     axis.add_collection(LineCollection(portrait.moving, colors=colour, linewidths=1.9, alpha=0.75))
     axis.plot(*portrait.starts.T, "o", mfc="white", mec=INK)
     axis.plot(*portrait.ends.T, "x", mec=INK)
-    axis.set(xlim=(-_TOP, _TOP), ylim=(-_TOP, _TOP), aspect="equal", xlabel="x, m")
+    axis.set(xlim=(-TOP, TOP), ylim=(-TOP, TOP), aspect="equal", xlabel="x, m")
     axis.grid(False)
 
 
 def _note_cut(figure: "Figure", name: str, measure: Measure) -> None:
     """Say at the foot of a figure what its axes leave out."""
     greatest = max(float(np.abs(measure(each)).max()) for each in casts())
-    text = f"{name} is cut off at {_TOP:g} m: the tip cracks like a whip, and it spikes to {greatest:.1f} m"
+    text = f"{name} is cut off at {TOP:g} m: the tip cracks like a whip, and it spikes to {greatest:.1f} m"
     figure.supxlabel(f"Note: {text}; the CSV file is not cut off.", x=0.01, ha="left", fontsize=8.0, color=INK)
 
 

@@ -18,7 +18,8 @@ from hyperflex.checks import Array
 from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker
 from hyperflex.model import divided
 from hyperflex.paper.casting import cable
-from hyperflex.paper.estimator import SAMPLES, TOL, BlobTracker, OnlineEstimator, capture
+from hyperflex.paper.estimator import SAMPLES, BlobTracker, OnlineEstimator, capture
+from hyperflex.paper.identification import RATE
 from hyperflex.paper.part import Claim, Item, Part, Table
 from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Section, TextTable, legend, new_figure
 from hyperflex.simulation import simulate
@@ -39,7 +40,7 @@ from hyperflex.vision import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RATE, T_SIM = 7.5, 1.0 / 7.5  # frames a second; s
+T_SIM = 1.0 / RATE  # s
 AHEAD = np.linspace(0.0, T_SIM, SAMPLES + 1)  # s, at which a prediction is compared
 LENGTH, MARKERS, AMPLITUDE = 2.0, 10, 1.2  # m
 FINE = 100  # links of the rope that is seen
@@ -48,7 +49,6 @@ SINCE = 1.0  # s after the first frame, from which captures and errors count
 NOISE = 0.0015  # m, of each coordinate of a marker in each frame
 FEW = 0.7  # part of the markers; if fewer are found in their windows, the whole picture is searched
 _RUN_RATE = 600.0  # samples a second of the simulated swing
-_STEP = 1e-3  # s, of the difference quotient of the tip's true velocity
 TRACKERS = ("paper", "filter", "constant velocity", "nearest blob")
 TITLES = dict(zip(TRACKERS, ("the paper's estimator", "RopeTracker", "constant velocity", "nearest blob"), strict=True))
 _STYLE: dict[str, Any] = {
@@ -146,9 +146,9 @@ def seen(swing: FreeSwing) -> Seen:
     def tip(times: Array) -> Array:
         return motion.places(times.ravel(), [LENGTH])[:, 0, :2].reshape(*times.shape, 2)
 
-    velocity = (tip(stamps + _STEP) - tip(stamps - _STEP)) / (2.0 * _STEP)
-    rates = np.asarray(run.qd)[np.round(stamps * _RUN_RATE).astype(int)].reshape(stamps.size, -1, 2).mean(axis=2)
-    return Seen(swing, camera, detector, frames, truth, tip(stamps[:, None] + AHEAD), velocity, rates)
+    sample = np.round(stamps * _RUN_RATE).astype(int)
+    rates = np.asarray(run.qd)[sample].reshape(stamps.size, -1, 2).mean(axis=2)
+    return Seen(swing, camera, detector, frames, truth, tip(stamps[:, None] + AHEAD), run.tip_velocity[sample], rates)
 
 
 class Step(NamedTuple):
@@ -267,7 +267,7 @@ def _by_filter(subject: Seen) -> Iterator[Step]:
             yield Step(*np.full((2, MARKERS, 2), np.nan), *unknown)
             continue
         q, qd = looked.state.q, looked.state.qd
-        ahead = simulate(cable(), duration=T_SIM, q0=q, qd0=qd, t_eval=AHEAD, tol=TOL)
+        ahead = simulate(cable(), duration=T_SIM, q0=q, qd0=qd, t_eval=AHEAD)
         yield Step(looked.places, subject.camera.locate(looked.predicted), ahead.tip, ahead.tip_velocity[0], qd)
 
 

@@ -13,7 +13,6 @@ from hyperflex.vision import Camera, Gate, Image, MarkerDetector
 
 WINDOW = 0.1  # m, around its prediction in which a marker is looked for: half of what the markers are apart
 SAMPLES = 4  # of a prediction until the next frame
-TOL = 1e-5  # m, of the simulation: far below what a camera sees
 
 
 def capture(image: Image, detector: MarkerDetector, camera: Camera, predicted: Array) -> Array:
@@ -101,7 +100,7 @@ class OnlineEstimator:
     def predict(self, t: float) -> Ahead:
         """Predict to a time, s."""
         times = np.linspace(0.0, t - self.t, SAMPLES + 1)
-        run = simulate(self.rope, duration=times[-1], q0=self.q, qd0=self.qd, t_eval=times, tol=TOL)
+        run = simulate(self.rope, duration=times[-1], q0=self.q, qd0=self.qd, t_eval=times)
         self._ahead = (run.q[-1], run.qd[-1])
         return Ahead(self._places(run.q[-1]), run.tip, run.tip_velocity[0], self.qd)
 

@@ -12,6 +12,7 @@ from hyperflex.paper.casting import (
     READINGS,
     T_MOVE,
     TIME_CONSTANT,
+    TOP,
     WINDOW,
     Cast,
     Reading,
@@ -34,7 +35,6 @@ TOL = 1e-6  # m
 _COLOUR = dict(zip(LEADS, (BLUE, GREEN, RED, GREY), strict=True))
 _DASH = dict(zip(LEADS, ("-", ":", "-.", (0, (6.0, 1.5, 1.5, 1.5, 1.5, 1.5))), strict=True))  # as in the paper
 _SHOWN = 5.0  # s of the portraits: later turns hide each other
-_EDGE = 2.2  # m, whip spikes are cut off here
 
 
 @cache
@@ -76,9 +76,9 @@ def _draw_fig13() -> "Figure":
                 style = {"color": _COLOUR[lead], "ls": _DASH[lead]}
                 above.plot(run.spiral.x[shown], run.spiral.scaled_velocity[shown], zorder=3.0 - lead, **style)
                 below.plot(middle, run.levels, marker="o", label=run.words, **style)
-            above.set(xlim=(-_EDGE, _EDGE), ylim=(-_EDGE, _EDGE), aspect="equal", xlabel="x, m")
+            above.set(xlim=(-TOP, TOP), ylim=(-TOP, TOP), aspect="equal", xlabel="x, m")
             above.set_title(reading.title.replace(", ", ",\n"), fontsize=8.5)
-            below.set(xlabel="time, s", xlim=(0.0, DURATION), ylim=(0.0, _EDGE))
+            below.set(xlabel="time, s", xlim=(0.0, DURATION), ylim=(0.0, TOP))
         axes[0, 0].set_ylabel("c dx/dt, m   (c = 0.40 s)")
         axes[1, 0].set_ylabel(f"median of r in {WINDOW:g} s, m")
         legend(figure, axes[1, 0])
@@ -112,7 +112,7 @@ def _sections() -> list[Section]:
 
 
 _CAPTION = (
-    f"Above: the tip's phase portrait in the first {_SHOWN:g} s, cut off at {_EDGE:g} m where the tip cracks like "
+    f"Above: the tip's phase portrait in the first {_SHOWN:g} s, cut off at {TOP:g} m where the tip cracks like "
     f"a whip (the CSV file is not). Below: the median of r in {WINDOW:g} s. In the paper t_b = 0 is largest in "
     "the end and 0.20 s most efficient on the way; claim C5 says what it is here."
 )

@@ -25,7 +25,6 @@ from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 COUNTED = 8  # samples of an estimate that are simulated at once
 STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
-Z_95 = 1.959963984540054  # standard deviations on either side that hold 95 %
 
 
 @dataclass(frozen=True)
@@ -144,11 +143,10 @@ class SuccessProbability:
         """95 % confidence interval of the probability (Wilson, 1927); 0 to 1 without samples."""
         if not self.samples:
             return 0.0, 1.0
-        n, p, z = self.samples, self.estimate, Z_95
-        centre = (p + z**2 / (2.0 * n)) / (1.0 + z**2 / n)
-        half = z / (1.0 + z**2 / n) * math.sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2))
-        low, high = max(0.0, centre - half), min(1.0, centre + half)
-        return (0.0 if self.successes == 0 else low), (1.0 if self.successes == n else high)
+        from scipy.stats import binomtest
+
+        low, high = binomtest(self.successes, self.samples).proportion_ci(method="wilson")
+        return float(low), float(high)
 
     def __str__(self) -> str:
         if not self.samples:

@@ -26,12 +26,11 @@ from hyperflex.planning.verification import (
     spare_clearance,
     verified_setup,
 )
-from hyperflex.simulation import simulate
+from hyperflex.simulation import SAMPLE_TIME, simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
 
-SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 TOO_LONG = "the verification took longer than the time allowed for it"
 BUSY = 0.5, 1.0  # part of a processor below which others have kept it from a run, and the time, s, from which it counts

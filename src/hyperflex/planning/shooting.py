@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 
-DAMPING = (1e-4, 5e-4, 2e-3, 0.01, 0.04, 0.15, 0.6, 2.5)  # relative to the greatest singular value of the Jacobian
+DAMPING = np.geomspace(1e-4, 2.5, 8)  # relative to the greatest singular value of the Jacobian
 LONGEST = 0.6  # change of a parameter in a step, in its scale
 LESS = 0.8  # of the residuals, that a step must leave at most for another one
 
@@ -68,7 +68,7 @@ def shoot(
         later: Array = np.array([each.t - best.t for each in varied]) / difference
         first, size, second = np.linalg.svd(jacobian, full_matrices=False)
         steps = list[Array]()
-        for damping in DAMPING:
+        for damping in DAMPING.tolist():
             kept = size / np.maximum(size**2 + (damping * size[0]) ** 2, 1e-300)
             step = -second.T @ (kept * (first.T @ best.residuals))
             steps.append(step / max(1.0, float(np.abs(step).max()) / LONGEST))

@@ -11,8 +11,8 @@ from hyperflex.planning import AnyPlan, CastOutcome
 from hyperflex.play.folder import Opened
 from hyperflex.play.planning_process import PlanningProcess, PlanningTask
 from hyperflex.play.session import Session
+from hyperflex.report.player import FRAME_RATE
 
-FRAME_RATE = 60.0  # Hz
 _LATE = 0.1  # s, by which frames may be late; then they are omitted
 _GAP = 1e-3  # s between two frames that are late, in which commands are executed
 _REPORTED = 0.25  # s between two reports of a search

@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from hyperflex import checks
 from hyperflex.errors import HyperflexError, InvalidInput
-from hyperflex.local_page import HOST, LocalServer, send, send_head
+from hyperflex.local_page import HOST, OPEN, LocalServer, send, send_head
 from hyperflex.play.controls import CONTROLS
 from hyperflex.play.folder import Folder
 from hyperflex.play.runner import Runner
@@ -19,7 +19,6 @@ from hyperflex.play.session import NUMBERS, Session
 from hyperflex.report import render
 
 _MOST = 1 << 16  # bytes of a command
-_WAIT = 1.0  # s between two checks whether a page that gets no frames is still open
 
 
 class PlayServer(LocalServer):
@@ -97,7 +96,7 @@ class PlayServer(LocalServer):
                 events = ":\n\n"  # a comment: writing it fails once the page is closed
                 with runner.news:
                     if (runner.version, runner.number) == (version, number):
-                        runner.news.wait(_WAIT)
+                        runner.news.wait(OPEN)
                     if runner.version != version:
                         events += f"data: {json.dumps(runner.scene())}\n\n"
                     if runner.number != number:

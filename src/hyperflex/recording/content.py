@@ -12,7 +12,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, listed
 from hyperflex.recording.declare import METRES, RADIANS, Raw, unit_name
 from hyperflex.recording.recording import KINDS, Kind
 
@@ -20,7 +20,6 @@ _FIRST = re.compile(r"(?P<axis>[xyzXYZ])[_ .:-]*(?P<name>.*)")
 _LAST = re.compile(r"(?P<name>.*?)[_ .:/-]*(?P<axis>[xyzXYZ])")
 _MOTION = "vap"  # velocity, acceleration and momentum of a point, as Tracker names them
 ALONE = "point"  # name of a marker whose columns are x and y
-_SHOWN = 40  # names of a file that an error lists
 
 
 class Selection(NamedTuple):
@@ -207,22 +206,17 @@ def _likelihood(content: Content, names: Sequence[str]) -> Array:
 
 def _known(content: Content, what: str, names: object, known: Sequence[str]) -> list[str]:
     """Return names that the caller gives, all of which the file must have."""
-    given = checks.sequence(what, names, f"a list of names: {_listed(known)}")
+    given = checks.sequence(what, names, f"a list of names: {listed(known)}")
     missing = [name for name in given if name not in known]
     if missing or not given:
         close = [each for name in missing for each in difflib.get_close_matches(str(name), known, 1)]
         raise InvalidInput(
             f"{content.source} has no such {what}",
             got=missing or given,
-            allowed=_listed(known) or "none: the file has no markers",
+            allowed=listed(known) or "none: the file has no markers",
             fix=f"Perhaps {', '.join(close)} is meant" if close else "",
         )
     return given
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _SHOWN
-    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def _of_markers(content: Content, markers: object) -> tuple[list[str], bool]:
@@ -266,7 +260,7 @@ def _by_default(content: Content, kind: str | None) -> tuple[Kind, list[str], bo
         example = ", ".join(map(repr, points[:3]))
         raise InvalidInput(
             f"{source} does not say which markers to take, and in which order they are along the rope",
-            got=_listed(points),
+            got=listed(points),
             fix=f"Name them from the pivot to the tip: markers=[{example}]",
         )
     return chosen, *_of_markers(content, points)

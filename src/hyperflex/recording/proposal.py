@@ -27,7 +27,6 @@ from hyperflex.recording.recording import Recording
 
 _ASSUMED = {"frame_rate": 30.0, "scale": 0.001}  # frames/s; m per pixel: of nothing in the file, to be replaced
 _LIKELY = re.compile(r"(?i)angle|position|theta|phi\b")  # in the name of a column of angles
-_TURN = 2.0 * math.pi
 _FAST = 0.75  # of a turn, from sample to sample: a jump by a whole turn
 
 
@@ -118,7 +117,7 @@ def _assumption(key: str, raw: Raw, declared: Mapping[str, Any]) -> Any:
         return next((unit for unit, size in SECONDS.items() if 1e-4 < step * size < 0.2), "s")  # 5 Hz to 10 kHz
     if key == "unit":
         if raw.kind == "angles":
-            return "deg" if float(np.nanmax(np.ptp(raw.data, axis=0), initial=0.0)) > _TURN else "rad"
+            return "deg" if float(np.nanmax(np.ptp(raw.data, axis=0), initial=0.0)) > math.tau else "rad"
         size = float(np.nanmax(np.abs(raw.data), initial=0.0))
         return "m" if size < 20.0 else "mm" if raw.in_space else "px"
     if key == "y_axis":
@@ -132,7 +131,7 @@ def _assumption(key: str, raw: Raw, declared: Mapping[str, Any]) -> Any:
 
 def _jumps(raw: Raw, unit: str) -> bool:
     """Whether angles jump by whole turns, or begin beyond one."""
-    turns = raw.data * RADIANS[unit] / _TURN
+    turns = raw.data * RADIANS[unit] / math.tau
     steps = np.abs(np.diff(turns, axis=0))
     return bool((steps > _FAST).any() or (np.abs(turns[:1]) > _FAST).any())
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, listed
 from hyperflex.files import PathLike, as_path
 from hyperflex.recording.content import Selection, raw_of
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations, to_recording
@@ -140,7 +140,7 @@ def read_channels(
     content = content_of(path, format_of(path), Selection(None, time, names, None, topic))
     missing = [name for name in names if name not in content.names]
     if missing:
-        allowed = ", ".join(content.names[:20]) or "none"
+        allowed = listed(content.names) or "none"
         raise InvalidInput(f"{content.source} has no such columns", got=missing, allowed=allowed)
     if content.sparse:
         fix = "Export it with all columns at the same times"

@@ -54,7 +54,7 @@ def legend(figure: "Figure", *axes: Any, place: str = "upper right", columns: in
     figure.legend(handles, labels, loc=where, ncols=columns)
 
 
-def png(figure: "Figure", *, dpi: int = 160) -> bytes:
+def png(figure: "Figure", *, dpi: int | Literal["figure"] = 160) -> bytes:
     """Return a figure as PNG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": "hyperflex"})

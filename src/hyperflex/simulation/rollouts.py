@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks, extras, memory
-from hyperflex.budget import Budget
+from hyperflex.budget import DEFAULT_TIME, Budget
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
 from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick, mass_matrix, sticks_often
@@ -47,12 +47,11 @@ from hyperflex.trajectory import State
 if TYPE_CHECKING:
     import xarray as xr
 
-# s of processor time: allowed to a run without a time budget, and spent before the whole is predicted
-LONGEST, PREDICTED = 1800.0, 10.0
+PREDICTED = 10.0  # s of work, from which the time of a whole run is predicted
 
 
 class Endless(OutOfTime):
-    """Raised in a run without a time budget that would take more than LONGEST seconds."""
+    """Raised in a run without a time budget that would take more than DEFAULT_TIME seconds."""
 
 
 class Watch:
@@ -61,7 +60,7 @@ class Watch:
     Parameters
     ----------
     given : float, Budget or None
-        Time of the run, s; without one, the run ends once its progress predicts more than LONGEST s for the whole.
+        Time of the run, s; without one, the run ends once its progress predicts more than DEFAULT_TIME s for the whole.
     span : (float, float)
         Simulated time at which the run begins and ends, s.
     report : callable, optional
@@ -84,7 +83,7 @@ class Watch:
         self.budget.check()
         if self._work is not None and (work := self._work.elapsed) > PREDICTED:
             done = (t - self._begin) / (self._end - self._begin)
-            if work > LONGEST * done:
+            if work > DEFAULT_TIME * done:
                 raise Endless
 
 
@@ -92,7 +91,9 @@ def out_of_time(t: float, cause: BaseException | None, otherwise: str = "") -> S
     """Return the error of a run that was ended by OutOfTime, its `cause`, at simulated time t, s."""
     why = "its time budget is over. Allow more, or loosen tol"
     if isinstance(cause, Endless):
-        why = f"it would take more than {LONGEST / 60.0:g} minutes in all. Check units and gravity, loosen tol, or "
+        why = (
+            f"it would take more than {DEFAULT_TIME / 60.0:g} minutes in all. Check units and gravity, loosen tol, or "
+        )
         why += f"make it shorter{otherwise}"
     return SimulationError(
         f"stopped at t = {t:.6g} s ({Status.OUT_OF_TIME}): {why}.", status=Status.OUT_OF_TIME, time=t
@@ -269,7 +270,7 @@ class Rollout:
     def complete(self, watch: Callable[[float], None] | None = None) -> None:
         """Run to the end, as :meth:`finish` does; raise the error of a run that fails, or that `watch` ends.
 
-        Without `watch` a `logged` run ends once it would take more than LONGEST s.
+        Without `watch` a `logged` run ends once it would take more than DEFAULT_TIME s.
         """
         if watch is None and self.progress.log.size:
             watch = Watch(None, (self.time, self.limits.stop))

@@ -22,7 +22,7 @@ from hyperflex.core.read_only import read_only
 from hyperflex.core.tangent import forward_sensitivity as core
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.forward_sensitivity import CHANGES, RATE, Directions, base_change, place_changes
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, listed
 from hyperflex.interruption import interruptible
 from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields, unit_across, unit_along
 from hyperflex.motion import Motion, motion_derivatives, motion_parameters
@@ -246,7 +246,6 @@ def check_smooth(setup: Setup) -> None:
 if TYPE_CHECKING:
     import xarray as xr
 
-_NAMED = 4  # parameters that are printed
 LARGE = 1_000_000  # steps x links x directions, some tenths of a second's work, from which Ctrl-C is heard meanwhile
 ON = np.zeros(1, dtype=np.int64)  # nothing halts what is short
 
@@ -289,9 +288,7 @@ class Sensitivities:
     darm_rate: Array | None = None
 
     def __repr__(self) -> str:
-        more = len(self.names) - _NAMED
-        names = ", ".join(self.names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
-        return f"Sensitivities({self.q.shape[1]} links, {self.t.size} samples, by {names})"
+        return f"Sensitivities({self.q.shape[1]} links, {self.t.size} samples, by {listed(self.names)})"
 
     @property
     def dataset(self) -> "xr.Dataset":

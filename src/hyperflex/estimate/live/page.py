@@ -4,10 +4,9 @@ import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 
-from hyperflex.local_page import LocalServer, send, send_head
+from hyperflex.local_page import OPEN, LocalServer, send, send_head
 from hyperflex.vision import Image
 
-_WAIT = 1.0  # s between two checks whether the page is closed
 _PAGE = (
     '<!doctype html><meta charset="utf-8"><title>hyperflex watch</title>'
     '<body style="margin:0;background:#222"><img src="stream" alt="the rope" style="max-width:100%;display:block">'
@@ -81,7 +80,7 @@ class PicturePage(LocalServer):
         while not self.closed.is_set():
             with self._condition:
                 if self._number == last:
-                    self._condition.wait(_WAIT)
+                    self._condition.wait(OPEN)
                 last, coded = self._number, self._jpeg
             if coded:
                 head = f"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: {len(coded)}\r\n\r\n"

@@ -27,7 +27,7 @@ _COLUMNS = 4  # of small multiples
 _SHAPES = 5  # instants
 _FEW_WINDOWS = 3  # so few are seen well enough on the whole
 _LEAST_LINKS = 6  # with values of their own; fewer are read in a table
-_SPARSE, _DENSE = 120, 4000  # samples: below, each is drawn as a ring; above, as a speck
+_SPARSE = 120  # samples, up to which each is drawn as a ring; more of them as dots
 FEW = 4  # channels that are all shown large
 
 
@@ -96,7 +96,7 @@ def samples(axis: Any, t: Array, values: Array) -> None:
     if t.size < _SPARSE:
         axis.plot(t, values, "o", ms=4.0, mfc="none", mec=INK, mew=0.7, label="measured")
     else:
-        axis.plot(t, values, ".", ms=3.0 if t.size < _DENSE else 2.0, color=GREY, label="measured")
+        axis.plot(t, values, ".", ms=2.0, color=GREY, label="measured")
 
 
 def fit_figure(view: FittedChannels, ax: Axes | None = None) -> Figure:

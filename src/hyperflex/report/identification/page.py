@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 LONG = 16  # rows of a table that are shown at once
 LEAST_CORRELATION = 1.05  # samples, that are stated: 1 is white noise
-_DPI = 110
 PAGE = "report.html"
 
 
@@ -200,7 +199,7 @@ def _folded(table: TextTable, what: str) -> str:
 
 def _pictures(*drawn: tuple["Figure | None", str]) -> tuple[Picture, ...]:
     """Return figures with their captions, without those that there is nothing for."""
-    return tuple(Picture(png(figure, dpi=_DPI), caption) for figure, caption in drawn if figure is not None)
+    return tuple(Picture(png(figure, dpi="figure"), caption) for figure, caption in drawn if figure is not None)
 
 
 def _all(view: FittedChannels) -> Section:
