@@ -11,7 +11,7 @@ from hyperflex.planning import AnyPlan, CastOutcome
 from hyperflex.play.folder import Opened
 from hyperflex.play.planning_process import PlanningProcess, PlanningTask
 from hyperflex.play.session import Session
-from hyperflex.report.player import FRAME_RATE
+from hyperflex.report import FRAME_RATE
 
 _LATE = 0.1  # s, by which frames may be late; then they are omitted
 _GAP = 1e-3  # s between two frames that are late, in which commands are executed

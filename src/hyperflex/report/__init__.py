@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.report.pictures import animate, strobe_figure
     from hyperflex.report.plan import PlanReport
-    from hyperflex.report.player import player_html, write_player
+    from hyperflex.report.player import FRAME_RATE, player_html, write_player
     from hyperflex.report.recordings import recording_figure
     from hyperflex.report.scene import Dots, Line, Overlay, Plot
     from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png, save_png
