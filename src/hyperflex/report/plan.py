@@ -223,3 +223,9 @@ class PlanReport(ABC, Generic[PlanT]):
     def course(self, event: str, *plots: Plot) -> "Figure":
         """Draw the time course of the run with two plots; it marks the event and names it."""
         return time_course(self.run, f"the {self.noun}", plots, self.moves(), (self.event, event))
+
+    def motor_peaks(self) -> tuple[float, float]:
+        """Return the greatest speed, rad/s, and acceleration, rad/s^2, of the motion."""
+        motion = self.plan.required(self.plan.motion, "motion")
+        t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
+        return float(np.abs(motion.rate(t)).max()), float(np.abs(motion.acceleration(t)).max())
