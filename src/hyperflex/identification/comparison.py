@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
-TINY = 1e-9  # probabilities below it are not told apart
 CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
 FEW = 3  # predicted stretches, fewer have no standard error to speak of
 MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
@@ -167,12 +166,8 @@ def recommend(models: Sequence[FittedModel]) -> tuple[str | None, str]:
             f"requires; prediction prefers {good[0].name}. {chosen.name} is preferred; a longer recording would decide."
         )
     if chosen.whiteness < CHANCE:
-        words += f" But its residuals are not white noise ({_chance(chosen.whiteness)}): all candidates omit an effect."
+        words += f" But its residuals are not white noise (p = {chosen.whiteness:.2g}): all candidates omit an effect."
     return chosen.name, words
-
-
-def _chance(p: float) -> str:
-    return f"p = {p:.2g}" if p >= TINY else f"p < {TINY:g}"
 
 
 def _also(alike: Sequence[FittedModel]) -> str:
@@ -247,7 +242,7 @@ class ModelComparison(Ranking):
                     "-" if each is None or not np.isfinite(each) else f"{each:.{digits}f}"
                     for each, digits in zip(numbers, (1, 3, 3), strict=True)
                 )
-                white = f"{'yes' if model.whiteness >= CHANCE else 'no'} ({_chance(model.whiteness)})"
+                white = f"{'yes' if model.whiteness >= CHANCE else 'no'} (p = {model.whiteness:.2g})"
                 cells += [str(model.parameters), *shown, "-" if np.isnan(model.whiteness) else white]
             rows.append((cells, f"failed: {model.reason}" if failed else model.reason))
         return self._text("Models compared", rows)

@@ -52,9 +52,7 @@ BETTER_PART = 0.25
 SAME_STATE = 0.01
 # rounds of fitting a state to a part of a window, and of parameters after which states are searched
 SHORT = 15
-# part of its cost: more is the same state again
-BETTER = 0.98
-# ratio of costs within which two starts have come to the same
+# ratio of costs within which two starts, or states of a window, have come to the same
 ALIKE = 1.05
 # of the grid of delays on either side of 0; windows; rounds of their states
 DELAY_STEPS = 16
@@ -356,7 +354,7 @@ class MultiStart:
         """
         found: set[int] = set()
         for k, least in before.items():
-            least, window = BETTER * least, windows[k]
+            least, window = least / ALIKE, windows[k]
             usual = list(restart_states(self.plant, windows, x, states, k))
             for grow in (False, True)[: 1 + thorough]:
                 self.budget.check()
