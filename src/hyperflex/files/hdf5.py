@@ -48,6 +48,12 @@ def most_bytes(path: PathLike) -> int:
     return min(LARGEST, _DEFLATED * regular_file(path, "HDF5 file", math.inf).stat().st_size)
 
 
+def check_size(path: PathLike, size: int) -> None:
+    """Raise ValueError if a file says that it holds more bytes than it can."""
+    if size > most_bytes(path):
+        raise ValueError("it says that it holds more than it can")
+
+
 def _has_endless_heap(content: mmap.mmap) -> bool:
     """Whether HDF5 would not come to an end in a heap of texts: an object without a size, or one that ends outside."""
     at = content.find(_HEAP)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.errors import InvalidInput
-from hyperflex.files.hdf5 import most_bytes, open_hdf5
+from hyperflex.files.hdf5 import check_size, open_hdf5
 from hyperflex.files.writing import PathLike, write_bytes
 
 
@@ -74,10 +74,9 @@ def read_netcdf(path: PathLike) -> NetCDF:
         _writable = False  # else h5netcdf prints a traceback when it closes a file that it could not open
 
     with open_hdf5(path, "NetCDF-4 file") as opened, Content(opened, "r") as content:
-        most = most_bytes(path)
-        groups = {name: _variables(group, most) for name, group in content.groups.items()}
+        groups = {name: _variables(path, group) for name, group in content.groups.items()}
         attributes = {key: _plain(value) for key, value in content.attrs.items()}
-        return NetCDF(_variables(content, most), attributes, groups)
+        return NetCDF(_variables(path, content), attributes, groups)
 
 
 def _put(group: Any, variables: Mapping[str, Variable]) -> None:
@@ -89,10 +88,9 @@ def _put(group: Any, variables: Mapping[str, Variable]) -> None:
         group.create_variable(name, dims, kind, data=data).attrs.update(attributes)
 
 
-def _variables(group: Any, most: int) -> dict[str, Variable]:
-    """Return the variables of a group; ValueError where they hold more than `most` bytes."""
-    if sum(math.prod(each.shape) * each.dtype.itemsize for each in group.variables.values()) > most:
-        raise ValueError("it says that it holds more than it can")
+def _variables(path: PathLike, group: Any) -> dict[str, Variable]:
+    """Return the variables of a group; ValueError where they say that they hold more than the file can."""
+    check_size(path, sum(math.prod(each.shape) * each.dtype.itemsize for each in group.variables.values()))
     return {
         name: Variable(each.dimensions, each[...], {key: _plain(value) for key, value in each.attrs.items()})
         for name, each in group.variables.items()

@@ -265,7 +265,7 @@ def table_of(path: PathLike, lines: list[str]) -> Table:
         names, top = _header(path, rows, numbers, comments, notes)
         if top == len(rows):
             raise InvalidInput(f"{path} has a header but no rows", got=names, allowed="at least one row of numbers")
-        mark = separator or _mark_of(rows[top])
+        mark = separator or mark_of(rows[top])
         return Table(str(path), names, rows[top:], numbers[top:], mark, notes, cut=bool(lines[-1]))
     except csv.Error as error:
         raise InvalidInput(f"{path} is no table that can be read ({error})", fix="Write it again") from None
@@ -291,7 +291,7 @@ def write_table(
         writer.writerows([["" if np.isnan(x) else repr(float(x)) for x in row] for row in table])
 
 
-def _mark_of(line: str) -> str:
+def mark_of(line: str) -> str:
     """Return what separates the cells of a line: a tab, a semicolon, a comma, or a space for any white space."""
     bare = re.sub(r'"[^"]*"', "", line) if '"' in line else line
     return next((mark for mark in _MARKS if mark in bare), " ")
@@ -306,12 +306,12 @@ def _cells(line: str, mark: str) -> list[str]:
 
 def cells_of(line: str) -> list[str]:
     """Return the cells of a line, by the separator that it has."""
-    return _cells(line, _mark_of(line))
+    return _cells(line, mark_of(line))
 
 
 def _names(line: str) -> list[str]:
     """Return the column names of a header line; between spaces a unit in brackets belongs to the name before it."""
-    mark = _mark_of(line)
+    mark = mark_of(line)
     return (mark == " " and '"' not in line and _WORDS.findall(line)) or _cells(line, mark)
 
 
@@ -363,7 +363,7 @@ def _header(
         groups.append(names)
         names, top = _names(rows[top]), top + 1
     names = joined_names(groups, names)
-    if len(names) > 1 and not names[-1] and all(not _cells(row, _mark_of(row))[-1] for row in rows[top:]):
+    if len(names) > 1 and not names[-1] and all(not _cells(row, mark_of(row))[-1] for row in rows[top:]):
         names.pop()  # a separator ends each line
     if names[0] == "" and len(names) > 1:
         names[0] = "index"  # as pandas writes it
@@ -377,8 +377,8 @@ def _header(
 
 def _is_title(line: str, below: str) -> bool:
     """Whether a line may stand above the header: it has one cell, or none of the marks, and that below has more."""
-    first, second = ([cell for cell in each.split(_mark_of(each)) if cell.strip()] for each in (line, below))
-    return _mark_of(line) == " " != _mark_of(below) or len(first) == 1 < len(second)
+    first, second = ([cell for cell in each.split(mark_of(each)) if cell.strip()] for each in (line, below))
+    return mark_of(line) == " " != mark_of(below) or len(first) == 1 < len(second)
 
 
 def _from_comment(path: PathLike, row: tuple[int, str], comments: Lines, notes: Mapping[str, str]) -> list[str]:
@@ -397,12 +397,18 @@ def joined_names(groups: list[list[str]], names: list[str]) -> list[str]:
     """Return names with those of their groups before them; an empty group is the one to its left."""
     scorer = bool(groups) and groups[0][0] == "scorer"  # DeepLabCut: of the network, the same for all columns
     for group in reversed(groups[1:] if scorer else groups):
-        full = list(group)
-        for k in range(1, len(full)):
-            full[k] = full[k] or full[k - 1]
+        full = filled(group)
         pairs = zip(full, names, strict=False)
         names = [f"{above}_{name}" if above else name for above, name in pairs] + names[len(full) :]
     return ["frame", *names[1:]] if scorer else names
+
+
+def filled(names: Sequence[str], first: int = 0) -> list[str]:
+    """Return names in which an empty one, after that of an index, is the one to its left."""
+    full = list(names)
+    for k in range(first + 1, len(full)):
+        full[k] = full[k] or full[k - 1]
+    return full
 
 
 def no_repeats(path: PathLike, names: list[str]) -> list[str]:

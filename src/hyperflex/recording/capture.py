@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, Table, cells_of, read_lines
+from hyperflex.files import PathLike, Table, cells_of, filled, mark_of, read_lines
 from hyperflex.recording.content import Content, Selection, content_of_markers, unused
-from hyperflex.recording.declare import unit_name
+from hyperflex.recording.declare import unit_of
 
 _AXES = ("x", "y", "z")
 _RIGID_BODY = 11  # cells of one in a frame of Motive 1.1: number, place, quaternion, three angles
@@ -25,7 +25,7 @@ def read_motive(path: PathLike, selection: Selection) -> Content:
     meta = cells_of(lines[0])
     about = dict(zip(meta[::2], meta[1::2], strict=False))
     top = _row_of(path, lines, "Frame")
-    header = [_filled(cells_of(line), 0) for line in lines[1:top] if line.strip(", ")]
+    header = [filled(cells_of(line)) for line in lines[1:top] if line.strip(", ")]
     axes = cells_of(lines[top])
     if len(header) < 3:
         raise InvalidInput(f"{path} lacks the rows Type, Name and ID", fix="Export it again, with its header")
@@ -34,9 +34,7 @@ def read_motive(path: PathLike, selection: Selection) -> Content:
     for kind, name, part, axis in zip(kinds, names, parts, axes, strict=False):
         shown = name if kind in ("Marker", "Rigid Body", "Bone") else f"{name} ({kind})"
         labels.append((shown, axis.lower() if part == "Position" else f"{part} {axis}".strip()))
-    declared: dict[str, Any] = {"time_unit": "s"}
-    if unit := about.get("Length Units"):
-        declared["unit"] = unit_name(unit)
+    declared = {"time_unit": "s"} | unit_of(about.get("Length Units"))
     time = next((k for k, axis in enumerate(axes) if axis.startswith("Time")), 1)
     return _content(path, lines, top + 1, labels, time, declared=declared)
 
@@ -92,11 +90,8 @@ def read_vicon(path: PathLike, selection: Selection) -> Content:
         raise InvalidInput(f"{path} has a header but no rows", fix="It was probably cut off: get it again")
     end = next((k for k in range(at + 5, len(lines)) if not lines[k].strip(",; \t")), len(lines))
     names, axes, units = (cells_of(line) for line in lines[at + 2 : at + 5])
-    labels = [(name, axis.lower()) for name, axis in zip(_filled(names, 2), axes, strict=False)]
-    found = {unit for unit in units if unit}
-    declared = {"time_unit": "frame", "frame_rate": _rate(path, cells_of(lines[at + 1])[0])}
-    if len(found) == 1:
-        declared["unit"] = unit_name(found.pop())
+    labels = [(name, axis.lower()) for name, axis in zip(filled(names, 2), axes, strict=False)]
+    declared = {"time_unit": "frame", "frame_rate": _rate(path, cells_of(lines[at + 1])[0])} | unit_of(*set(units))
     return _content(path, lines[:end], at + 5, labels, 0, declared=declared, last=end == len(lines))
 
 
@@ -142,13 +137,11 @@ def read_trc(path: PathLike, selection: Selection) -> Content:
     if len(lines) < 6:
         raise InvalidInput(f"{path} is a TRC file without rows", fix="It was probably cut off: get it again")
     about = dict(zip(cells_of(lines[1]), cells_of(lines[2]), strict=False))
-    names = _filled(cells_of(lines[3].rstrip("\t, ")), 2)
+    names = filled(cells_of(lines[3].rstrip("\t, ")), 2)
     names += names[-1:] * 2  # of the last marker
     axes = [cell[:1] for cell in cells_of(lines[4])]
     labels = [(name, _AXES[(k - 2) % 3] if k >= 2 else "") for k, name in enumerate(names)]
-    declared: dict[str, Any] = {"time_unit": "s"}
-    if unit := about.get("Units"):
-        declared["unit"] = unit_name(unit)
+    declared = {"time_unit": "s"} | unit_of(about.get("Units"))
     top = 5 if not lines[4].strip() or {*"XYZ"} & set(axes) else 4
     return _content(path, lines, top, labels, 1, declared=declared, ragged=len(_AXES))  # tabs at the end may be missing
 
@@ -168,14 +161,6 @@ def _row_of(path: PathLike, lines: Sequence[str], first: str) -> int:
         if line.startswith(first):
             return k
     raise InvalidInput(f"{path} has no row that begins with {first}", fix="Export it again, with its header")
-
-
-def _filled(names: Sequence[str], first: int) -> list[str]:
-    """Return names in which an empty one, from an index on, is the one to its left."""
-    full = list(names)
-    for k in range(first + 1, len(full)):
-        full[k] = full[k] or full[k - 1]
-    return full
 
 
 def _content(
@@ -213,8 +198,7 @@ def _content(
         raise InvalidInput(what, allowed="a row for each frame", fix="It was probably cut off: get it again")
     numbers, rows = [k + 1 for k, _ in kept], [row for _, row in kept]
     names, points = _named(labels)
-    mark = next((mark for mark in "\t;," if mark in rows[0]), " ")
-    table = Table(str(path), names, rows, numbers, mark, cut=last and bool(lines[-1]), ragged=ragged)
+    table = Table(str(path), names, rows, numbers, mark_of(rows[0]), cut=last and bool(lines[-1]), ragged=ragged)
 
     def take(chosen: Sequence[str]) -> Any:
         values = table.columns(chosen)

@@ -19,6 +19,7 @@ from hyperflex.recording.recording import KINDS, Kind
 _FIRST = re.compile(r"(?P<axis>[xyzXYZ])[_ .:-]*(?P<name>.*)")
 _LAST = re.compile(r"(?P<name>.*?)[_ .:/-]*(?P<axis>[xyzXYZ])")
 _MOTION = "vap"  # velocity, acceleration and momentum of a point, as Tracker names them
+_LIKELIHOOD = ("likelihood", "score", "confidence")  # end the name of a channel with that of a marker
 ALONE = "point"  # name of a marker whose columns are x and y
 
 
@@ -110,7 +111,7 @@ def content_of_markers(
         source,
         points=points,
         ordered=more.pop("ordered", len(points) == 1),
-        likelihood={part: f"{name}_likelihood" for name in likelihoods for part in points[name]},
+        likelihood=likelihood_of(points, channels),
         noise={part: f"{part}_noise" for name in noises for part in points[name]},
         **more,
     )
@@ -145,6 +146,17 @@ def points_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
         part if name == ALONE else f"{name}{mark}{part}" for name in points for part in _MOTION for mark in ("", "_")
     }
     return {name: parts for name, parts in points.items() if name not in motion}
+
+
+def likelihood_of(points: Mapping[str, Sequence[str]], names: Container[str]) -> dict[str, str]:
+    """Return the channels with the likelihood of the parts of markers, of those that are there."""
+    return {
+        part: name
+        for marker, parts in points.items()
+        for part in parts
+        for name in (f"{marker}_{word}" for word in _LIKELIHOOD)
+        if name in names
+    }
 
 
 def raw_of(content: Content, selection: Selection) -> Raw:

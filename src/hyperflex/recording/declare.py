@@ -263,6 +263,12 @@ def unit_name(text: str) -> str:
     return WORDS.get(text.lower(), text)
 
 
+def unit_of(*texts: str | None) -> dict[str, Any]:
+    """Return the declaration of the unit that texts of a file name; none where they name no unit, or several."""
+    names = [text for text in texts if text]
+    return {"unit": unit_name(names[0])} if len(names) == 1 else {}
+
+
 def missing_declarations(raw: Raw, declared: Mapping[str, Any]) -> dict[str, str]:
     """Return the declarations that are needed and not in `declared`, each with its allowed values."""
     needed = ["time_unit", "unit", *(key for key, (_, applies) in _applying(raw, declared).items() if applies)]

@@ -7,9 +7,16 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, joined_names, most_bytes, open_hdf5, read_netcdf
+from hyperflex.files import PathLike, check_size, joined_names, most_bytes, open_hdf5, read_netcdf
 from hyperflex.recording.arrays import content_of_arrays
-from hyperflex.recording.content import Content, Selection, content_of_channels, content_of_markers, points_of
+from hyperflex.recording.content import (
+    Content,
+    Selection,
+    content_of_channels,
+    content_of_markers,
+    likelihood_of,
+    points_of,
+)
 from hyperflex.recording.recording import FACTS, VARIABLE, Kind
 
 _AXES = ("zero", "sense", "angles", "y_axis")  # declarations that our NetCDF files have as attributes
@@ -95,8 +102,7 @@ def read_deeplabcut(path: PathLike, selection: Selection) -> Content:
     """Return the body parts of an H5 file of DeepLabCut, px with y down; of several individuals as individual_part."""
     with open_hdf5(path) as file:
         table = next(group["table"] for group in file.values() if "table" in group)
-        if table.size * table.dtype.itemsize > most_bytes(path):
-            raise ValueError("it says that it holds more than it can")
+        check_size(path, table.size * table.dtype.itemsize)
         rows, labels = table[()], _texts_of_pickle(bytes(table.attrs[f"{_BLOCK}_kind"]))
         t, values = np.asarray(rows["index"], dtype=np.float64), np.asarray(rows[_BLOCK], dtype=np.float64)
         if values.ndim != 2 or len(labels) != values.shape[1] or len({len(each) for each in labels}) != 1:
@@ -109,12 +115,7 @@ def read_deeplabcut(path: PathLike, selection: Selection) -> Content:
         dict(zip(names, values.T, strict=True)),
         str(path),
         points=points,
-        likelihood={
-            part: f"{marker}_likelihood"
-            for marker, parts in points.items()
-            for part in parts
-            if f"{marker}_likelihood" in names
-        },
+        likelihood=likelihood_of(points, names),
         declared={"time_unit": "frame"},
     )
 
@@ -164,8 +165,7 @@ def _cell(path: PathLike, file: Any, item: Any) -> Any:
 
 def _numbers(path: PathLike, item: Any) -> Array:
     """Return a dataset as numbers; ValueError where it says that it is larger than its file can hold."""
-    if item.size * max(item.dtype.itemsize, 8) > most_bytes(path):
-        raise ValueError("it says that it holds more than it can")
+    check_size(path, item.size * max(item.dtype.itemsize, 8))
     return np.asarray(item[()], dtype=np.float64)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, not_damaged, read_bytes
+from hyperflex.files import LARGEST, PathLike, not_damaged, read_bytes
 from hyperflex.recording.arrays import content_of_arrays
 from hyperflex.recording.content import Content, Selection
 
@@ -20,7 +20,6 @@ from hyperflex.recording.content import Content, Selection
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _PACKED = 14, 15
 _CELL, _ARRAYS, _COMPLEX = 1, range(6, 16), 0x0800  # classes of matrices, and a flag beside them
-_LARGEST = 1 << 29  # bytes of an element that is unpacked
 
 _Order = Literal["<", ">"]
 
@@ -47,7 +46,7 @@ def _variables(raw: bytes) -> dict[str, Array]:
         kind, body, at = _element(raw, at, order)
         if kind == _PACKED:
             stream = zlib.decompressobj()
-            kind, body, _ = _element(stream.decompress(body, _LARGEST), 0, order)
+            kind, body, _ = _element(stream.decompress(body, LARGEST), 0, order)
             if not stream.eof:
                 raise ValueError("a packed element does not end")
         if kind == _MATRIX:

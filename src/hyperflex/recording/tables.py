@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, read_table
-from hyperflex.recording.content import ALONE, Content, Selection, points_of
+from hyperflex.recording.content import ALONE, Content, Selection, likelihood_of, points_of
 from hyperflex.recording.declare import POSITIVE, UNITS, Declarations, unit_name
 
 _NUMBERED = {  # names of columns, by what they hold
@@ -17,7 +17,6 @@ _NUMBERED = {  # names of columns, by what they hold
     "y": re.compile(r"y_?(\d+)\Z"),
 }
 _NOISE = "std_"  # begins the name of a column with the noise of another
-_LIKELIHOOD = ("likelihood", "score", "confidence")  # end the name of a column with that of a marker
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\Z")
 _INDEX = re.compile(r"_?\{(.*?)\}")  # as Tracker writes one: t_{1}
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
@@ -75,13 +74,7 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         strangers=[name for name in others if name not in known] if known else [],
         rates=rates,
         noise=noise,
-        likelihood={
-            part: name
-            for marker, parts in points.items()
-            for part in parts
-            for name in (f"{marker}_{word}" for word in _LIKELIHOOD)
-            if name in at
-        },
+        likelihood=likelihood_of(points, names),
         units=units,
         sparse=sparse,
         declared=declared,

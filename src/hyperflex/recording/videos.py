@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.files import PathLike, read_bytes, read_lines
 from hyperflex.recording.content import Content, Selection, content_of_markers, unused
-from hyperflex.recording.declare import unit_name
+from hyperflex.recording.declare import unit_of
 
 _TIMECODE = re.compile(r"(\d+):(\d\d):(\d\d):(\d\d\d?)", re.ASCII)  # h:mm:ss and hundredths or thousandths of a second
 _STEP = re.compile(r"\[(\d{1,7})\]", re.ASCII)  # the name of an element of an array
@@ -84,9 +84,7 @@ def read_kva(path: PathLike, selection: Selection) -> Content:
                 for axis in "XY"
             )
             _add(tracks, name, _float(path, stamp, "TrackPoint") / per_frame, x, y, str(path))
-    declared: dict[str, Any] = {"time_unit": "frame"}
-    if len(units) == 1 and (unit := units.pop()):
-        declared["unit"] = unit_name(unit)
+    declared = {"time_unit": "frame"} | unit_of(*units)
     if rate := root.findtext("CaptureFramerate"):
         declared["frame_rate"] = _float(path, rate, "CaptureFramerate")
     return _content(path, tracks, declared=declared, usual={"y_axis": "up"})
@@ -146,9 +144,7 @@ def read_trk(path: PathLike, selection: Selection) -> Content:
                 places[1e-3 * step * (k - begin)] = place
         tracks[name] = places
     calibrated = any(scale != (1.0, 1.0) for _, _, scale in frames.values())
-    declared = {"time_unit": "s"} | ({} if calibrated else {"unit": "px"})
-    if calibrated and (unit := _text(panel, "length_unit")):
-        declared["unit"] = unit_name(unit)
+    declared = {"time_unit": "s"} | unit_of(_text(panel, "length_unit") if calibrated else "px")
     return _content(path, tracks, declared=declared, usual={"y_axis": "up"})
 
 
