@@ -346,3 +346,10 @@ def test_damage_is_told_or_harmless(tmp_path, name, count):
         refused_or_done(lambda: propose(path))
 
     damage()
+
+
+@pytest.mark.parametrize("name", ["(" * 100_000, "a" + " " * 100_000 + "]", "-" * 100_000 + "q"])
+def test_a_column_name_of_any_length_is_split_at_once(tmp_path, name):
+    path = tmp_path / "long.csv"
+    path.write_text(f"t,{name}\n0,1\n1,2\n2,3\n")
+    refused_or_done(lambda: read_recording(path, kind="angles"))

@@ -1,7 +1,6 @@
 """What a file of any format holds, in one form, and the choice of the angles or markers to take of it."""
 
 import difflib
-import re
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,8 +15,8 @@ from hyperflex.errors import InvalidInput, listed
 from hyperflex.recording.declare import METRES, RADIANS, Raw, unit_name
 from hyperflex.recording.recording import KINDS, Kind
 
-_FIRST = re.compile(r"(?P<axis>[xyzXYZ])[_ .:-]*(?P<name>.*)")
-_LAST = re.compile(r"(?P<name>.*?)[_ .:/-]*(?P<axis>[xyzXYZ])")
+_AXES = "xyz"
+_BETWEEN = "_ .:-"  # stand between the axis and the name of a marker
 _MOTION = "vap"  # velocity, acceleration and momentum of a point, as Tracker names them
 _LIKELIHOOD = ("likelihood", "score", "confidence")  # end the name of a channel with that of a marker
 ALONE = "point"  # name of a marker whose columns are x and y
@@ -137,8 +136,10 @@ def points_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return markers by pairs or triples of names that differ in a letter x, y or z at their beginning or end."""
     found: dict[str, dict[str, str]] = {}
     for name in names:
-        for match in filter(None, (_FIRST.fullmatch(name), _LAST.fullmatch(name))):
-            found.setdefault(match["name"] or ALONE, {}).setdefault(match["axis"].lower(), name)
+        ways = ((name[:1], name[1:].lstrip(_BETWEEN)), (name[-1:], name[:-1].rstrip(_BETWEEN + "/")))
+        for axis, of in ways:
+            if axis and axis.lower() in _AXES:
+                found.setdefault(of or ALONE, {}).setdefault(axis.lower(), name)
     points = {
         name: tuple(axes[key] for key in sorted(axes)) for name, axes in found.items() if {"x", "y"} <= axes.keys()
     }

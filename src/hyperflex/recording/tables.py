@@ -17,7 +17,6 @@ _NUMBERED = {  # names of columns, by what they hold
     "y": re.compile(r"y_?(\d+)\Z"),
 }
 _NOISE = "std_"  # begins the name of a column with the noise of another
-_WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\Z")
 _INDEX = re.compile(r"_?\{(.*?)\}")  # as Tracker writes one: t_{1}
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
 _NOTES = (*Declarations.__dataclass_fields__, "noise")
@@ -35,7 +34,7 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
     """
     table = read_table(path)
     declared = _notes(path, table.notes)
-    split = [match.groups() if (match := _WITH_UNIT.match(name)) else (name, None) for name in table.names]
+    split = [_name_and_unit(name) for name in table.names]
     names = [_INDEX.sub(r"_\1", name) for name, _ in split]
     if len(set(names)) < len(names):
         what, fix = f"{path} has columns that differ only in their unit", "Remove one of them"
@@ -80,6 +79,14 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         declared=declared,
         source=str(path),
     )
+
+
+def _name_and_unit(name: str) -> tuple[str, str | None]:
+    """Split ``angle (deg)``, or ``angle [deg]``, into its name and its unit."""
+    inner = name[:-1]
+    begin = 1 + max(inner.rfind(")"), inner.rfind("]"))
+    opening = re.compile(r"[\[(]").search(inner, begin) if name.endswith((")", "]")) else None
+    return (inner[: opening.start()].rstrip(), inner[opening.end() :].strip()) if opening else (name, None)
 
 
 def _numbered(names: Sequence[str], pattern: re.Pattern[str]) -> dict[int, str]:
