@@ -43,6 +43,7 @@ def made_up(seed: int = 1, **changes) -> Trajectory:
         "state": State(
             0.6, q[-1], qd[-1], 0.05, 0.5, 0.25, {"table": rng.uniform(size=(2, 3)), "order": 6, "err": 0.1}
         ),
+        "start": State(0.0, q[0], qd[0]),
         "attrs": {"method": "extrapolation", "tol": 1e-6, "nothing": None},
     }
     return Trajectory(**{**parts, **changes})

@@ -1,5 +1,6 @@
 """The result of a rollout: labelled arrays, energies, the set-up that made them and the state to go on from."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["State", "Trajectory", "interpolated", "read_trajectory", "swept"]
 FORMAT = "hyperflex trajectory 1"
+PARTED = 0.01  # of the rope's length: two runs that differ by more show different motions
 
 # field of Trajectory and variable of the dataset: (dimensions after time, units, long name)
 VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -140,6 +142,8 @@ class Trajectory:
         The simulated set-up.
     state : State
         Where the run ended; hand it to :func:`hyperflex.simulate` to go on.
+    start : State
+        Where it began.
     status : Status
         How the run ended.
     message : str
@@ -172,6 +176,7 @@ class Trajectory:
     motor_torque: Array
     setup: Setup
     state: State
+    start: State
     status: Status = Status.SUCCESS
     message: str = ""
     attrs: dict[str, Any] = field(default_factory=dict)
@@ -198,6 +203,10 @@ class Trajectory:
     def __repr__(self) -> str:
         span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
         return f"Trajectory({self.q.shape[1]} links, {self.t.size} samples{span}, {self.status})"
+
+    def __str__(self) -> str:
+        """Return what ``repr`` shows, and when the run stops being predictable, for which it is simulated again."""
+        return ": ".join(each for each in (repr(self), self.warning()) if each)
 
     @property
     def success(self) -> bool:
@@ -226,6 +235,52 @@ class Trajectory:
         energy = self.kinetic_energy + self.potential_energy
         gained = self.motor_work - self.dissipated_energy
         return energy - energy[:1] - (gained - gained[:1])
+
+    @cached_property
+    def error_estimate(self) -> Array:
+        """Estimated error (T,), m: distance of the worst joint from a run with a tenth of the tolerance.
+
+        The second run is made when this is read; it takes about as long as the first. Steps that no tolerance controls
+        are halved in it (in contact, and those of ``"rk4"``). NaN where it fails. Of a set-up with a `control` both
+        runs apply the recorded torques. Errors of the model, the number of links among them, are not included.
+        """
+        from hyperflex.simulation import tighter_run
+
+        found = np.full(self.t.size, np.nan)
+        if self.t.size:
+            other = tighter_run(self).joints
+            apart = np.linalg.norm(self.joints[: len(other)] - other, axis=2)
+            found[: len(other)] = apart.max(axis=1)
+        return _read_only(found)
+
+    def agrees_until(self, allowed: float | None = None) -> float:
+        """Return the last time, s, up to which :attr:`error_estimate` stays below `allowed`, m; inf: to the end.
+
+        By default `allowed` is PARTED of the rope's length.
+        """
+        limit = checks.number("allowed", allowed or self._parted, sign="positive", unit="m")
+        beyond = ~(self.error_estimate <= limit)
+        return float(self.t[max(int(beyond.argmax()) - 1, 0)]) if beyond.any() else math.inf
+
+    @property
+    def predictable_until(self) -> float:
+        """Time, s, from which on inputs and tolerance do not determine the run; inf if they do to its end.
+
+        After it a run with a tenth of the tolerance differs by more than PARTED of the rope's length: compare energies
+        and statistics, not positions. Computed when first read, see :attr:`error_estimate`.
+        """
+        return self.agrees_until()
+
+    def warning(self, allowed: float | None = None) -> str:
+        """Return a sentence on when the run stops being predictable (:meth:`agrees_until`); empty if it does not."""
+        if (until := self.agrees_until(allowed)) == math.inf:
+            return ""
+        far = f"{1e3 * (allowed or self._parted):.3g} mm"
+        return f"not predictable after {until:.4g} s, where a run with a tenth of the tolerance is more than {far} off"
+
+    @property
+    def _parted(self) -> float:
+        return PARTED * self.setup.rope.total_length
 
     @cached_property
     def dataset(self) -> "xr.Dataset":
@@ -260,7 +315,8 @@ class Trajectory:
         An existing file is replaced only once the new one is complete. FileProblem if the folder cannot be written to
         or is full; nothing has changed then.
         """
-        files.write_netcdf(path, NetCDF(self.variables(), self.attributes(), {"state": self.state.variables()}))
+        ends = {name: state.variables() for name, state in (("start", self.start), ("state", self.state))}
+        files.write_netcdf(path, NetCDF(self.variables(), self.attributes(), ends))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the samples to the CSV file `path`, a row each, whole or not at all, in SI units.
@@ -393,7 +449,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
         It is no NetCDF-4 file, or not a hyperflex trajectory.
     """
     content = files.read_netcdf(path)
-    attributes, main, state = content.attributes, content.variables, content.groups.get("state", {})
+    attributes, main = content.attributes, content.variables
+    start, state = (content.groups.get(name, {}) for name in ("start", "state"))
     if attributes.get("format") != FORMAT:
         raise InvalidInput(
             f"{path} is not a hyperflex trajectory",
@@ -402,6 +459,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
             fix="Measured data are read by hyperflex.read_recording",
         )
     missing = [name for name in ("time", *VARIABLES) if name not in main]
+    missing += [f"start/{name}" for name in _NEEDED if name not in start]
     missing += [f"state/{name}" for name in _NEEDED if name not in state]
     missing += [f"attribute {name!r}" for name in ("setup", "status") if name not in attributes]
     if missing:
@@ -410,6 +468,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         t=main["time"].numbers("time"),
         setup=Setup.loads(str(attributes["setup"]), f"the set-up in {path}"),
         state=_state(state),
+        start=_state(start),
         status=Status(checks.choice(f"status in {path}", str(attributes["status"]), list(Status))),
         message=str(attributes.get("message", "")),
         event=(str(attributes["event"]), float(attributes["event_time"])) if "event" in attributes else None,

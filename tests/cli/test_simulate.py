@@ -35,15 +35,20 @@ def test_simulate_writes_the_run_and_sums_it_up(hyperflex, hyperflex_json, setup
     assert (code, {name: result[name] for name in want}) == (0, want)
 
 
-@pytest.mark.parametrize(("allowed", "to_the_end"), [(1e-5, False), (1.0, True)])
-def test_simulate_tells_how_long_it_can_be_trusted(hyperflex, hyperflex_json, setup, allowed, to_the_end):
-    """An error of tol, 1e-5 m, grows by more than nothing."""
-    found = hf.predictability(setup)
-    _, result = hyperflex_json(*CALL, "--horizon", allowed)
-    want = (to_the_end, min(1.0, found.horizon(allowed)), found.exponent())
-    assert tuple(result[name] for name in ("trusted_to_the_end", "horizon_s", "lyapunov_exponent_per_s")) == want
-    said = " ".join(hyperflex(*CALL, "--horizon", allowed)[1].split())
-    assert f"trusted to the end {'yes' if to_the_end else 'no'}" in said
+def test_simulate_says_from_when_on_a_run_cannot_be_trusted(hyperflex, hyperflex_json, setup):
+    """With the friction of the set-up to the end, without any not: a tangle; a stricter distance ends it sooner."""
+    names = ("trusted_to_the_end", "horizon_s", "warnings")
+    _, tame = hyperflex_json(*CALL)
+    assert [tame[name] for name in names] == [True, 1.0, []]
+    found = hf.simulate(setup.replace(rope=setup.rope.replace(friction=0.0), duration=10.0))
+    found.setup.to_toml("cast.toml")
+    code, wild = hyperflex_json(*CALL)
+    assert (code, wild["status"]) == (0, "success")
+    assert [wild[name] for name in names] == [False, found.predictable_until, [found.warning()]]
+    said = hyperflex(*CALL)[2]
+    assert f"not predictable after {found.predictable_until:.4g} s" in " ".join(said.split())
+    _, strict = hyperflex_json(*CALL, "--horizon", "0.0001")
+    assert strict["horizon_s"] == found.agrees_until(1e-4) < found.predictable_until
 
 
 @pytest.mark.parametrize(
@@ -58,7 +63,6 @@ def test_simulate_tells_how_long_it_can_be_trusted(hyperflex, hyperflex_json, se
         (("simulate", "cast.toml", "-o", "link.nc"), "is one of the inputs"),
         (("simulate", "cast.toml", "-o", "hard.nc"), "is one of the inputs"),
         (("simulate", "heavy.toml", "-o", "x.nc"), "mass"),
-        (("simulate", "pegs.toml", "-o", "x.nc", "--horizon", "0.05"), "--horizon is of a run in free flight"),
     ],
 )
 def test_errors_are_one_line_or_one_json_object_and_leave_nothing(
@@ -67,8 +71,6 @@ def test_errors_are_one_line_or_one_json_object_and_leave_nothing(
     (tmp_path / "link.nc").symlink_to("cast.toml")
     (tmp_path / "hard.nc").hardlink_to("cast.toml")
     (tmp_path / "heavy.toml").write_text('[rope]\nlength = [0.5, 0.5]\nmass = "heavy"\n')
-    pegs = "\n[pegs]\nx = 3.0\ny = 0.0\nradius = 0.1\n"
-    (tmp_path / "pegs.toml").write_text((tmp_path / "cast.toml").read_text() + pegs)
     before, left = (tmp_path / "cast.toml").read_bytes(), files(tmp_path)
     code, out, err = hyperflex(*words)
     assert (code, out, message in err, err.count("\n")) == (2, "", True, 1)
@@ -111,8 +113,8 @@ def test_ctrl_c_after_the_run_says_that_it_is_written(hyperflex_json, setup, tmp
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(simulation, "predictability", interrupted)
-    code, result = hyperflex_json(*CALL, "--horizon", "0.01")
+    monkeypatch.setattr(simulation, "tighter_run", interrupted)
+    code, result = hyperflex_json(*CALL)
     assert (code, result["error"], result["status"]) == (130, "interrupted", "success")
     assert ((tmp_path / "cast.nc").exists(), "cast.nc" in result["message"]) == (True, True)
 

@@ -1,5 +1,7 @@
 """``hyperflex simulate``: a set-up in, a trajectory out."""
 
+import math
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,12 +11,12 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
-from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.errors import SimulationError
 from hyperflex.interruption import deferred
 from hyperflex.status import Status
 
 if TYPE_CHECKING:
-    from hyperflex.model import Peg, Setup
+    from hyperflex.model import Peg
     from hyperflex.trajectory import Trajectory
 
 _WATCH = 2.0  # s, over which a rope's slip on a peg is measured
@@ -26,7 +28,7 @@ def simulate(
     duration: Annotated[float | None, typer.Option(help="Simulated time, s. [default: the file's, else 10]")] = None,
     horizon: Annotated[
         float | None,
-        typer.Option(help="Also report the time until an error of tol grows beyond this, m (about 20 runs)."),
+        typer.Option(help="Error up to which the run counts as predictable, m. [default: 1 % of the rope's length]"),
     ] = None,
     tug: Annotated[
         bool, typer.Option("--tug", help="Pull at a rope that lies on a peg at the end, and report what it holds.")
@@ -36,6 +38,8 @@ def simulate(
     ] = None,
 ) -> None:
     """Simulate a set-up and write the motion to NetCDF.
+
+    The set-up is simulated again with a tenth of the tolerance; the report says until when both runs agree.
 
     For each round peg it reports the rope's turns at the end, the angle that it covers, and how far it slipped in the
     last 2 s.
@@ -53,9 +57,6 @@ def simulate(
     simulated = Setup.from_toml(setup)
     if duration is None and "duration" not in files.read_toml(setup):
         output.note(f"no duration is given, so {simulated.duration:g} s are simulated; give --duration for another")
-    if horizon is not None and simulated.pegs:
-        fix = "Leave out --horizon, or the obstacles"
-        raise InvalidInput("--horizon is of a run in free flight", got=f"{len(simulated.pegs)} obstacles", fix=fix)
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
     how: dict[str, Any] = {"duration": duration, "time_budget": time_budget, "progress": True, "throw": False}
     found, _ = output.run(lambda: run(simulated, **how))
@@ -91,8 +92,7 @@ def simulate(
         "energy_moved_J": float(np.ptp(found.motor_work) + np.ptp(found.kinetic_energy + found.potential_energy)),
     }
     with output.keeping({"run": out}, "how long it can be trusted, and how the rope lies on the pegs", result):
-        if horizon is not None:
-            result |= _trust(simulated, duration, horizon)
+        result |= _trust(found, horizon)
         result["pegs"] = [_wound(found, peg, tug) for peg in found.setup.round_pegs]
     more = [(f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _winding(peg)) for peg in result["pegs"]]
     if simulated.arm is None and not np.ptp(found.tip, axis=0).any():
@@ -133,15 +133,16 @@ def _winding(peg: dict[str, Any]) -> str:
     return f"{text}; holds {'' if peg['tug_slipped'] else 'at least '}{peg['hold_N']:.2g} N"
 
 
-def _trust(setup: "Setup", duration: float | None, allowed: float) -> dict[str, Any]:
-    """Return until when an error of the set-up's tol stays below `allowed`, m."""
-    from hyperflex.simulation import predictability
+def _trust(run: "Trajectory", allowed: float | None) -> dict[str, Any]:
+    """Return until when a run with a tenth of the tolerance differs by less than `allowed`, m; warn if not to the end.
 
-    found = predictability(setup, duration=duration)
-    end = found.horizon(allowed)
+    By default as ``Trajectory.predictable_until``.
+    """
+    if text := run.warning(allowed):
+        warnings.warn(text, stacklevel=1)
+    until = run.agrees_until(allowed)
     return {
-        "allowed_m": allowed,
-        "horizon_s": min(end, found.t[-1]),
-        "trusted_to_the_end": end > found.t[-1],
-        "lyapunov_exponent_per_s": found.exponent(),
+        "horizon_s": min(until, run.t[-1]),
+        "trusted_to_the_end": until == math.inf,
+        "error_estimate_m": run.error_estimate.max(),
     }

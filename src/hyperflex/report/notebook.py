@@ -34,7 +34,8 @@ def rope_html(rope: Rope) -> str:
 
 def run_html(run: Trajectory) -> str:
     """Return a run as a player; a run of one sample as text."""
-    return _shown(repr(run), (run.message,) if run.message else (), document=_player(run))
+    sentences = tuple(each for each in (run.message, run.warning()) if each)
+    return _shown(repr(run), sentences, document=_player(run))
 
 
 def identification_html(found: Identification) -> str:

@@ -216,6 +216,7 @@ def conclude(
         motor_torque=_torque(setup, t, base, scalars),
         setup=setup,
         state=state,
+        start=run.state(0),
         status=name,
         message=message,
         attrs=attrs,
@@ -225,6 +226,7 @@ def conclude(
 
 
 STARTS = ("q0", "qd0", "arm_angle0", "arm_rate0")
+TIGHTER, SHORTER = 0.1, 0.5  # tolerance, and steps that it does not control, of a run that shows another one's error
 
 
 @interruptible(Trajectory)
@@ -388,6 +390,21 @@ def _checked(until: Event, setup: Setup) -> Event:
     if setup.pegs:
         raise InvalidInput("events are not available with pegs", fix="Omit until or pegs")
     return until
+
+
+def tighter_run(run: Trajectory) -> Trajectory:
+    """Simulate a run again at a tenth of its tolerance, and half of its steps where a tolerance does not control them.
+
+    Where that fails the samples end; KeyboardInterrupt after Ctrl-C.
+    """
+    setup, start = run.setup, run.start
+    end = math.nextafter(max(float(run.t[-1]), start.t), math.inf)  # the sum of start and duration may be less
+    changes = {"tol": TIGHTER * setup.tol, "contact_step": SHORTER * setup.contact_step}
+    changes |= {} if setup.step is None else {"step": SHORTER * setup.step}
+    found = simulate(setup.replace(duration=end - start.t, **changes), t_eval=run.t, state=start, throw=False)
+    if found.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return found
 
 
 def angles(rope: Rope, t: Array, q0: Array, qd0: Array, *, tol: float = DEFAULT_TOL) -> tuple[Array, Array]:
