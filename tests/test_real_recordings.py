@@ -200,17 +200,28 @@ def test_an_identified_pendulum_can_be_cast(triple, data_dir):
 
 
 @pytest.mark.nightly
-def test_a_pendulum_on_a_motor(data_dir: Path) -> None:
-    """A point mass on 0.5 m, swung up by its motor; of its mass the torque tells little, and says so."""
-    path = data_dir / "dfki_single_torque" / "energy_shaping_measured.csv"
+@pytest.mark.parametrize(
+    ("name", "until", "mass", "own", "zero"),
+    [("energy_shaping", 3.85, 0.6755, 0.5073, -0.0091), ("energy_shaping_1kg", 7.8, 1.2, 0.5014, 0.0096)],
+)
+def test_a_pendulum_on_a_motor(data_dir: Path, name: str, until: float, mass: float, own: float, zero: float) -> None:
+    """A weight on 0.5 m, swung up by its motor: `own` and `zero` are J/p1 and zero of angles of an independent fit.
+
+    That fit (Runge-Kutta and scipy's least squares, one window) knows viscous and dry friction, and is itself moved by
+    up to 1 % by the model of friction. J/p1 is not the length: the rotor adds 1 % to J or so. Without a free zero J/p1
+    is 0.503 and 0.506, and residuals are twice as large; the report advises to free it.
+    """
+    path = data_dir / "dfki_single_torque" / f"{name}_measured.csv"
     recording = read_recording(path, kind="angles", time="time", columns=["position"], time_unit="s", unit="rad")
-    torque, swinging = read_channels(path, ["torque"], time="time")[:, 0], recording.t < 3.85  # then it is held upright
+    torque, swinging = read_channels(path, ["torque"], time="time")[:, 0], recording.t < until  # then it is held upright
     swing = Recording(recording.t[swinging], recording.data[swinging])
-    guess = Rope(length=[0.5], mass=[0.6755], com=[0.5], inertia=[1e-3], friction=[0.05])
-    free, setup = ["mass", "inertia", "friction", "dry_friction"], RecordingSetup(torque=torque[swinging])
-    found = identify(swing, guess, free, setup=setup, options=FitOptions(train=np.inf, intervals="covariance"))
+    guess = Rope(length=[0.5], mass=[mass], com=[0.5], inertia=[1e-3], friction=[0.05])
+    free = ["mass", "inertia", "friction", "dry_friction", "gravity_angle"]
+    setup, options = RecordingSetup(torque=torque[swinging]), FitOptions(train=np.inf, intervals="covariance")
+    found = identify(swing, guess, free, setup=setup, options=options)
     assert found.success
-    assert found.ratios["J/p1"][0] == pytest.approx(0.5, rel=0.01)
-    assert found.ratio_std["J/p1"][0] < 0.02
-    assert 0.05 < found.std["mass"][0] / found.rope.mass[0] < 0.5
-    assert abs(found.rope.mass[0] - 0.6755) < 2.0 * found.std["mass"][0]  # that of the authors' own fit
+    assert found.ratios["J/p1"][0] == pytest.approx(own, rel=0.005)
+    assert abs(found.ratios["J/p1"][0] - 0.5) < 1.96 * found.ratio_std["J/p1"][0] < 0.02
+    assert float(found.values["gravity_angle"]) == pytest.approx(zero, abs=2e-3)
+    # of the mass the torque tells little: with the friction of the drive it changes by a fifth
+    assert 0.03 < found.std["mass"][0] / found.rope.mass[0] < 0.5

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_splrep
 
 import hyperflex as hf
 from hyperflex.identification import FitOptions, Identification, RecordingSetup
@@ -136,3 +137,23 @@ def test_refused():
     refuses("no torque is measured", hf.identify, recording, guess, ["torque_constant"])
     empty = RecordingSetup(torque=np.full(recording.t.size, np.nan))
     refuses("only gaps", hf.identify, recording, guess, ["friction"], setup=empty)
+
+
+@pytest.mark.nightly
+def test_the_rotor_of_an_inner_motor_is_taken_off_its_torque():
+    """A rotor of known inertia turns with the joint: what accelerates it does not reach the links."""
+    rotor = 1.5e-3  # kg m^2, as the gear reflects it: half of the second link's own about its joint
+    turning = TWO._replace(rotor=(0.0, rotor))
+    recording, current = recorded(turning, 2, 6)
+    t, torque = recording.t, KT * current
+    joint = make_splrep(t, np.diff(recording.data, axis=1)[:, 0], k=5, s=2.0 * t.size * NOISE**2)
+    guess, options = guess_of(TWO, 2, 1.0), FitOptions(**EXACT, intervals="covariance")
+    net = torque - np.outer(joint(t, 2), [0.0, rotor])
+    found, plain = (
+        hf.identify(recording, guess, SCALED, setup=RecordingSetup(torque=each), options=options)
+        for each in (net, torque)
+    )
+    own = found.rope.inertia + found.rope.mass * found.rope.com**2
+    about = np.array([i + m * a**2 for i, m, a in zip(TWO.inertia, TWO.mass, TWO.com, strict=True)])
+    np.testing.assert_allclose(own, about, rtol=0.03)  # of the accelerations, which are off by some percent
+    assert plain.rope.inertia[1] + plain.rope.mass[1] * plain.rope.com[1] ** 2 > 1.2 * about[1]
