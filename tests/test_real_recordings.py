@@ -213,7 +213,7 @@ def test_a_pendulum_on_a_motor(data_dir: Path, name: str, until: float, mass: fl
     """
     path = data_dir / "dfki_single_torque" / f"{name}_measured.csv"
     recording = read_recording(path, kind="angles", time="time", columns=["position"], time_unit="s", unit="rad")
-    torque, swinging = read_channels(path, ["torque"], time="time")[:, 0], recording.t < until  # then it is held upright
+    torque, swinging = read_channels(path, ["torque"], time="time")[:, 0], recording.t < until  # then held upright
     swing = Recording(recording.t[swinging], recording.data[swinging])
     guess = Rope(length=[0.5], mass=[mass], com=[0.5], inertia=[1e-3], friction=[0.05])
     free = ["mass", "inertia", "friction", "dry_friction", "gravity_angle"]

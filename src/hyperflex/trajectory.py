@@ -258,9 +258,11 @@ class Trajectory:
 
         By default `allowed` is PARTED of the rope's length.
         """
-        limit = checks.number("allowed", allowed or self._parted, sign="positive", unit="m")
-        beyond = ~(self.error_estimate <= limit)
-        return float(self.t[max(int(beyond.argmax()) - 1, 0)]) if beyond.any() else math.inf
+        beyond = ~(self.error_estimate <= self._limit(allowed))
+        if not beyond.any():
+            return math.inf
+        first = int(beyond.argmax())
+        return float(self.t[first - 1]) if first else self.start.t
 
     @property
     def predictable_until(self) -> float:
@@ -272,15 +274,16 @@ class Trajectory:
         return self.agrees_until()
 
     def warning(self, allowed: float | None = None) -> str:
-        """Return a sentence on when the run stops being predictable (:meth:`agrees_until`); empty if it does not."""
+        """Return a sentence on when the error exceeds `allowed`, m (:meth:`agrees_until`); empty if it never does."""
         if (until := self.agrees_until(allowed)) == math.inf:
             return ""
-        far = f"{1e3 * (allowed or self._parted):.3g} mm"
-        return f"not predictable after {until:.4g} s, where a run with a tenth of the tolerance is more than {far} off"
+        failed = np.isnan(self.error_estimate[self.t > until][0])
+        fate = "fails" if failed else f"is more than {1e3 * self._limit(allowed):.3g} mm off"
+        return f"not predictable after {until:.4g} s, where a run with a tenth of the tolerance {fate}"
 
-    @property
-    def _parted(self) -> float:
-        return PARTED * self.setup.rope.total_length
+    def _limit(self, allowed: float | None) -> float:
+        default = PARTED * self.setup.rope.total_length
+        return checks.number("allowed", default if allowed is None else allowed, sign="positive", unit="m")
 
     @cached_property
     def dataset(self) -> "xr.Dataset":

@@ -35,6 +35,7 @@ def test_simulate_writes_the_run_and_sums_it_up(hyperflex, hyperflex_json, setup
     assert (code, {name: result[name] for name in want}) == (0, want)
 
 
+@pytest.mark.filterwarnings("default:not predictable")
 def test_simulate_says_from_when_on_a_run_cannot_be_trusted(hyperflex, hyperflex_json, setup):
     """With the friction of the set-up to the end, without any not: a tangle; a stricter distance ends it sooner."""
     names = ("trusted_to_the_end", "horizon_s", "warnings")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex import simulation
 from hyperflex.errors import InvalidInput
 from hyperflex.simulation.sensitivity import _displaced, _first_nudges
 from tests.reference.arm import cast, links_of, still
@@ -183,6 +184,17 @@ def test_a_tangle_says_so_and_a_right_run_does_not(tmp_path):
     np.testing.assert_array_equal(again.error_estimate, wild.error_estimate[[50, 600]])
     rest = hf.simulate(wild.setup.replace(duration=1.0), state=wild.state)
     assert rest.predictable_until > 6.0
+    assert hf.simulate(wild.setup, t_eval=[6.0]).predictable_until == 0.0
+    with pytest.raises(InvalidInput, match="allowed"):
+        wild.agrees_until(0.0)
+
+
+def test_where_no_tighter_run_can_be_made_a_run_is_not_vouched_for(monkeypatch):
+    setup = hf.Setup(RODS, q0=HIGH, duration=1.0)
+    run, part = hf.simulate(setup), hf.simulate(setup.replace(duration=0.5))
+    monkeypatch.setattr(simulation, "tighter_run", lambda _: part)
+    assert run.predictable_until == 0.5
+    assert run.warning().endswith("a run with a tenth of the tolerance fails")
 
 
 def test_a_run_in_contact_shows_its_error_as_well():

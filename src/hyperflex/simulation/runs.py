@@ -226,7 +226,6 @@ def conclude(
 
 
 STARTS = ("q0", "qd0", "arm_angle0", "arm_rate0")
-TIGHTER, SHORTER = 0.1, 0.5  # tolerance, and steps that it does not control, of a run that shows another one's error
 
 
 @interruptible(Trajectory)
@@ -399,8 +398,8 @@ def tighter_run(run: Trajectory) -> Trajectory:
     """
     setup, start = run.setup, run.start
     end = math.nextafter(max(float(run.t[-1]), start.t), math.inf)  # the sum of start and duration may be less
-    changes = {"tol": TIGHTER * setup.tol, "contact_step": SHORTER * setup.contact_step}
-    changes |= {} if setup.step is None else {"step": SHORTER * setup.step}
+    step = None if setup.step is None else 0.5 * setup.step
+    changes = {"tol": 0.1 * setup.tol, "contact_step": 0.5 * setup.contact_step, "step": step}
     found = simulate(setup.replace(duration=end - start.t, **changes), t_eval=run.t, state=start, throw=False)
     if found.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
