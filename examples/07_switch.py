@@ -12,6 +12,7 @@ plan = hf.plan_whip(rope, arm, switch, conditions=conditions, time_budget=60.0)
 print(plan)
 assert plan.success, plan.message
 print(f"{plan.outcome.speed:.1f} m/s at {plan.outcome.t:.2f} s, {1e3 * plan.outcome.miss:.1f} mm off")
+assert plan.outcome.clearance > 0.0
 print(f"the rope keeps {1e3 * plan.outcome.clearance:.0f} mm from wall, arm and shaft until then")
 
 impact = plan.impact(radius=0.01)

@@ -31,9 +31,9 @@ def distance(obstacle: hf.Peg | hf.Wall | hf.Ground, points: np.ndarray) -> np.n
     if isinstance(obstacle, hf.Ground):
         out = np.array([obstacle.nx, obstacle.ny])
         return (points - [obstacle.x, obstacle.y]) @ (out / np.linalg.norm(out))
-    share = np.linspace(0.0, 1.0, 4001)[:, None]
-    along = np.array([obstacle.x, obstacle.y]) * (1.0 - share) + np.array([obstacle.x2, obstacle.y2]) * share
-    return np.linalg.norm(points[..., None, :] - along, axis=-1).min(axis=-1)
+    begin, end = (complex(*place) for place in ((obstacle.x, obstacle.y), (obstacle.x2, obstacle.y2)))
+    along = (points[..., 0] + 1j * points[..., 1] - begin) / (end - begin)  # the wall lies from 0 to 1
+    return np.abs(end - begin) * np.abs(along - np.clip(along.real, 0.0, 1.0))
 
 
 @pytest.mark.parametrize("obstacle", [FLOOR, POST, WALL], ids=["floor", "post", "wall"])

@@ -21,7 +21,6 @@ from hyperflex.planning import (
     check_whip_feasibility,
     plan_whip,
 )
-from hyperflex.planning.clearance import sampled_obstacle_gaps
 from hyperflex.planning.planner import Candidate
 from hyperflex.planning.tasks.tip import OPTIONS, Aim, coarse_flights, random_swings, signed_gaps
 from hyperflex.planning.tasks.whip import WhipTask, find_peaks, simulate_impact, verify_whip
@@ -109,20 +108,6 @@ def test_a_plan(fine_map, directed):
     assert speed.max() >= 0.9 * peak.speed[k]
     assert np.hypot(*(at - target.point)) < 1e-3 + 1e-3 * speed.max()  # samples lie 2 ms apart: half of it away
     assert plan.finer_outcome.miss < max(3e-3, plan.position_std)
-
-
-def test_a_switch_behind_an_edge():
-    """The tip comes over a wall and down behind it: in the plan's own run, and in a free one."""
-    rope, arm = hf.Rope.uniform(length=1.0, mass=0.06, n_links=32, radius=0.0025, friction=2e-4), hf.Arm(length=0.105)
-    wall, target = hf.Wall(0.334, -1.5, 0.334, -0.89), TipTarget(0.416, -1.015, least_speed=3.0)
-    plan = plan_whip(rope, arm, target, conditions=Conditions(obstacles=[wall]), time_budget=120.0)
-    assert plan.success, plan.message
-    assert plan.outcome is not None
-    assert plan.outcome.clearance > 0.0
-    t = np.arange(0.0, plan.outcome.t, 1e-3)
-    free = hf.simulate(rope=rope, motion=plan.motion, arm=arm, t_eval=t, duration=float(t[-1]))
-    assert np.hypot(*(free.tip[-1] - target.point)) < 0.01  # 1 ms before the peak or less
-    assert sampled_obstacle_gaps(rope, [wall], free.q, free.base).min() > 0.0
 
 
 def test_signed_gaps_of_a_wall():
