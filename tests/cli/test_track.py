@@ -151,7 +151,7 @@ def test_the_colour_is_taken_where_there_is_one(hyperflex, folder, tmp_path, com
     assert json.loads(out if command == "track" else out.splitlines()[-1])["seen"] > 0.8
     if command == "track":
         u, v = facing().project(free_swing(0, 4.0).joints[round(0.317 * 600.0)])[-1]
-        clicked = words(command, tmp_path / "dark.mp4", folder, tmp_path / "out.nc", "--json", "--click", u, v)
+        clicked = words(command, tmp_path / "dark.mp4", folder, tmp_path / "out.nc", "--json", "--click", f"{u},{v}")
         assert hyperflex(*clicked)[0] == 2
         assert hyperflex(*clicked, "--at", "0.31")[0] == 0
 
@@ -165,7 +165,7 @@ def test_a_raw_stream_is_refused(refused, folder, tmp_path, command):
             if packet.dts is not None:
                 packet.stream = copy
                 raw.mux(packet)
-    for more in ((), ("--click", 320, 70)):
+    for more in ((), ("--click", "320,70")):
         err = refused(*words(command, tmp_path / "raw.h264", folder, tmp_path / "out.nc", *more))
         assert "have no time stamps" in err
         assert "ffmpeg -framerate 30 -i raw.h264 -c copy raw.mp4" in err

@@ -70,7 +70,7 @@ hf.linearize(rope, arm, rest, rest)
 MotorTorque(motor).measure(rope, motor, hf.State(0.0, rest, rest))
 hf.identify(hf.Recording(swung.t, swung.q + 1e-3 * np.cos(97.0 * swung.t)[:, None], kind="angles"), rope)
 view = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0))
-TrackingTask(rope, np.array([0.4, 0.8, 1.2]), view, MarkerColour((30.0, 30.0, 200.0)), arm).rehearse()
+TrackingTask(rope, np.array([0.4, 0.8, 1.2]), view, [MarkerColour((30.0, 30.0, 200.0))], arm).rehearse()
 print(compiling())
 """
 

@@ -278,7 +278,7 @@ def test_stamps_are_put_on_the_clock_of_the_quickest_frame():
 
 
 def task(video: tuple[Path, MarkerColour], **more: object) -> TrackingTask:
-    return TrackingTask(rope(20), ARCS, facing(), video[1], **more)
+    return TrackingTask(rope(20), ARCS, facing(), [video[1]], **more)
 
 
 @pytest.fixture
@@ -389,7 +389,7 @@ if __name__ == "__main__":
     folder = sys.argv[1]
     task = TrackingTask(
         Rope.from_toml(folder + "/rope.toml"), np.linspace(0.25, 2.0, 8), read_camera(folder + "/camera.toml"),
-        MarkerColour([float(v) for v in sys.argv[2].split(",")]),
+        [MarkerColour([float(v) for v in sys.argv[2].split(",")])],
     )
     source = CameraStateSource(folder + "/swing.mp4", task)
     source.__enter__()
@@ -453,5 +453,5 @@ def test_the_rehearsal_finds_its_rope(area, monkeypatch):
     monkeypatch.setattr(RopeTracker, "look", noted)
     lens = Camera.facing((640, 480), pixels_per_metre=180.0, origin=(320.0, 20.0))
     colour = MarkerColour(np.array([40.0, 30.0, 210.0]), area=area)
-    TrackingTask(rope(6), np.array([0.5, 1.0, 1.5, 2.0]), lens, colour, ARM).rehearse()
+    TrackingTask(rope(6), np.array([0.5, 1.0, 1.5, 2.0]), lens, [colour], ARM).rehearse()
     assert seen == [4] * 3

@@ -117,7 +117,7 @@ def test_a_video_becomes_a_rope(video, tmp_path, capsys):
     camera(exposure=0.005, readout=0.02).write(tmp_path / "camera.toml")
     u, v = truth.pixels[0, 3].tolist()
     named = ["--rope", tmp_path / "rope.toml", "--camera", tmp_path / "camera.toml", "-o", tmp_path / "markers.nc"]
-    words = ["track", path, *named, "--arc-lengths", ",".join(map(str, ARCS)), "--click", u, v, "--json"]
+    words = ["track", path, *named, "--arc-lengths", ",".join(map(str, ARCS)), "--click", f"{u},{v}", "--json"]
     assert run([str(word) for word in [*words, "--estimate", "scale=0.02"]]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["frames"] == stamps().size

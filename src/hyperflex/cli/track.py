@@ -4,7 +4,7 @@ import math
 import time
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -53,9 +53,10 @@ class Markers:
         None
     )
     click: Annotated[
-        Pixel,
+        list[str] | None,
         typer.Option(
-            help="Pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
+            help="Pixel u,v of a marker in the first frame; once for each colour of the markers. [default: the colour "
+            "that most small things share]"
         ),
     ] = None
     estimate: Annotated[
@@ -98,7 +99,9 @@ class Markers:
             doubt = origin_doubt / lens.pixels_per_metre
             unnamed = [name for name in ("offset_x", "offset_y") if all(name != each.name for each in estimated)]
             estimated += [EstimatedParameter(name, doubt) for name in unnamed]
-        return TrackingTask(line, arcs, lens, _marker_colour(images, self.click), parameters=estimated, tests=tests)
+        return TrackingTask(
+            line, arcs, lens, _marker_colours(images, self.click or ()), parameters=estimated, tests=tests
+        )
 
 
 def _parameter(text: str) -> "EstimatedParameter":
@@ -112,16 +115,16 @@ def _parameter(text: str) -> "EstimatedParameter":
     return EstimatedParameter(name, numbers("--estimate", [std], "scale=0.01")[0])
 
 
-def _marker_colour(images: "Iterable[Image]", click: Pixel) -> "MarkerColour":
-    """Return the markers' colour: that of the first picture which shows one, or at a pixel of the first picture."""
+def _marker_colours(images: "Iterable[Image]", clicks: Sequence[str]) -> "list[MarkerColour]":
+    """Return the colours of the markers: that of the first picture which shows one, or those at pixels of the first."""
     from hyperflex.vision import MarkerColour
 
-    count = 0
+    pixels, count = [_pixel("--click", each) for each in clicks], 0
     for image in images:
-        if click is not None:
-            return MarkerColour.from_click(image, click)
+        if pixels:
+            return [MarkerColour.from_click(image, each) for each in pixels]
         with suppress(InvalidInput):
-            return MarkerColour.from_frame(image)
+            return [MarkerColour.from_frame(image)]
         count += 1
     if not count:
         raise InvalidInput("no frame was received", fix="Check the source, and --at if it is given")
@@ -129,7 +132,7 @@ def _marker_colour(images: "Iterable[Image]", click: Pixel) -> "MarkerColour":
         "no colour of markers was found",
         got=f"{count} frames",
         allowed="a frame with at least 3 small things of one strong colour and size",
-        fix="Give a pixel of a marker with --click U V",
+        fix="Give a pixel of a marker with --click U,V",
     )
 
 
@@ -174,7 +177,7 @@ def track(
     with output.spinner() as said:
         follow: dict[str, Any] = {"preview": preview, "progress": lambda count: said(f"frame {count}")}
         if bar:
-            detector = _bar_detector(video, [numbers("--bar", [each], "213,140") for each in bar], since)
+            detector = _bar_detector(video, [_pixel("--bar", each) for each in bar], since)
             found, stopped = output.run(lambda: track_bars(video, detector, pivot or (), **follow))
         else:
             task = markers.task(_images_since(video, since), origin_doubt=_CLICKED)
@@ -241,12 +244,17 @@ def _images_since(video: Path, since: float) -> "Iterator[Image]":
                 yield frame.image
 
 
+def _pixel(option: str, text: str) -> list[float]:
+    """Return a pixel (2,) of ``--bar 213,140``."""
+    if len(pixel := numbers(option, [text], "213,140")) != 2:
+        raise InvalidInput(f"{option} is a pixel", got=text, allowed="u,v", fix="Give it once for each")
+    return pixel
+
+
 def _bar_detector(video: Path, clicks: list[list[float]], since: float) -> "BarDetector":
     """Return a detector of the bars at pixels in the first frame at or after a time."""
     from hyperflex.vision import BarDetector
 
-    if any(len(each) != 2 for each in clicks):
-        raise InvalidInput("--bar is a pixel", got=clicks, allowed="u,v", fix="Give it once for each link")
     if (image := next(_images_since(video, since), None)) is None:
         raise InvalidInput("--at is after the end of the video", got=since + _SAME, fix="Give an earlier time")
     return BarDetector.from_clicks(image, clicks)

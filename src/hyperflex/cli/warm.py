@@ -237,7 +237,7 @@ def _estimate() -> None:
     _, rope, how, _ = _parts()
     camera = Camera.facing((320, 240), pixels_per_metre=150.0, origin=(160.0, 20.0), exposure=0.01, readout=0.01)
     colour = MarkerColour(np.array([40.0, 30.0, 210.0]), area=40.0)
-    TrackingTask(rope, np.array([0.25, 0.5, 0.75, 1.0]), camera, colour, how["arm"]).rehearse()
+    TrackingTask(rope, np.array([0.25, 0.5, 0.75, 1.0]), camera, [colour], how["arm"]).rehearse()
 
 
 def _parts() -> tuple[Any, Any, dict[str, Any], Any]:

@@ -25,6 +25,7 @@ LINEARISED, ROUNDS = 3, 6  # rounds: about new states; of all levels, before a l
 LONGEST = 300  # frames that are smoothed together: some 100 MB with 50 links
 ALIKE = 10.0  # observations that count for "a marker's errors are like those of the others"
 FADED = 0.05  # correlation of residuals from which later ones are independent
+GAUSSIAN = 100.0  # degrees of freedom from which Student's distribution is as good as Gaussian
 
 
 class RunErrors(NamedTuple):
@@ -70,16 +71,19 @@ class _Levels(NamedTuple):
         Of disturbances, as of :meth:`Process.noise`.
     jump : float
         Of the changes that were noticed, over what was noticed: 0 if there was none.
+    freedom : float
+        Degrees of freedom of Student's distribution of a marker's errors: few if some errors are far larger.
     """
 
     marker: Array
     shift: Array
     density: Array
     jump: float = 1.0
+    freedom: float = GAUSSIAN
 
-    def stated(self, covariances: Array) -> Array:
-        """Return the covariances (K, 2, 2) of places, from those of a detector."""
-        scaled = np.linalg.cholesky(covariances) * self.marker[:, None, :]
+    def stated(self, covariances: Array, weights: Array) -> Array:
+        """Return the covariances (K, 2, 2) of places, from those of a detector and the weights (K,) of the errors."""
+        scaled = np.linalg.cholesky(covariances / weights[:, None, None]) * self.marker[:, None, :]
         return np.asarray(scaled @ scaled.transpose(0, 2, 1) + np.diag(self.shift**2))
 
 
@@ -91,10 +95,11 @@ class _Linear(NamedTuple):
     slope: Array
     own: Array
 
-    def covariance(self, levels: _Levels) -> tuple[Array, Array]:
-        """Return the covariance (2 k, 2 k) of the errors, and which of u and v each row is (2 k, 2)."""
+    def covariance(self, levels: _Levels, weights: Array) -> tuple[Array, Array]:
+        """Return the covariance (2 k, 2 k) of errors of `weights` (K,), and which of u and v each row is (2 k, 2)."""
         count = len(self.used)
-        both, scaled = np.tile(np.eye(2), (count, 1)), self.own * levels.marker[self.used][:, None, :]
+        sizes = levels.marker[self.used] / np.sqrt(weights[self.used])[:, None]
+        both, scaled = np.tile(np.eye(2), (count, 1)), self.own * sizes[:, None, :]
         wide, each = both * levels.shift**2 @ both.T, np.arange(count)
         wide.reshape(count, 2, count, 2)[each, :, each] += scaled @ scaled.transpose(0, 2, 1)
         return wide, both
@@ -129,6 +134,8 @@ def run_errors(
     Analysis 3(4), 253), for disturbances in the faster form of MacKay (1992, Neural Computation 4(3), 415). Errors that
     continue from frame to frame (a swing out of the plane) determine the states less well than independent ones: in the
     last round the information of the observations is divided by the number of frames over which residuals are alike.
+    Errors of a marker may be far larger at times (something of its colour touches it): they have Student's distribution
+    with the likeliest degrees of freedom: an error that is seen to be large is stated as large, and counts less.
     Where the rope's equations cannot follow the estimates, the estimator's own levels remain.
     """
     parameters, first = estimator.parameters, 2 * estimator.n_links
@@ -147,7 +154,10 @@ def run_errors(
         if window.smoothed:
             values[own] = window.states[:, first:]
             prior = values[own][-1], sr.triangular(window.smoothed[-1].rows[:, first:])
-        covariances += [window.levels.stated(each.covariances) for each in seen[own]]
+        covariances += [
+            window.levels.stated(each.covariances, weights)
+            for each, weights in zip(seen[own], window.weights, strict=True)
+        ]
         solved.append(window)
 
     def mean(squares: list[Any]) -> Array:
@@ -189,6 +199,7 @@ class _Window:
             np.full(2, 0.0 if moves else 0.5 * level * np.sqrt(0.5 * detected)),  # of all markers: either moves them
             np.asarray(estimator.process_noise.value),
         )
+        self.weights = np.ones((len(seen), len(seen[0].places)))
         self.gaps = np.diff([each.t for each in seen]).tolist()
         self.jumps = [
             [
@@ -212,7 +223,7 @@ class _Window:
                 (*step, np.concatenate([noise, *(self.levels.jump * each for each in jumps)]))
                 for step, noise, jumps in zip(steps, noises, self.jumps, strict=True)
             ]
-            wide = [each.covariance(self.levels) for each in linear]
+            wide = [each.covariance(self.levels, own) for each, own in zip(linear, self.weights, strict=True)]
             self.smoothed = smooth_linear(
                 self.mean,
                 self.rows,
@@ -223,7 +234,7 @@ class _Window:
             self.states[:, first:] = self.estimator.parameters.possible(self.states[:, first:])
             residuals = self._learn(linear, wide, k < ROUNDS)
             if k == ROUNDS - 1:
-                self.correlated = correlation_time(residuals / self.levels.marker)
+                self.correlated = correlation_time(residuals / self.levels.marker * np.sqrt(self.weights)[:, :, None])
 
     def _linearised(self) -> tuple[list[tuple[Array, Array]], list[_Linear]]:
         """Return transitions and offsets of the steps, and the observations, about the states."""
@@ -248,8 +259,8 @@ class _Window:
 
         If not `everything`, those of the markers alone.
         """
-        squares, counts = np.zeros_like(self.levels.marker), np.zeros_like(self.levels.marker)
-        shifts, residuals = np.zeros(2), np.full((len(linear), *squares.shape), np.nan)
+        shifts, residuals = np.zeros(2), np.full((*self.weights.shape, 2), np.nan)
+        squares = residuals.copy()
         variance = np.diag(self.levels.shift**2)
         for k, (each, smoothed, (covariance, both)) in enumerate(zip(linear, self.smoothed, wide, strict=True)):
             if not each.used.size:
@@ -262,15 +273,17 @@ class _Window:
             errors = own @ errors @ own.T + both @ doubt @ both.T
             index, count = np.arange(each.used.size), each.used.size
             blocks, back = errors.reshape(count, 2, count, 2)[index, :, index], np.linalg.inv(each.own)
-            squares[each.used] += np.diagonal(back @ blocks @ back.transpose(0, 2, 1), axis1=1, axis2=2)
-            counts[each.used] += 1.0
+            squares[k, each.used] = np.diagonal(back @ blocks @ back.transpose(0, 2, 1), axis1=1, axis2=2)
             residuals[k, each.used] = (back @ off.reshape(-1, 2, 1))[:, :, 0]
-        marker = np.sqrt((squares + ALIKE * squares.sum() / counts.sum()) / (counts + ALIKE))
+        distances = (squares / self.levels.marker**2).sum(axis=2)
+        freedom = likeliest_freedom(distances)
+        self.weights = np.where(np.isfinite(distances), (freedom + 2.0) / (freedom + distances), 1.0)
+        counts, weighted = np.isfinite(squares).sum(axis=0), np.nansum(self.weights[:, :, None] * squares, axis=0)
+        marker = np.sqrt((weighted + ALIKE * weighted.sum() / counts.sum()) / (counts + ALIKE))
+        self.levels = self.levels._replace(marker=marker, freedom=freedom)
         if everything:
-            frames = sum(each.used.size > 0 for each in linear)
-            self.levels = _Levels(marker, np.sqrt(shifts / frames), *self._disturbed())
-        else:
-            self.levels = self.levels._replace(marker=marker)
+            frames, (density, jump) = sum(each.used.size > 0 for each in linear), self._disturbed()
+            self.levels = self.levels._replace(shift=np.sqrt(shifts / frames), density=density, jump=jump)
         return residuals
 
     def _disturbed(self) -> tuple[Array, float]:
@@ -297,6 +310,22 @@ def _whitened(each: _Linear, covariance: Array) -> tuple[Array, Array]:
         return each.places, each.slope
     lower = np.linalg.cholesky(covariance)
     return np.linalg.solve(lower, each.places), np.linalg.solve(lower, each.slope)
+
+
+def likeliest_freedom(distances: Array) -> float:
+    """Return the likeliest degrees of freedom, 1 to GAUSSIAN, of Student's distribution in two dimensions.
+
+    `distances` (...) are squared Mahalanobis distances d, NaN if not seen; the density is
+    ``(1 + d / freedom)^(-1 - freedom / 2) / (2 pi)``.
+    """
+    from scipy.optimize import minimize_scalar
+
+    seen = distances[np.isfinite(distances)]
+
+    def unlikely(log: float) -> float:
+        return float((1.0 + 0.5 * np.exp(log)) * np.log1p(seen / np.exp(log)).mean())
+
+    return float(np.exp(minimize_scalar(unlikely, bounds=(0.0, np.log(GAUSSIAN)), method="bounded").x))
 
 
 def correlation_time(residuals: Array) -> float:

@@ -35,8 +35,8 @@ class MarkerMeasurement:
 
     Parameters
     ----------
-    detector : MarkerDetector
-        Of the markers' colour.
+    *detectors : MarkerDetector
+        One for each colour of the markers.
 
     Notes
     -----
@@ -55,8 +55,8 @@ class MarkerMeasurement:
 
     count = None
 
-    def __init__(self, detector: MarkerDetector) -> None:
-        self.detector = detector
+    def __init__(self, *detectors: MarkerDetector) -> None:
+        self.detectors = detectors
         self._dark = self._waited = self._elsewhere = 0
         self._begun = False
         self._clutter: ClutterMap | None = None
@@ -64,7 +64,7 @@ class MarkerMeasurement:
     @property
     def radius(self) -> float:
         """Of a marker at rest, px."""
-        return self.detector.radius
+        return max(each.radius for each in self.detectors)
 
     def measure(
         self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
@@ -76,7 +76,7 @@ class MarkerMeasurement:
             return self._first(image, tracker, base, self._clutter)
         spread, clutter = expected.covariance + self.DOUBT**2 * np.eye(len(expected.covariance)), self._clutter
         gates = self._gates(tracker.camera, expected, spread) if self._dark < self.LOST else None
-        blobs, level = self._detect(image, gates), max(1.0, tracker.estimator.measurement_noise.value)
+        blobs, level = self._detect(image, gates)[0], max(1.0, tracker.estimator.measurement_noise.value)
         found = assign_markers(
             blobs._replace(covariances=level**2 * blobs.covariances),
             expected.pixels,
@@ -91,7 +91,7 @@ class MarkerMeasurement:
         """Find the whole rope: NaN if the frame does not tell which marker is which."""
         declared = tracker.estimator.model.arc_lengths
         pixels, wide = np.full((len(declared), 2), np.nan), np.full((len(declared), 2, 2), np.nan)
-        blobs = self._detect(image)
+        blobs, colours = self._detect(image)
         if not len(blobs.places):
             return pixels, wide
         places, covariances = tracker.adjusted_camera.locate_with_covariance(blobs.places, blobs.covariances)
@@ -128,15 +128,20 @@ class MarkerMeasurement:
         self._waited, self._elsewhere, self._begun = 0, 0, True
         taken = used[order.indices[found]]
         pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
-        self.detector.resize(float(np.median(blobs.areas[taken])))
+        for k, detector in enumerate(self.detectors):
+            if (own := taken[colours[taken] == k]).size:
+                detector.resize(float(np.median(blobs.areas[own])))
         if used is everything:
             self._clutter = clutter = ClutterMap(tracker.camera.image_size)  # what lay still may have been the rope
         clutter.learn(blobs, np.isin(everything, taken))
         return pixels, wide
 
-    def _detect(self, image: Image, gates: list[Gate] | None = None) -> Blobs:
-        blobs = self.detector.find(image, gates)
-        return blobs._replace(covariances=blobs.covariances + LEAST_STD**2 * np.eye(2))
+    def _detect(self, image: Image, gates: list[Gate] | None = None) -> tuple[Blobs, npt.NDArray[np.int64]]:
+        """Return the blobs of all colours (M,), and of which each is."""
+        found = [each.find(image, gates) for each in self.detectors]
+        blobs = Blobs(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        wide = blobs.covariances + LEAST_STD**2 * np.eye(2)
+        return blobs._replace(covariances=wide), np.repeat(np.arange(len(found)), [len(each.places) for each in found])
 
     def _gates(self, camera: Camera, expected: Prediction, spread: Array) -> list[Gate] | None:
         """Return where to search; None if that is nearly everywhere."""

@@ -125,7 +125,7 @@ class MarkerColour:
         chroma = cv2.transform(cv2.GaussianBlur(image, (3, 3), 0).astype(np.float32), _CHROMA.astype(np.float32))
         strong = np.hypot(chroma[..., 0], chroma[..., 1])
         hue = np.arctan2(chroma[..., 1], chroma[..., 0])
-        best: tuple[float, MarkerColour | None] = (0.0, None)
+        best: tuple[float, MarkerColour | None, list[npt.NDArray[np.bool_]]] = (0.0, None, [])
         for centre in np.linspace(-np.pi, np.pi, 24, endpoint=False):
             near = np.abs((hue - centre + np.pi) % (2.0 * np.pi) - np.pi) < np.pi / 12
             mask = (near & (strong > LEAST_CHROMA)).astype(np.uint8)
@@ -133,21 +133,21 @@ class MarkerColour:
             compact = [k for k in range(1, len(stats)) if _is_compact(stats[k])]
             if len(compact) < least:
                 continue
-            sizes = stats[compact, cv2.CC_STAT_AREA].astype(float)
-            alike = np.abs(np.log(sizes / sizes[:, None])) < np.log(1.6)
-            group = alike[int(np.argmax(alike.sum(axis=1)))]
+            group = _alike(stats[compact, cv2.CC_STAT_AREA].astype(float))
             members = np.isin(label, np.array(compact)[group])
             score = float(group.sum()) * (1.0 + 0.002 * float(np.median(strong[members])))
             if group.sum() >= least and score > best[0]:
                 pixels = image[members & (strong > 0.8 * np.percentile(strong[members], 90))]
-                best = (score, cls(np.median(pixels, axis=0), False, float(np.median(sizes[group]))))
-        if best[1] is None:
+                best = score, cls(np.median(pixels, axis=0)), [label == k for k in compact]
+        _, found, things = best
+        if found is None:
             raise InvalidInput(
                 "no colour of markers was found in the frame",
                 allowed=f"at least {least} small things of one strong colour and size",
                 fix="Show a marker: MarkerColour.from_click(image, (u, v))",
             )
-        return best[1]
+        areas = np.array([area for area in (found._area_about(image, thing) for thing in things) if area])
+        return replace(found, area=float(np.median(areas[_alike(areas)])) if areas.size else None)
 
     def adapted(self, bgr: Array, rate: float) -> "MarkerColour":
         """Return this colour moved by a share `rate` towards one seen (3,), unless that would be too grey."""
@@ -220,6 +220,12 @@ def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.b
     core = cv2.erode(inside, np.ones((3, 3), np.uint8)) > 0
     far, near = (cv2.dilate(inside, np.ones((size, size), np.uint8)) > 0 for size in (9, 5))
     return np.median(image[core if core.any() else inside > 0], axis=0), inside > 0, far & ~near
+
+
+def _alike(sizes: Array) -> npt.NDArray[np.bool_]:
+    """Return which of some sizes (M,) are in the largest group of those that differ by less than a factor of 1.6."""
+    alike = np.abs(np.log(sizes / sizes[:, None])) < np.log(1.6)
+    return np.asarray(alike[int(np.argmax(alike.sum(axis=1)))])
 
 
 def _is_compact(stats: npt.NDArray[np.int32]) -> bool:

@@ -44,13 +44,14 @@ class TrackingTask:
     ----------
     rope, arc_lengths, camera, arm, parameters, tests
         As of :class:`RopeFilter`; an arm is at rest until :meth:`Process.set_motion`.
-    colour : MarkerColour
+    colours : sequence of MarkerColour
+        Of the markers: mostly one.
     """
 
     rope: Rope
     arc_lengths: Array
     camera: Camera
-    colour: MarkerColour
+    colours: Sequence[MarkerColour]
     arm: Arm | None = None
     parameters: Sequence[EstimatedParameter] = ()
     tests: ChangeTests | None = None
@@ -66,19 +67,19 @@ class TrackingTask:
             parameters=self.parameters,
             tests=self.tests,
         )
-        return RopeTracker(estimator, MarkerMeasurement(MarkerDetector(self.colour)))
+        return RopeTracker(estimator, MarkerMeasurement(*map(MarkerDetector, self.colours)))
 
     def rehearse(self) -> None:
         """Track drawn frames of the hanging rope, so that the first real frame compiles nothing."""
         import cv2
 
         tracker = self.tracker()
-        radius = round(16.0 * (max(2.0, MarkerDetector(self.colour).radius) - 0.5))  # OpenCV adds half a pixel; 1/16 px
+        radius = round(16.0 * (max(2.0, tracker.measurement.radius) - 0.5))  # OpenCV adds half a pixel; 1/16 px
         width, height = self.camera.image_size
         image = np.full((height, width, 3), 128, np.uint8)
         drop = np.asarray(self.arc_lengths)[:, None] * self.rope.gravity / np.hypot(*self.rope.gravity)
         for place in np.round(16.0 * self.camera.project(drop + tracker.estimator.process.base(0.0)[0])).astype(int):
-            cv2.circle(image, place.tolist(), radius, self.colour.bgr.tolist(), -1, cv2.LINE_AA, 4)
+            cv2.circle(image, place.tolist(), radius, self.colours[0].bgr.tolist(), -1, cv2.LINE_AA, 4)
         for k in range(_PRACTICE):
             tracker.look(Frame(k / 30.0, image, k))
 
