@@ -305,7 +305,8 @@ def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
     pictures, stamps, true = film(case, lens)
     write_video(folder / "swing.mp4", pictures, stamps, case.crf)
     origin = places(case, scene, np.zeros(1))[0, 0] if case.from_hook else np.zeros(3)
-    np.savez(folder / "truth.npz", stamps=stamps, true=true - origin[:2])
+    clicked = np.pad(true[0, : case.colours if case.colours > 1 else 0], ((0, 0), (0, 1)))
+    np.savez(folder / "truth.npz", stamps=stamps, true=true - origin[:2], clicks=np.rint(lens.pixels(clicked)))
     scene.rope(LINKS).to_toml(folder / "rope.toml")
     hook = [str(round(each)) for each in lens.pixels(origin).tolist()]
     board = ["--squares", "8", "6", "--square", f"{scene.square:.9g}", "--marker", f"{0.75 * scene.square:.9g}"]
@@ -318,8 +319,11 @@ def tracked(name: str, scene: Scene, folder: Path) -> dict[str, Any]:
     """Track the video in a folder, and compare."""
     arcs = ",".join(f"{arc:.9g}" for arc in scene.arcs)
     given = ["--rope", "rope.toml", "--camera", "camera.toml", "--arc-lengths", arcs]
+    known = np.load(folder / "truth.npz")
+    for u, v in known["clicks"]:
+        given += ["--click", f"{u:.0f},{v:.0f}"]
     result = json.loads(command(folder, "track", "swing.mp4", *given, "--preview", "seen.mp4", "--json"))
-    recording, known = hf.read_recording(folder / "markers.nc"), np.load(folder / "truth.npz")
+    recording = hf.read_recording(folder / "markers.nc")
     at = [int(np.abs(known["stamps"] - t).argmin()) for t in recording.t]
     columns = [int(np.abs(scene.arcs - arc).argmin()) for arc in result["arc_lengths"]]
     error = recording.data.reshape(len(at), -1, 2) - known["true"][np.ix_(at, columns)]

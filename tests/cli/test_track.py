@@ -157,6 +157,17 @@ def test_the_colour_is_taken_where_there_is_one(hyperflex, folder, tmp_path, com
 
 
 @BOTH
+def test_markers_of_two_colours_are_shown_by_a_pixel_of_each(hyperflex, folder, tmp_path, command):
+    colours = np.where(np.arange(len(ARCS))[:, None] % 2, (60.0, 165.0, 20.0), (40.0, 30.0, 205.0))
+    pixels = film_swing(tmp_path / "two.mp4", marker_colours=colours)[0]
+    clicks = [word for place in pixels[:2].tolist() for word in ("--click", "{:.0f},{:.0f}".format(*place))]
+    given = words(command, tmp_path / "two.mp4", folder, tmp_path / "out.nc", "--json", *clicks)
+    code, out, err = hyperflex(*given)
+    assert (code, err) == (0, "")
+    assert json.loads(out if command == "track" else out.splitlines()[-1])["seen"] > 0.95
+
+
+@BOTH
 def test_a_raw_stream_is_refused(refused, folder, tmp_path, command):
     """Without a container there are no time stamps."""
     with av.open(str(folder / "swing.mp4")) as video, av.open(str(tmp_path / "raw.h264"), "w", format="h264") as raw:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.vision import Camera, Renderer, RopeMotion, Scene
@@ -18,9 +19,11 @@ def facing(size: tuple[int, int] = (640, 480), scale: float = 200.0, **other: ob
     return Camera.facing(size, pixels_per_metre=scale, origin=origin, **{"exposure": 0.004, **other})
 
 
-def film_swing(path: Path, camera: Camera | None = None, seed: int = 0, count: int = COUNT) -> Array:
+def film_swing(
+    path: Path, camera: Camera | None = None, seed: int = 0, count: int = COUNT, **scene: npt.ArrayLike
+) -> Array:
     """Write the video; return where the markers are seen (T, K, 2), px."""
     swing = free_swing(seed, 4.0)
     motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
-    renderer = Renderer(camera or facing(), motion, Scene(ARCS, marker_diameter=0.035))
+    renderer = Renderer(camera or facing(), motion, Scene(ARCS, marker_diameter=0.035, **scene))
     return renderer.write(path, 0.05 + np.arange(count) / 30.0).pixels

@@ -176,11 +176,14 @@ def test_two_that_touch_are_taken_apart():
         assert off @ np.linalg.solve(seen.covariances[nearest(seen, place)], off) < 6.0
 
 
-def test_colour_found_in_one_frame():
-    scene = Scene(ARCS, marker_colours=GREEN, clutter=12, seed=4)
+@pytest.mark.parametrize("background", [(190.0, 192.0, 195.0), (70.0, 110.0, 165.0)], ids=["grey wall", "wooden wall"])
+@pytest.mark.parametrize("colour", [GREEN, (40.0, 30.0, 205.0)], ids=["green", "red"])
+def test_colour_and_size_found_in_one_frame(colour, background):
+    """Edges count by their shares, so that a wall of nearly the markers' hue does not make them smaller."""
+    scene = Scene(ARCS, marker_colours=colour, background=background, clutter=12, seed=4)
     found = MarkerColour.from_frame(Renderer(camera(), swinging(), scene).image(0.3))
-    assert np.abs(found.bgr - GREEN).max() < 25.0
-    assert found.area == pytest.approx(44.0, rel=0.5)
+    assert np.abs(found.bgr - colour).max() < 25.0
+    assert found.area == pytest.approx(np.pi * (0.0125 * 300.0) ** 2, rel=0.05)
 
 
 @pytest.mark.parametrize("diameter", [0.02, 0.025, 0.06])

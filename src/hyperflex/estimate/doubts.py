@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.estimate.process import swing_rate
 from hyperflex.model import Rope
 
-LARGE = 3.0  # errors over those of detection from which the set-up is doubted
+LARGE = 2.0  # errors over those of detection from which the set-up is doubted
 DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted
 SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: three times a detection error
 ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise

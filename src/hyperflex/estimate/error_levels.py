@@ -17,7 +17,7 @@ from hyperflex.estimate.interval import Smoothed, smooth_linear
 from hyperflex.estimate.moving_horizon import EARLIER, jump_rows
 from hyperflex.estimate.noise import MOST, QUIET
 from hyperflex.estimate.observations import Observations
-from hyperflex.estimate.parameters import BASE_KINDS
+from hyperflex.estimate.parameters import BASE_KINDS, PLANE_KINDS
 from hyperflex.estimate.process import BEYOND
 from hyperflex.status import Status
 
@@ -34,7 +34,8 @@ class RunErrors(NamedTuple):
     Attributes
     ----------
     covariances : (T, K, 2, 2) float64
-        Of the places of the markers, in the unit of the observations squared.
+        Of the places of the markers, in the unit of the observations squared, with what is not known of the picture's
+        scale, roll and offset.
     level : float
         Errors of the markers over those that the detector states, without the shift.
     shift : float
@@ -63,8 +64,8 @@ class _Levels(NamedTuple):
 
     Attributes
     ----------
-    marker : (K, 2) float64
-        Of each marker along u and v, over those of the detector.
+    marker : (K,) float64
+        Of each marker, over those of the detector.
     shift : (2,) float64
         Of a motion of all markers of a frame together, in the unit of the observations.
     density : (2,) float64
@@ -81,11 +82,6 @@ class _Levels(NamedTuple):
     jump: float = 1.0
     freedom: float = GAUSSIAN
 
-    def stated(self, covariances: Array, weights: Array) -> Array:
-        """Return the covariances (K, 2, 2) of places, from those of a detector and the weights (K,) of the errors."""
-        scaled = np.linalg.cholesky(covariances / weights[:, None, None]) * self.marker[:, None, :]
-        return np.asarray(scaled @ scaled.transpose(0, 2, 1) + np.diag(self.shift**2))
-
 
 class _Linear(NamedTuple):
     """A frame's observations, linearised: places (2 k,) = slope (2 k, N) x + own (k, 2, 2) e, of the markers used."""
@@ -98,8 +94,8 @@ class _Linear(NamedTuple):
     def covariance(self, levels: _Levels, weights: Array) -> tuple[Array, Array]:
         """Return the covariance (2 k, 2 k) of errors of `weights` (K,), and which of u and v each row is (2 k, 2)."""
         count = len(self.used)
-        sizes = levels.marker[self.used] / np.sqrt(weights[self.used])[:, None]
-        both, scaled = np.tile(np.eye(2), (count, 1)), self.own * sizes[:, None, :]
+        sizes = levels.marker[self.used] / np.sqrt(weights[self.used])
+        both, scaled = np.tile(np.eye(2), (count, 1)), self.own * sizes[:, None, None]
         wide, each = both * levels.shift**2 @ both.T, np.arange(count)
         wide.reshape(count, 2, count, 2)[each, :, each] += scaled @ scaled.transpose(0, 2, 1)
         return wide, both
@@ -129,11 +125,13 @@ def run_errors(
 
     Notes
     -----
-    Errors have three parts: of each marker along u and v, a shift of the whole picture, and disturbances of the rope.
-    Their variances are the likeliest ones, by expectation maximisation (Shumway and Stoffer 1982, J. Time Series
-    Analysis 3(4), 253), for disturbances in the faster form of MacKay (1992, Neural Computation 4(3), 415). Errors that
-    continue from frame to frame (a swing out of the plane) determine the states less well than independent ones: in the
-    last round the information of the observations is divided by the number of frames over which residuals are alike.
+    Errors have three parts: of each marker, a shift of the whole picture, and disturbances of the rope. Those of a
+    marker are alike along u and v: its constant length shows an error along the rope, but the rope's motion may explain
+    one across it. The variances are the likeliest ones, by expectation maximisation (Shumway and Stoffer 1982, J. Time
+    Series Analysis 3(4), 253), for disturbances in the faster form of MacKay (1992, Neural Computation 4(3), 415).
+    Errors that continue from frame to frame (a swing out of the plane) determine the states less well than independent
+    ones: in the last round the information of the observations is divided by the number of frames over which residuals
+    are alike.
     Errors of a marker may be far larger at times (something of its colour touches it): they have Student's distribution
     with the likeliest degrees of freedom: an error that is seen to be large is stated as large, and counts less.
     Where the rope's equations cannot follow the estimates, the estimator's own levels remain.
@@ -154,10 +152,7 @@ def run_errors(
         if window.smoothed:
             values[own] = window.states[:, first:]
             prior = values[own][-1], sr.triangular(window.smoothed[-1].rows[:, first:])
-        covariances += [
-            window.levels.stated(each.covariances, weights)
-            for each, weights in zip(seen[own], window.weights, strict=True)
-        ]
+        covariances += window.stated()
         solved.append(window)
 
     def mean(squares: list[Any]) -> Array:
@@ -195,11 +190,13 @@ class _Window:
         moves = not BASE_KINDS.keys().isdisjoint(estimator.parameters.names)
         self.dark, detected = not there, float(np.median(there or [0.0]))
         self.levels = _Levels(
-            np.full((len(seen[0].places), 2), level),
+            np.full(len(seen[0].places), level),
             np.full(2, 0.0 if moves else 0.5 * level * np.sqrt(0.5 * detected)),  # of all markers: either moves them
             np.asarray(estimator.process_noise.value),
         )
         self.weights = np.ones((len(seen), len(seen[0].places)))
+        self.plane = [first + k for k, name in enumerate(estimator.parameters.names) if name in PLANE_KINDS]
+        self.linear: list[_Linear] = []
         self.gaps = np.diff([each.t for each in seen]).tolist()
         self.jumps = [
             [
@@ -217,24 +214,37 @@ class _Window:
         first = 2 * self.estimator.n_links
         for k in range(0 if self.dark else ROUNDS + 1):
             if k < LINEARISED:
-                steps, linear = self._linearised()
+                steps, self.linear = self._linearised()
             noises = [self.process.noise(gap, self.levels.density) for gap in self.gaps]
             moves = [
                 (*step, np.concatenate([noise, *(self.levels.jump * each for each in jumps)]))
                 for step, noise, jumps in zip(steps, noises, self.jumps, strict=True)
             ]
-            wide = [each.covariance(self.levels, own) for each, own in zip(linear, self.weights, strict=True)]
+            wide = [each.covariance(self.levels, own) for each, own in zip(self.linear, self.weights, strict=True)]
             self.smoothed = smooth_linear(
                 self.mean,
                 self.rows,
                 moves,
-                [_whitened(each, self.correlated * errors[0]) for each, errors in zip(linear, wide, strict=True)],
+                [_whitened(each, self.correlated * own[0]) for each, own in zip(self.linear, wide, strict=True)],
             )
             self.states = np.array([each.mean for each in self.smoothed])
             self.states[:, first:] = self.estimator.parameters.possible(self.states[:, first:])
-            residuals = self._learn(linear, wide, k < ROUNDS)
+            residuals = self._learn(wide, k < ROUNDS)
             if k == ROUNDS - 1:
-                self.correlated = correlation_time(residuals / self.levels.marker * np.sqrt(self.weights)[:, :, None])
+                self.correlated = correlation_time(residuals * (np.sqrt(self.weights) / self.levels.marker)[:, :, None])
+
+    def stated(self) -> list[Array]:
+        """Return the covariances (K, 2, 2) of the places in each frame."""
+        wide = [
+            (self.levels.marker**2 / own)[:, None, None] * each.covariances + np.diag(self.levels.shift**2)
+            for each, own in zip(self.seen, self.weights, strict=True)
+        ]
+        if self.smoothed:
+            rows = self.smoothed[-1].rows[:, self.plane]
+            for each, linear in zip(wide, self.linear, strict=True):
+                moves = (linear.slope[:, self.plane] @ rows.T).reshape(linear.used.size, 2, len(rows))
+                each[linear.used] += moves @ moves.transpose(0, 2, 1)
+        return wide
 
     def _linearised(self) -> tuple[list[tuple[Array, Array]], list[_Linear]]:
         """Return transitions and offsets of the steps, and the observations, about the states."""
@@ -254,15 +264,15 @@ class _Window:
             linear.append(_Linear(used, places, flat, np.asarray(np.linalg.cholesky(seen.covariances[used]))))
         return steps, linear
 
-    def _learn(self, linear: list[_Linear], wide: list[tuple[Array, Array]], everything: bool) -> Array:
+    def _learn(self, wide: list[tuple[Array, Array]], everything: bool) -> Array:
         """Set the levels by the smoothed states; return the residuals (T, K, 2) over the detector's errors.
 
         If not `everything`, those of the markers alone.
         """
         shifts, residuals = np.zeros(2), np.full((*self.weights.shape, 2), np.nan)
-        squares = residuals.copy()
+        squares = residuals[:, :, 0].copy()
         variance = np.diag(self.levels.shift**2)
-        for k, (each, smoothed, (covariance, both)) in enumerate(zip(linear, self.smoothed, wide, strict=True)):
+        for k, (each, smoothed, (covariance, both)) in enumerate(zip(self.linear, self.smoothed, wide, strict=True)):
             if not each.used.size:
                 continue
             off, moves = each.places - each.slope @ smoothed.mean, smoothed.rows @ each.slope.T
@@ -273,16 +283,16 @@ class _Window:
             errors = own @ errors @ own.T + both @ doubt @ both.T
             index, count = np.arange(each.used.size), each.used.size
             blocks, back = errors.reshape(count, 2, count, 2)[index, :, index], np.linalg.inv(each.own)
-            squares[k, each.used] = np.diagonal(back @ blocks @ back.transpose(0, 2, 1), axis1=1, axis2=2)
+            squares[k, each.used] = np.trace(back @ blocks @ back.transpose(0, 2, 1), axis1=1, axis2=2)
             residuals[k, each.used] = (back @ off.reshape(-1, 2, 1))[:, :, 0]
-        distances = (squares / self.levels.marker**2).sum(axis=2)
+        distances = squares / self.levels.marker**2
         freedom = likeliest_freedom(distances)
         self.weights = np.where(np.isfinite(distances), (freedom + 2.0) / (freedom + distances), 1.0)
-        counts, weighted = np.isfinite(squares).sum(axis=0), np.nansum(self.weights[:, :, None] * squares, axis=0)
+        counts, weighted = 2.0 * np.isfinite(squares).sum(axis=0), np.nansum(self.weights * squares, axis=0)
         marker = np.sqrt((weighted + ALIKE * weighted.sum() / counts.sum()) / (counts + ALIKE))
         self.levels = self.levels._replace(marker=marker, freedom=freedom)
         if everything:
-            frames, (density, jump) = sum(each.used.size > 0 for each in linear), self._disturbed()
+            frames, (density, jump) = sum(each.used.size > 0 for each in self.linear), self._disturbed()
             self.levels = self.levels._replace(shift=np.sqrt(shifts / frames), density=density, jump=jump)
         return residuals
 
