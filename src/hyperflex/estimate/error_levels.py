@@ -24,7 +24,6 @@ from hyperflex.status import Status
 LINEARISED, ROUNDS = 3, 6  # rounds: about new states; of all levels, before a last one of the markers' alone
 LONGEST = 300  # frames that are smoothed together: some 100 MB with 50 links
 ALIKE = 10.0  # observations that count for "a marker's errors are like those of the others"
-FADED = 0.05  # correlation of residuals from which later ones are independent
 GAUSSIAN = 100.0  # degrees of freedom from which Student's distribution is as good as Gaussian
 
 
@@ -341,14 +340,14 @@ def likeliest_freedom(distances: Array) -> float:
 def correlation_time(residuals: Array) -> float:
     """Return the number of frames (T, ...) over which residuals are alike, at least 1: 1 + 2 sum of correlations.
 
-    NaN: not seen. The sum ends where the correlation has faded.
+    NaN: not seen. The sum ends at a correlation of less than two standard deviations of that of independent residuals.
     """
     known, there = np.nan_to_num(residuals), np.isfinite(residuals)
     variance, frames = (known**2).sum() / max(there.sum(), 1), 1.0
     for lag in range(1, len(known) // 2):
-        pairs = np.count_nonzero(there[lag:] & there[:-lag])
-        likeness = (known[lag:] * known[:-lag]).sum() / max(pairs, 1) / variance
-        if likeness < FADED:
+        pairs = max(np.count_nonzero(there[lag:] & there[:-lag]), 1)
+        likeness = (known[lag:] * known[:-lag]).sum() / pairs / variance
+        if likeness < 2.0 / np.sqrt(pairs):
             break
         frames += 2.0 * likeness
     return float(frames)
