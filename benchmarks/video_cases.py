@@ -317,7 +317,7 @@ def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
 
 def tracked(name: str, scene: Scene, folder: Path) -> dict[str, Any]:
     """Track the video in a folder, and compare."""
-    arcs = ",".join(f"{arc:.9g}" for arc in scene.arcs)
+    arcs = ",".join(f"{arc:.12g}" for arc in scene.arcs)
     given = ["--rope", "rope.toml", "--camera", "camera.toml", "--arc-lengths", arcs]
     known = np.load(folder / "truth.npz")
     for u, v in known["clicks"]:

@@ -205,7 +205,7 @@ def test_what_was_never_seen_and_what_was_estimated_is_said(hyperflex, folder, t
     code, out, _ = hyperflex(*arguments)
     assert code == 0
     assert re.search(r"markers +8\n", out)
-    assert "the marker at 0.1 m was never seen: check its arc length, or omit it from --arc-lengths" in out
+    assert "the marker at 0.1 m was never seen: check its arc length and colour, or omit it from --arc-lengths" in out
     assert "applied to the places of all frames: scale" in out
     assert "of the rope, not of the places. To identify it: lengths in the rope's file times" in out
 

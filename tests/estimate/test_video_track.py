@@ -101,7 +101,7 @@ def test_a_marker_that_is_seldom_seen_is_named(swing, tmp_path):
             writer.write(image, frame.time)
     found = tracked(tmp_path / "hidden.mp4", facing())
     np.testing.assert_array_equal(found.seen_each, [1.0] * 7 + [0.3])
-    assert "the marker at 2 m was seen in only 30 % of the frames: check its arc length" in found.notes
+    assert "the marker at 2 m was seen in only 30 % of the frames: check its arc length and colour" in found.notes
 
 
 def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back(tmp_path):

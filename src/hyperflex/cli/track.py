@@ -331,7 +331,7 @@ def _run(follow: "Watch", until: float, takers: "list[Callable[[LiveEstimate], N
 
 def _status(estimate: "LiveEstimate") -> list[str]:
     """Return the status in two short lines."""
-    sure = f"tip ± {1e3 * estimate.tip_std:.1f} mm" if estimate.found else "rope not found"
+    sure = f"tip std {1e3 * estimate.tip_std:.1f} mm" if estimate.found else "rope not found"
     late = "no frame" if estimate.frame is None else f"latency {1e3 * estimate.latency:.1f} ms"
     age = "never seen" if math.isinf(estimate.age) else f"seen {1e3 * estimate.age:.0f} ms ago"
     return [

@@ -127,10 +127,9 @@ class Change:
             return f"misfit: errors of the markers are {ratio}, noticed at {self.noticed:.2f} s"
         known = kind(self.name)
         what = f"{self.name}: {self.size:+.3g}" if known else f"{self.name} at {self.arc_length:.2f} m: {self.size:.3g}"
-        return (
-            f"{what} ± {self.std:.2g} {known.unit if known else 'N s'}".rstrip()
-            + f", since {self.time:.2f} s, noticed at {self.noticed:.2f} s, {100.0 * self.probability:.0f} % sure"
-        )
+        size = f"{what} {known.unit if known else 'N s'}".rstrip()
+        when = f"since {self.time:.2f} s, noticed at {self.noticed:.2f} s"
+        return f"{size} (std {self.std:.2g}), {when}, {100.0 * self.probability:.0f} % sure"
 
 
 class Found(NamedTuple):

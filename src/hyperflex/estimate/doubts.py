@@ -1,5 +1,6 @@
 """Reasons to doubt a track: how its measurements and the possible motions of its rope disagree."""
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -43,10 +44,17 @@ class Doubt(NamedTuple):
         return self.kind.format(self.size)
 
 
-ADVICE = (
+SET_UP = (
     "check the camera's scale, swing plane and origin (--estimate scale=0.01 or offset_x=0.02,offset_y=0.02), the time "
     "stamps (slow motion stored at a usual rate), the arc lengths, and the rope (more links if it swings fast)"
 )
+ADVICE = {
+    DoubtKind.SHAKE: "fix the camera, and switch its stabilisation off",
+    DoubtKind.NOISE: "take more light, larger markers, or less compression",
+    DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point, or give the arm's motion (in Python "
+    "RopeFilter(motion=, arm=))",
+    DoubtKind.BASE_ELSEWHERE: "calibrate with the hook's pixel (--origin-pixel)",
+}
 
 
 def doubts(
@@ -89,6 +97,11 @@ def doubts(
     return found
 
 
-def explained(found: list[Doubt]) -> str:
-    """Return doubts as a text with what to check; empty if there are none."""
-    return f"{'; '.join(map(str, found))}: {ADVICE}" if found else ""
+def advice(found: Sequence[Doubt]) -> str:
+    """Return what to do about doubts; empty if there are none."""
+    return "; ".join(dict.fromkeys(ADVICE.get(each.kind, SET_UP) for each in found))
+
+
+def explained(found: Sequence[Doubt]) -> str:
+    """Return doubts as a text with what to do; empty if there are none."""
+    return f"{'; '.join(map(str, found))}: {advice(found)}" if found else ""

@@ -1,5 +1,6 @@
 """Tracks a rope through a whole video: from a file to a Recording of its markers."""
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -9,7 +10,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import Change
-from hyperflex.estimate.doubts import ADVICE, Doubt, doubts
+from hyperflex.estimate.doubts import Doubt, advice, doubts
 from hyperflex.estimate.error_levels import RunErrors, run_errors
 from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.parameters import BASE_KINDS, PICTURE_KINDS
@@ -198,29 +199,31 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         alike=alike,
         base=base if BASE_KINDS.keys() & set(parameters.names) else None,
     )
-    applied = [
-        f"applied to the {'times' if name == 'delay' else 'places'} "
-        f"{'of all frames' if prior[name] else 'since it changed'}: {name} {_with_std(estimates[name])}"
-        for name in PICTURE_KINDS
-        if name in estimates
-    ]
+    named = defaultdict(list)
+    for name in PICTURE_KINDS:
+        if name in estimates:
+            since = "of all frames" if prior[name] else "since it changed"
+            named[f"applied to the {'times' if name == 'delay' else 'places'} {since}"].append(
+                f"{name} {estimates[name][0]:.5g}"
+            )
+    applied = [f"{what}: {', '.join(each)}" for what, each in named.items()]
     where = ", ".join(f"{arc:.5g}" for arc in now)
     convention = f"positions in m, x right, y up from the camera's origin, of markers at {where} m along the rope"
-    notes = [*reader.notes, *([ADVICE] if doubted else []), *applied]
+    notes = [*reader.notes, *([advice(doubted)] if doubted else []), *applied]
     notes += [
-        f"the marker at {arc:g} m was never seen: check its arc length, or omit it from arc_lengths; "
+        f"the marker at {arc:g} m was never seen: check its arc length and colour, or omit it from arc_lengths; "
         f"it is not in the file, whose markers are those at {','.join(f'{each:g}' for each in arcs[kept])} m"
         for arc in arcs[~kept]
     ]
     notes += [
-        f"the marker at {arc:g} m was seen in only {100.0 * part:.2g} % of the frames: check its arc length"
+        f"the marker at {arc:g} m was seen in only {100.0 * part:.2g} % of the frames: check its arc length and colour"
         for arc, part in zip(arcs, seen.mean(axis=0), strict=True)
         if 0.0 < part < SELDOM
     ]
     rope = {name: each for name, each in estimates.items() if name.startswith(("length", "arc[")) and prior[name]}
     if rope:
         stretch = f"lengths in the rope's file times {1.0 + rope['length'][0]:.5g}, " if "length" in rope else ""
-        changed = ", ".join(f"{name} {_with_std(each)}" for name, each in rope.items())
+        changed = ", ".join(f"{name} {value:.5g} (std {std:.2g})" for name, (value, std) in rope.items())
         new = ",".join(f"{arc:.5g}" for arc in now)
         notes.append(f"{changed}: of the rope, not of the places. To identify it: {stretch}arc_lengths {new}")
     unknown = [name for name, (_, std) in estimates.items() if std > UNDETERMINED * prior[name] > 0.0]
@@ -238,10 +241,6 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         tuple(notes),
         changes,
     )
-
-
-def _with_std(value: tuple[float, float]) -> str:
-    return f"{value[0]:.5g} ± {value[1]:.2g}"
 
 
 def _recording(
