@@ -59,6 +59,7 @@ class MarkerMeasurement:
         self.detectors = detectors
         self._dark = self._waited = self._elsewhere = 0
         self._begun = False
+        self._colours = np.zeros(0, np.int64)  # of each marker, by the detectors; -1: not known
         self._clutter: ClutterMap | None = None
 
     @property
@@ -72,11 +73,12 @@ class MarkerMeasurement:
         """Return the markers seen in a frame."""
         if self._clutter is None:
             self._clutter = ClutterMap(tracker.camera.image_size)
+            self._colours = np.full(len(tracker.estimator.model.arc_lengths), -1)
         if expected is None:
             return self._first(image, tracker, base, self._clutter)
         spread, clutter = expected.covariance + self.DOUBT**2 * np.eye(len(expected.covariance)), self._clutter
         gates = self._gates(tracker.camera, expected, spread) if self._dark < self.LOST else None
-        blobs, level = self._detect(image, gates)[0], max(1.0, tracker.estimator.measurement_noise.value)
+        (blobs, colours), level = self._detect(image, gates), max(1.0, tracker.estimator.measurement_noise.value)
         found = assign_markers(
             blobs._replace(covariances=level**2 * blobs.covariances),
             expected.pixels,
@@ -84,6 +86,8 @@ class MarkerMeasurement:
             clutter=clutter.density(blobs),
         )
         clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices), gates)
+        new = (self._colours < 0) & (found.indices >= 0)
+        self._colours[new] = colours[found.indices[new]]
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
         return found.places, found.covariances / level**2
 
@@ -128,6 +132,8 @@ class MarkerMeasurement:
         self._waited, self._elsewhere, self._begun = 0, 0, True
         taken = used[order.indices[found]]
         pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
+        self._colours = np.full(len(declared), -1)
+        self._colours[found] = colours[taken]
         for k, detector in enumerate(self.detectors):
             if (own := taken[colours[taken] == k]).size:
                 detector.resize(float(np.median(blobs.areas[own])))
@@ -137,8 +143,11 @@ class MarkerMeasurement:
         return pixels, wide
 
     def _detect(self, image: Image, gates: list[Gate] | None = None) -> tuple[Blobs, npt.NDArray[np.int64]]:
-        """Return the blobs of all colours (M,), and of which each is."""
-        found = [each.find(image, gates) for each in self.detectors]
+        """Return the blobs of all colours (M,), and of which each is. A gate is searched for its marker's colour."""
+        found = [
+            each.find(image, gates and [gate for gate, own in zip(gates, self._colours, strict=True) if own in (k, -1)])
+            for k, each in enumerate(self.detectors)
+        ]
         blobs = Blobs(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
         wide = blobs.covariances + LEAST_STD**2 * np.eye(2)
         return blobs._replace(covariances=wide), np.repeat(np.arange(len(found)), [len(each.places) for each in found])
