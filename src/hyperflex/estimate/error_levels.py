@@ -345,7 +345,7 @@ def correlation_time(residuals: Array) -> float:
     known, there = np.nan_to_num(residuals), np.isfinite(residuals)
     variance, frames = (known**2).sum() / max(there.sum(), 1), 1.0
     for lag in range(1, len(known) // 2):
-        pairs = max(np.count_nonzero(there[lag:] & there[:-lag]), 1)
+        pairs = max(int(np.count_nonzero(there[lag:] & there[:-lag])), 1)
         likeness = (known[lag:] * known[:-lag]).sum() / pairs / variance
         if likeness < 2.0 / np.sqrt(pairs):
             break
