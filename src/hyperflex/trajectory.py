@@ -241,8 +241,9 @@ class Trajectory:
         """Estimated error (T,), m: distance of the worst joint from a run with a tenth of the tolerance.
 
         The second run is made when this is read; it takes about as long as the first. Steps that no tolerance controls
-        are halved in it (in contact, and those of ``"rk4"``). NaN where it fails. Of a set-up with a `control` both
-        runs apply the recorded torques. Errors of the model, the number of links among them, are not included.
+        are halved in it (in contact, and those of ``"rk4"``). NaN from where it fails, or would take half an hour. Of a
+        set-up with a `control` both runs apply the recorded torques. Errors of the model, the number of links among
+        them, are not included.
         """
         from hyperflex.simulation import tighter_run
 
@@ -278,7 +279,7 @@ class Trajectory:
         if (until := self.agrees_until(allowed)) == math.inf:
             return ""
         failed = np.isnan(self.error_estimate[self.t > until][0])
-        fate = "fails" if failed else f"is more than {1e3 * self._limit(allowed):.3g} mm off"
+        fate = "fails or takes too long" if failed else f"is more than {1e3 * self._limit(allowed):.3g} mm off"
         return f"not predictable after {until:.4g} s, where a run with a tenth of the tolerance {fate}"
 
     def _limit(self, allowed: float | None) -> float:

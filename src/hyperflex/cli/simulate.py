@@ -91,7 +91,9 @@ def simulate(
         "energy_error_J": np.abs(found.energy_error).max(),
         "energy_moved_J": float(np.ptp(found.motor_work) + np.ptp(found.kinetic_energy + found.potential_energy)),
     }
-    with output.keeping({"run": out}, "how long it can be trusted, and how the rope lies on the pegs", result):
+    missing = "how long it can be trusted, and how the rope lies on the pegs"
+    with output.keeping({"run": out}, missing, result), output.spinner() as progress:
+        progress("simulating again with a tenth of the tolerance")
         result |= _trust(found, horizon)
         result["pegs"] = [_wound(found, peg, tug) for peg in found.setup.round_pegs]
     more = [(f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _winding(peg)) for peg in result["pegs"]]

@@ -282,8 +282,9 @@ def simulate(
     -------
     Trajectory
         ``print`` shows from when on inputs and tolerance do not determine it, as soon happens without friction: see
-        its ``predictable_until``. Its ``qdd`` follows from (1) at each state. In a fine rope friction turns an error of the rates into one of the
-        accelerations 4 eta / J times as large: for n of some hundreds ask for a tight `tol` if you need them.
+        its ``predictable_until``. Its ``qdd`` follows from (1) at each state. In a fine rope friction turns an error of
+        the rates into one of the accelerations 4 eta / J times as large: for n of some hundreds ask for a tight `tol`
+        if you need them.
 
     Raises
     ------
