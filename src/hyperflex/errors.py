@@ -7,7 +7,7 @@ from typing import Any
 
 from hyperflex.status import Status
 
-LISTED = 8  # of many names or numbers, so many are shown in a line
+LISTED = 12  # of many names or numbers, so many are shown in a line
 
 
 class HyperflexError(Exception):

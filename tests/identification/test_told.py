@@ -33,7 +33,7 @@ def fitted(rope: hf.Rope, free: list[str], **others: Any) -> hf.Identification:
 
 
 def test_what_all_links_share_is_printed_once():
-    rope = hf.Rope.uniform(length=0.6, mass=0.1, n_links=12, friction=5e-4)
+    rope = hf.Rope.uniform(length=0.6, mass=0.1, n_links=16, friction=5e-4)
     found = fitted(rope, ["friction:shared", "gravity_angle"], intervals=None)
     said = str(found)
     line = next(line for line in said.splitlines() if "value friction" in line)
