@@ -3,13 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.chain.drive import segment
 from hyperflex.core.integrate.step_size import STEP_SIZE
-from hyperflex.core.integrate.steps import rates
 from hyperflex.simulation.rollouts import Rollout, lever
 
 TIGHT = 1e-11  # m, so that the comparison is a millionth as wrong as the steps that it judges
@@ -63,18 +60,3 @@ def apart(setup: hf.Setup, y: Array, other: Array) -> Array:
     off = (other - y)[: 2 * n].reshape(2, n, 1) * lever(setup.chain())[:, None]
     joints = np.cumsum(off * np.stack([np.cos(y[:n]), np.sin(y[:n])], axis=1), axis=1)
     return np.asarray(np.linalg.norm(joints, axis=2).max(axis=1))
-
-
-def dormand_prince(setup: hf.Setup, tol: float = 1e-12) -> Array:
-    """The state at the end of a run by Dormand and Prince's method, with the accelerations of the kernels."""
-    chain, drive, n = setup.chain(), setup.drive(), setup.rope.n_links
-    part, slip, work = segment(drive, 0.0), np.ones(n), np.empty(6 * n)
-
-    def rate(t: float, y: Array) -> Array:
-        dy = np.empty_like(y)
-        rates(chain, drive, part, t, y, slip, dy, work)
-        return dy
-
-    start = np.concatenate([*setup.start(), np.zeros(2)])
-    found = solve_ivp(rate, (0.0, setup.duration), start, method="DOP853", rtol=tol, atol=tol)
-    return np.asarray(found.y[:, -1])
