@@ -18,12 +18,14 @@ from hyperflex.errors import InvalidInput, located
 from hyperflex.options import option
 from hyperflex.recording.recording import CONVENTION, Kind, Recording, per_sample, unwrap
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 RADIANS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "turn": 2.0 * math.pi}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS: dict[Kind, tuple[str, ...]] = {"angles": tuple(RADIANS), "markers": (*METRES, "px")}
 FASTEST = 300.0  # rad/s, 48 turns a second: faster than any pendulum or rope link seen in recordings so far
-EPOCH = 1e8  # s, 3 years: no clock of a lab counts that far from its own start, and stamps since 1970 passed it in 1973
+# s: times beyond 3 years are stamps since 1970, no clock of a lab counts that far from its own start; in the year 2286
+# stamps pass the second, and only those in a smaller unit are beyond it now
+EPOCHS = 1e8, 1e10
 STEEPEST = math.radians(30.0)  # of a fitted plane against the vertical: beyond it the plane is not that of a swing
 LONG = 3.5  # usual steps; up to two missing rows leave the slope of a well sampled swing readable
 
@@ -146,8 +148,9 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
             data = data - math.pi if declared["zero"] == "up" else data
             data = _within_a_turn(data) if declared.get("wrapped") else data
         facts, t = dict(raw.facts), raw.t
-        if t.size and float(t[0]) * time > EPOCH:
-            t, facts["epoch"] = t - t[0], float(t[0]) * time
+        if t.size and (epoch := float(t[0]) * time) > EPOCHS[0]:
+            _check_epoch(epoch, declared["time_unit"])
+            t, facts["epoch"] = t - t[0], epoch
         if swing is not None:
             facts["out_of_plane"] = swing.rms * size
         recording = Recording(
@@ -233,6 +236,19 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     rms = math.sqrt(float((moved[there] ** 2).sum()) / max(int(there.sum()), 1))
     data = np.stack([points @ right, points @ up], axis=-1).reshape(raw.t.size, -1)
     return replace(raw, data=data, in_space=False), _Swing(name, rms, tilt)
+
+
+def _check_epoch(epoch: float, unit: str) -> None:
+    """Refuse stamps, s, that are beyond any date of a recording: they are in a smaller unit."""
+    if epoch > EPOCHS[1]:
+        counted = epoch / SECONDS.get(unit, 1.0)
+        likely = (f"time_unit={each!r}" for each, size in SECONDS.items() if EPOCHS[0] < counted * size < EPOCHS[1])
+        raise InvalidInput(
+            f"the times begin {epoch / (365.25 * 86400.0):.3g} years after 1970",
+            got=f"time_unit = {unit!r}",
+            allowed="stamps since 1970 up to the year 2286",
+            fix=f"Pass {next(likely, 'the right time_unit')}",
+        )
 
 
 def _within_a_turn(angle: Array) -> Array:

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import LARGEST, PathLike, as_path, not_damaged, regular_file
 from hyperflex.recording.content import Content, Selection, content_of_channels, content_of_markers
-from hyperflex.recording.declare import EPOCH, PLANES
+from hyperflex.recording.declare import EPOCHS, PLANES
 from hyperflex.recording.recording import Kind
 
 MCAP_FORMAT = "hyperflex mcap 1"
@@ -248,5 +248,5 @@ def _seconds(times: Sequence[float]) -> tuple[Array, dict[str, float]]:
     if times and isinstance(times[0], int):
         stamps = np.array(times, dtype=np.int64)
         epoch = float(stamps[0]) / 1e9
-        return np.asarray((stamps - stamps[0]) / 1e9), {"epoch": epoch} if epoch > EPOCH else {}
+        return np.asarray((stamps - stamps[0]) / 1e9), {"epoch": epoch} if epoch > EPOCHS[0] else {}
     return np.array(times, dtype=np.float64), {}

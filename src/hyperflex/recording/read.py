@@ -62,7 +62,7 @@ def read_recording(
     name : str, optional
         Short name for reports; by default the file's.
     **declarations
-        ``time_unit``: "s", "ms", "us", "min", or "frame", which counts frames and needs ``frame_rate``, frames/s.
+        ``time_unit``: "s", "ms", "us", "ns", "min", or "frame", which counts frames and needs ``frame_rate``, frames/s.
 
         ``unit``: "rad", "mrad", "deg" or "turn" of angles (rates are per second); "m", "cm", "mm" or "px" of markers;
         "px" needs ``scale``, the length of a pixel, m.
