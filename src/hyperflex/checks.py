@@ -155,7 +155,9 @@ def array(
     if scalar and result.ndim == 0 and -1 not in shape:
         result = np.full(shape, result)
     if result.ndim != len(shape) or any(w >= 0 and w != s for w, s in zip(shape, result.shape, strict=True)):
-        raise InvalidInput(f"{name} has the wrong shape", got=result.shape, allowed=f"shape {sizes}")
+        got = result.shape if result.ndim else float(result)
+        allowed = "a list of numbers" if shape == (-1,) else f"shape {sizes}"
+        raise InvalidInput(f"{name} has the wrong shape", got=got, allowed=allowed)
     bad = ~(np.abs(result) <= LARGEST)  # also what is not a number
     if gaps:
         bad &= ~np.isnan(result)

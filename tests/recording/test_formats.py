@@ -1,5 +1,6 @@
 """Files of motion trackers: recognised by content, and read to the last digit."""
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.recording import Recording, read_recording
-from hyperflex.recording.formats import format_of
 from hyperflex.recording.proposal import propose, python_line
 from tests.faults.bounds import examples, refused_or_done
 from tests.faults.test_readers import CHANGE, changed
@@ -98,7 +98,13 @@ def test_unlikely_places_are_gaps_and_said(tmp_path, name):
     columns = {"columns": ["pivot_x", "pivot_y", "tip_x", "tip_y"], "kind": "markers"}
     by_column = read_recording(path, **columns, scale=1e-3, frame_rate=RATE, min_likelihood=0.6)
     np.testing.assert_array_equal(by_column.data, recording.data)
-    refuses(r"marker 0 have a likelihood below.*at most 0.99", read_recording, path, **arguments, min_likelihood=0.995)
+    refuses(
+        r"marker 0 \(pivot_x\) have a likelihood below.*at most 0.99",
+        read_recording,
+        path,
+        **arguments,
+        min_likelihood=0.995,
+    )
 
 
 def test_other_formats_have_no_least_likelihood_but_can_be_given_one(tmp_path):
@@ -205,6 +211,36 @@ def test_stamps_and_clock_times_become_seconds(tmp_path, cells, epoch):
     assert recording.t[0] == (0.0 if epoch else 3599.75)
 
 
+@pytest.mark.parametrize(("unit", "size"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
+def test_stamps_of_any_unit_are_read_and_of_a_wrong_one_refused(tmp_path, unit, size):
+    rows = "".join(f"{(1_700_000_000 * 4 + k) * size // 4},{0.1 * k}\n" for k in (0, 4, 8))
+    path = table(tmp_path, f"%time,th1\n{rows}")
+    recording = read_recording(path, time_unit=unit, unit="rad")
+    assert (recording.t.tolist(), recording.epoch) == ([0.0, 1.0, 2.0], pytest.approx(1.7e9))
+    for larger in ("s", "ms", "us")[: ("s", "ms", "us", "ns").index(unit)]:
+        refuses(f"years after 1970.*Pass time_unit='{unit}'", read_recording, path, time_unit=larger, unit="rad")
+
+
+def test_stamps_in_two_columns_are_joined(tmp_path):
+    """As ROS writes them; each alone repeats or goes back."""
+    rows = "".join(f"{1_700_000_000 + k // 4},{k % 4 * 250_000_000},0.1\n" for k in range(8))
+    path = table(tmp_path, f"header.stamp.secs,header.stamp.nsecs,th1\n{rows}")
+    for time in ({}, {"time": "header.stamp"}, {"time": "header.stamp.secs"}):
+        recording = read_recording(path, **time, unit="rad")
+        np.testing.assert_allclose(recording.t, 0.25 * np.arange(8), atol=5e-7)  # doubles at 1.7e9
+        assert recording.epoch == 1.7e9
+    assert propose(path).arguments == {"unit": "rad"}
+
+
+def test_a_time_column_of_another_name_is_assumed_by_the_proposal_alone(tmp_path):
+    path = table(tmp_path, "index;Zeit [s];Winkel [°]\n0;0,5;10,5\n1;0,75;9,5\n2;1,0;11,5\n")
+    refuses("no time column 't': got .*'Zeit'", read_recording, path, columns=["Winkel"])
+    proposal = propose(path)
+    assert (proposal.arguments, proposal.assumed) == ({"time": "Zeit", "columns": ["Winkel"]}, ("time",))
+    assert proposal.recording.t.tolist() == [0.5, 0.75, 1.0]
+    refuses("no time column", propose, table(tmp_path, "a,b\n1,2\n1,2\n"))
+
+
 def test_whole_turns_of_a_joint_are_taken_away_where_it_is_declared_to_be_wrapped(tmp_path):
     path, arguments = made(tmp_path, "plotjuggler")
     assert read_recording(path, **arguments | {"wrapped": False}).data[0, 0] == pytest.approx(ANGLE[0] + 2 * np.pi)
@@ -239,12 +275,13 @@ def test_a_marker_whose_columns_are_x_and_y_needs_no_name(tmp_path):
 
 
 def test_what_holds_no_motion_is_said(tmp_path):
-    phone = table(tmp_path, '"Time (s)","Acceleration x (m/s^2)","Acceleration y (m/s^2)"\n0,1,2\n0.1,1,2\n')
-    assert format_of(phone).name == "phyphox CSV"
-    refuses("Accelerations and rates are no angles", read_recording, phone)
-    refuses(
-        r"is in m/s\^2, which is no unit of angles", read_recording, phone, columns=["Acceleration x"], kind="angles"
-    )
+    for what, unit in (("Acceleration", "m/s^2"), ("Gyroscope", "rad/s")):
+        phone = table(tmp_path, f'"Time (s)","{what} x ({unit})","{what} y ({unit})"\n0,1,2\n0.1,1,2\n')
+        refuses("Accelerations and rates are no angles", read_recording, phone)
+        with pytest.raises(InvalidInput, match=f"is in {re.escape(unit)}, which is no unit of angles"):
+            read_recording(phone, columns=[f"{what} x"], kind="angles")
+        assert propose(phone).content.names == [f"{what} x", f"{what} y"]
+        assert "Accelerations and rates" in propose(phone).problem
     unnamed = table(tmp_path, "t [s],ax,ay,az\n0,1,2,3\n1,1,2,3\n")  # accelerations, maybe: nothing is taken unasked
     refuses(r"which markers to take.*markers=\['a'\]", read_recording, unnamed)
     devices = table(tmp_path, "Devices\n1000\n,,Force\nFrame,Sub Frame,Fx\n,,N\n1,0,0.5\n1,1,0.6\n")
@@ -324,6 +361,84 @@ def test_the_proposed_line_reads_the_file(tmp_path, name):
         read = eval(python_line(path, proposal), {"hf": hf})
     np.testing.assert_array_equal(read.data, proposal.recording.data)
     assert set(proposal.assumed) >= set(MISSING[name]) - {"time_unit"}
+
+
+def test_a_range_beyond_a_turn_leaves_the_unit_undecided(tmp_path):
+    """A swing-up in rad looks as a small swing in degrees does; the columns that are not read are listed."""
+    t = np.arange(300) / 100.0
+    path = tmp_path / "swing_up.csv"
+    for size, unit, doubt in (
+        (0.5, "rad", ""),
+        (8.0, "rad", "may be deg: .* 16, which is 2.5 turns"),
+        (90.0, "deg", ""),
+    ):
+        rows = np.column_stack([t, size * np.cos(5.0 * t), 0.0 * t, 0.1 * t])
+        np.savetxt(path, rows, delimiter=",", header="time,position,velocity,torque", comments="")
+        proposal = propose(path)
+        assert (proposal.arguments["unit"], proposal.unused) == (unit, ("velocity", "torque"))
+        assert bool(proposal.problem) == bool(doubt)
+        assert re.search(doubt, proposal.problem)
+
+
+def test_the_proposal_takes_the_markers_of_one_body(tmp_path):
+    """The swing is in xy; the body stands 0.5 m before it."""
+    angle = 0.3 * np.cos(6.0 * np.arange(50) / 50.0)
+    rope = [np.column_stack([r * np.sin(angle), -r * np.cos(angle), 0.5 + 0.0 * angle]) for r in (0.0, 0.2, 0.4)]
+    places = np.hstack([np.arange(50)[:, None] / 50.0, np.tile([0.01, 0.02, 0.0], (50, 1)), *rope])
+    names = ["box:1", "rope:pivot", "rope:mid", "rope:tip"]
+    header = ",".join(["t", *(f"{name}_{axis}" for name in names for axis in "xyz")])
+    np.savetxt(tmp_path / "bodies.csv", places, delimiter=",", header=header, comments="")
+    proposal = propose(tmp_path / "bodies.csv")
+    assert proposal.arguments["markers"] == names[1:]
+    assert (proposal.arguments["plane"], proposal.unused) == ("xy", ("box:1",))
+
+
+def test_the_proposal_takes_the_markers_of_one_animal(tmp_path):
+    path, _ = made(tmp_path, "deeplabcut")
+    individuals = b"individuals,rope,rope,rope,box,box,box\nbodyparts,tip,tip,tip,tip,tip,tip"
+    parts = path.read_bytes().replace(b"bodyparts,pivot,pivot,pivot,tip,tip,tip", individuals)
+    path.write_bytes(parts)
+    assert propose(path).arguments["markers"] == ["rope_tip", "box_tip"]  # one of each is no chain of one
+    path.write_bytes(parts.replace(b"tip,tip,tip,tip,tip,tip", b"a,a,a,b,b,b").replace(b"box", b"rope"))
+    assert propose(path).arguments["markers"] == ["rope_a", "rope_b"]
+
+
+# ---- variants
+
+
+def test_motive_with_semicolons_and_decimal_commas(tmp_path):
+    path, arguments = made(tmp_path, "motive")
+    expected = read_recording(path, **arguments)
+    path.write_bytes(path.read_bytes().replace(b",", b";").replace(b".", b","))
+    np.testing.assert_array_equal(read_recording(path, **arguments).data, expected.data)
+
+
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_qualisys_without_frames_or_times(tmp_path, first):
+    path, arguments = made(tmp_path, "qualisys")
+    expected = read_recording(path, **arguments)
+    lines = path.read_text().split("\n")
+    top = next(k for k, line in enumerate(lines) if line.startswith("Frame\tTime"))
+    cut = ["\t".join(line.split("\t")[2 - first :]) for line in lines[top:] if line]
+    path.write_text("\n".join(lines[:top] + cut).replace("\t0.000\t0.000\t0.000", "\tNULL\tNULL\tNULL"))
+    np.testing.assert_array_equal(read_recording(path, **arguments).data, expected.data)
+
+
+def test_arrays_of_structs_and_of_places(tmp_path):
+    """Fields of structs are named as paths; places may be (T, n, 2), and the proposal shows columns."""
+    from scipy.io import savemat
+
+    t = np.arange(40) / 20.0
+    places = np.random.default_rng(0).normal(size=(40, 3, 2))
+    angle = np.column_stack([0.1 * np.cos(t), 0.2 * np.cos(t)])
+    savemat(tmp_path / "m5.mat", {"ang": angle, "run": {"t": t, "xy": places, "pair": places[:, :2]}, "s": "text"})
+    read = read_recording(tmp_path / "m5.mat", columns=["run/xy"], kind="markers", time_unit="s", unit="m", y_axis="up")
+    np.testing.assert_array_equal(read.data, places.reshape(40, 6))
+    proposal = propose(tmp_path / "m5.mat")
+    assert (proposal.arguments["columns"], proposal.content.widths["ang"], proposal.unused) == (["ang"], 2, ("run/xy",))
+    refuses("no such columns.*Perhaps run/xy is meant", read_recording, tmp_path / "m5.mat", columns=["run.xy"])
+    savemat(tmp_path / "two.mat", {"stamps": t, "ang": angle})
+    assert propose(tmp_path / "two.mat").arguments["time"] == "stamps"
 
 
 # ---- damage

@@ -1,9 +1,9 @@
 """``hyperflex look``: what a file of a recording holds, drawn, and the line that reads it."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,6 +11,9 @@ from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.cli.output import Rows
 from hyperflex.errors import listed
+
+if TYPE_CHECKING:
+    from hyperflex.recording.content import Content
 
 
 def look(
@@ -32,12 +35,15 @@ def look(
     content, recording = found.content, found.recording
     python, command = python_line(file, found), _command(file, found.arguments)
     chosen = found.arguments.get("markers") or found.arguments.get("columns")
-    names = list(content.points or content.angles or chosen or content.names)
+    names = list(chosen or content.points or content.angles or content.names)
+    holds = "markers" if content.points else "angles" if content.angles or chosen else "columns"
+    count = sum(content.widths.get(name, 1) for name in names)
     result: dict[str, Any] = {
         "file": file,
         "format": found.format,
-        "holds": "markers" if content.points else "angles",
+        "holds": holds,
         "names": names,
+        "unused": list(found.unused),
         "samples": content.t.size,
         "declared": {**content.usual, **content.declared},
         "assumed": list(found.assumed),
@@ -46,7 +52,10 @@ def look(
         "command": command if recording is not None else None,
         "problem": found.problem or None,
     }
-    rows = [("format", found.format), (result["holds"], f"{len(names)}: {listed(names)}")]
+    rows = [("format", found.format), (holds, f"{count}: {_named(content, names)}")]
+    if found.unused:
+        hint = "" if content.points else " (a motor's torque: --torque NAME)"
+        rows.append(("not used", _named(content, found.unused) + hint))
     if recording is not None:
         step = recording.duration / (recording.t.size - 1)
         gaps = recording.gaps / recording.data.size
@@ -80,6 +89,12 @@ def _command(file: Path, arguments: Mapping[str, Any]) -> str:
         option = f"--{key.replace('_', '-')}"
         words += [option] if value is True else [option, ",".join(value) if isinstance(value, list) else str(value)]
     return shlex.join([*words, "-o", "identified"])
+
+
+def _named(content: "Content", names: Sequence[str]) -> str:
+    """Return names of channels, with the number of their columns where they have several."""
+    widths = content.widths
+    return listed([f"{name} ({widths[name]} columns)" if name in widths else name for name in names])
 
 
 def _text(values: Mapping[str, Any]) -> str:

@@ -49,12 +49,12 @@ class Kind(StrEnum):
     )
     LOST = (
         "lost samples written as a place",
-        """{what} {numbers:list}: exactly {place} in up to {part:%} of the frames. | Programs write so what they have
+        """{where}: exactly {place} in up to {part:%} of the frames. | Programs write so what they have
         lost. Write it as a gap (nan, or an empty cell).""",
     )
     WRAPPED = (
         "wrapped angles",
-        """The angle of link {link} jumps by whole turns, {count} times, first at t = {time:.4g} s. | Angles must not be
+        """The angle of {where} jumps by whole turns, {count} times, first at t = {time:.4g} s. | Angles must not be
         wrapped. Read the file with wrapped=True, or unwrap them (numpy.unwrap).""",
     )
     REPEATED_FRAMES = (

@@ -271,7 +271,7 @@ def _shape(recording: Recording, rope: Rope, arc_lengths: Array, side: float = 0
     first = np.array([column[np.flatnonzero(~np.isnan(column))[0]] for column in angles.T])
     if not side:
         angles += np.unwrap(first) - first  # whole turns: neighbours begin within half a turn of each other
-    return replace(recording, data=angles, kind="angles", noise=None, rates=None, convention="")
+    return replace(recording, data=angles, kind="angles", noise=None, rates=None, convention="", columns=())
 
 
 def _bends(rope: Rope, begin: float, end: float) -> tuple[Array, Array]:

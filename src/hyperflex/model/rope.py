@@ -456,7 +456,8 @@ def _number_of_links(values: Mapping[str, ArrayLike | None]) -> int:
         raise InvalidInput(
             "a rope of numbers alone does not say how many links it has",
             allowed="an array with one entry a link for at least one property",
-            fix="Rope.uniform(length, mass, n_links, friction=...) cuts a rope into equal links (in a file: n_links)",
+            fix="Write length=[0.6] for one link of 0.6 m; "
+            "Rope.uniform(length, mass, n_links, friction=...) cuts a rope into equal links (in a file: n_links)",
         )
     if len(set(sizes.values())) != 1 or 0 in sizes.values():
         raise InvalidInput(

@@ -4,7 +4,7 @@ from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations
 from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
 from hyperflex.recording.proposal import propose, python_line
 from hyperflex.recording.read import read_channels, read_recording
-from hyperflex.recording.recording import Recording, unwrap
+from hyperflex.recording.recording import UNIT, Recording, unwrap
 
 __all__ = [
     "FASTEST",
@@ -12,6 +12,7 @@ __all__ = [
     "MCAP_FORMAT",
     "MCAP_METADATA",
     "POSES_IN_FRAME",
+    "UNIT",
     "DeclarationFields",
     "Declarations",
     "Recording",

@@ -25,32 +25,39 @@ _EXAMPLE = "columns=['NAME', ..] and kind='angles' or 'markers'"
 
 
 def content_of_arrays(path: PathLike, arrays: Mapping[str, Any], selection: Selection) -> Content:
-    """Return named arrays as channels, each with one of its axes as long as the times."""
+    """Return named arrays as channels: with an axis as long as the times, or (T, n, 2) of x and y of n markers."""
     if missing := [key for key in _KEYS if key not in arrays]:
         if len(missing) < len(_KEYS):
             what, fix = f"{path} is no MultiArm pendulum recording: it lacks {', '.join(missing)}", _EXPORT
             raise InvalidInput(what, got=list(arrays), allowed=", ".join(_KEYS), fix=fix)
     else:
         return _multiarm(path, arrays)
-    numbers = {name: each for name, each in arrays.items() if each.dtype != object and each.size > 1 and each.ndim <= 2}
-    times = [name for name in numbers if _TIME.fullmatch(name) and numbers[name].size == max(numbers[name].shape)]
-    time = (
-        selection.time if selection.time in numbers else times[0] if len(times) == 1 and selection.time == "t" else ""
-    )
-    if not time or numbers[time].size != max(numbers[time].shape):
+    numbers = {name: each for name, each in arrays.items() if each.dtype != object and each.size > 1}
+    vectors = {name: np.ravel(each) for name, each in numbers.items() if each.size == max(each.shape)}
+    named = [name for name in vectors if _TIME.fullmatch(name)] if selection.time == "t" else []
+    times = [selection.time] if selection.time in vectors else [name for name in named if "/" not in name] or named
+    assume = selection.assume and len(times) != 1
+    if assume:
+        times = (times or [name for name, each in vectors.items() if (np.diff(each) > 0.0).all()])[:1]
+    if len(times) != 1:
         raise InvalidInput(
             f"{path} does not say which of its arrays are times and data",
             got=[f"{name} {each.shape}" for name, each in numbers.items()][:40],
             allowed=f"time='NAME' of times, {_EXAMPLE}; or the {', '.join(_KEYS)} of the MultiArm pendulum",
             fix="Name them by their path",
         )
-    t = np.ravel(numbers[time])
+    t = vectors[times[0]]
     channels = {}
     for name, each in numbers.items():
-        if name != time and t.size in each.shape:
+        if name != times[0] and (t.size in each.shape if each.ndim <= 2 else _places(each.shape, t.size)):
             channels[name] = each if each.shape[0] == t.size else each.T
-    advice = f"Name them: {_EXAMPLE}"
-    return content_of_channels(t, channels, str(path), advice=advice)
+    assumed = {"time": times[0]} if assume else {}
+    return content_of_channels(t, channels, str(path), advice=f"Name them: {_EXAMPLE}", assumed=assumed)
+
+
+def _places(shape: tuple[int, ...], samples: int) -> bool:
+    """Whether an array is of x and y of markers, (T, n, 2); not of two, whose axes may be the other way round."""
+    return len(shape) == 3 and shape[0] == samples and shape[2] == 2 != shape[1]
 
 
 def _multiarm(path: PathLike, arrays: Mapping[str, Any]) -> Content:

@@ -25,7 +25,7 @@ def read_motive(path: PathLike, selection: Selection) -> Content:
     meta = cells_of(lines[0])
     about = dict(zip(meta[::2], meta[1::2], strict=False))
     top = _row_of(path, lines, "Frame")
-    header = [filled(cells_of(line)) for line in lines[1:top] if line.strip(", ")]
+    header = [filled(cells_of(line)) for line in lines[1:top] if line.strip(",;\t ")]
     axes = cells_of(lines[top])
     if len(header) < 3:
         raise InvalidInput(f"{path} lacks the rows Type, Name and ID", fix="Export it again, with its header")
@@ -116,12 +116,9 @@ def read_qualisys(path: PathLike, selection: Selection) -> Content:
             allowed="DATA_INCLUDED 3D, with MARKER_NAMES",
             fix="Export 3D data from QTM, with the TSV header",
         )
-    first = 0
-    if top < len(lines) and lines[top].startswith(("Frame", "Time")):
-        first = 2 if lines[top].startswith("Frame") else 1
-        top += 1
-    elif top < len(lines):
-        first = len(lines[top].rstrip().split("\t")) - 3 * len(names)  # without a row of names: 0, 1 or 2 more
+    row = lines[top].rstrip().split("\t") if top < len(lines) else [""]
+    first = len(row) - len(_AXES) * len(names)  # columns before the markers, of frames and times: 0, 1 or 2
+    top += row[-1].endswith("Z")  # the names of columns, such as "tip Z", may stand above the rows
     labels = [("", "frame"), ("", "time")][2 - first :] if 0 <= first <= 2 else []
     labels += [(name, axis) for name in names for axis in _AXES]
     declared: dict[str, Any] = {"time_unit": "s"}

@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, listed
-from hyperflex.recording.declare import METRES, RADIANS, Raw, unit_name
+from hyperflex.recording.declare import RADIANS, UNITS, Raw, unit_name
 from hyperflex.recording.recording import KINDS, Kind
 
 _AXES = "xyz"
@@ -30,6 +30,7 @@ class Selection(NamedTuple):
     columns: Sequence[str] | None = None
     markers: Sequence[str] | None = None
     topic: str | None = None
+    assume: bool = False  # the likeliest time column where the file does not say which one it is
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Content:
     t : ndarray (T,)
         Times, in ``declared["time_unit"]``; "frame" counts frames.
     names : sequence of str
-        The channels.
+        The channels, without the times.
     take : callable
         Returns channels (T, K) by their names, NaN in gaps.
     points : mapping of str to tuple of str
@@ -54,6 +55,10 @@ class Content:
         Channels of unknown meaning beside angles or ordered markers: these are then not taken by default.
     rates, noise, likelihood, units : mapping of str to str
         By channel: the channels with its rate, standard deviation and likelihood; its unit.
+    widths : mapping of str to int
+        Number of columns of channels that have several.
+    assumed : mapping
+        Arguments of the reader that the caller lets it assume.
     sparse : bool
         Rows in which no chosen channel has a value belong to other channels, and are left out.
     declared, usual : mapping
@@ -79,6 +84,8 @@ class Content:
     noise: Mapping[str, str] = field(default_factory=dict)
     likelihood: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    widths: Mapping[str, int] = field(default_factory=dict)
+    assumed: Mapping[str, Any] = field(default_factory=dict)
     sparse: bool = False
     declared: Mapping[str, Any] = field(default_factory=dict)
     usual: Mapping[str, Any] = field(default_factory=dict)
@@ -118,7 +125,9 @@ def content_of_markers(
 
 def content_of_channels(t: Array, channels: Mapping[str, Array], source: str, **more: Any) -> Content:
     """Return the content of a file of channels, each (T,), or (T, K) for several under one name."""
-    return Content(t, list(channels), lambda names: _stacked(t.size, channels, names), source=source, **more)
+    widths = {name: each.size // t.size for name, each in channels.items() if each.size > t.size}
+    take = partial(_stacked, t.size, channels)
+    return Content(t, list(channels), take, widths=widths, source=source, **more)
 
 
 def _stacked(samples: int, channels: Mapping[str, Array], names: Sequence[str]) -> Array:
@@ -181,7 +190,7 @@ def raw_of(content: Content, selection: Selection) -> Raw:
     declared = dict(content.declared)
     unit = one_unit(content, names)
     if unit is not None:
-        if unit not in (RADIANS if kind == "angles" else (*METRES, "px")):
+        if unit not in UNITS[kind]:
             what = f"{content.source}: {names[0]!r} is in {unit}, which is no unit of {kind}"
             raise InvalidInput(what, got=list(names), allowed="angles or places", fix=content.advice or "Choose others")
         if declared.setdefault("unit", unit) != unit:
@@ -201,6 +210,7 @@ def raw_of(content: Content, selection: Selection) -> Raw:
         rates=rates,
         likelihood=partial(_likelihood, content, names) if content.likelihood.keys() & set(names) else None,
         in_space=space,
+        columns=tuple(names),
         declared=declared,
         usual={"y_axis": "up", **content.usual} if space else content.usual,  # as the plane says
         facts=content.facts,
@@ -256,7 +266,9 @@ def _by_default(content: Content, kind: str | None) -> tuple[Kind, list[str], bo
     if kind is not None and there and checks.choice("kind", kind, KINDS) not in there:
         raise InvalidInput(f"{source} holds {there[0]}", got=kind, fix="Omit kind, or name columns=[..]")
     if not there or (rest and (content.ordered or angles)):
-        named = f"Name them, such as columns={list(content.names[1:3])} and kind='angles' or 'markers'"
+        known = (*UNITS["angles"], *UNITS["markers"])
+        usable = [name for name in content.names if unit_name(content.units.get(name, "m")) in known]
+        named = f"Name them, such as columns={usable[:2]} and kind='angles' or 'markers'"
         raise InvalidInput(
             f"{source} does not say which columns to take" + (", and has others" if there else ""),
             got=rest or list(content.names),

@@ -92,9 +92,9 @@ class Declarations:
 class Raw:
     """Columns as a file holds them, and what the file declares about them.
 
-    ``data`` is (T, C): angles, x and y of each marker or, ``in_space``, x, y and z of each. ``likelihood`` returns
-    (T, C), 1 where nothing is known; it is read where it is used. ``declared`` binds the caller too; ``usual`` is what
-    the format means unless the caller says otherwise.
+    ``data`` is (T, C): angles, x and y of each marker or, ``in_space``, x, y and z of each; ``columns`` are their names
+    in the file. ``likelihood`` returns (T, C), 1 where nothing is known; it is read where it is used. ``declared``
+    binds the caller too; ``usual`` is what the format means unless the caller says otherwise.
     """
 
     t: Array
@@ -104,6 +104,7 @@ class Raw:
     rates: Array | None = None
     likelihood: Callable[[], Array] | None = None
     in_space: bool = False
+    columns: tuple[str, ...] = ()
     declared: Mapping[str, Any] = field(default_factory=dict)
     usual: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, float] = field(default_factory=dict)
@@ -126,6 +127,7 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
     std = None if std is None else per_sample(std, raw.data)
     time = SECONDS[declared["time_unit"]] if "frame_rate" not in declared else 1.0 / declared["frame_rate"]
     unit, data, rates = declared["unit"], raw.data, raw.rates
+    each = 1 if raw.kind == "angles" else 2 if swing is None else 3  # columns of a link or a marker
     size = declared["scale"] if unit == "px" else {**RADIANS, **METRES}[unit]
     if raw.kind == "angles":
         factor = size if declared["sense"] == "+x" else -size
@@ -162,6 +164,7 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
             convention=raw.convention or f"{CONVENTION[raw.kind]}; read {'; '.join([*words, *raw.remarks])}",
             name=raw.name,
             source=raw.source,
+            columns=tuple(", ".join(raw.columns[k : k + each]) for k in range(0, len(raw.columns), each)),
             **facts,
         )
     if recording.kind == "angles":
@@ -195,7 +198,8 @@ def _likely(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, list[str]]:
     if (lost := np.isnan(data).all(axis=0)).any():
         column = int(np.argmax(lost))
         raise InvalidInput(
-            f"all positions of marker {column // (3 if raw.in_space else 2)} have a likelihood below min_likelihood",
+            f"all positions of marker {column // (3 if raw.in_space else 2)} ({raw.columns[column]}) have a likelihood "
+            "below min_likelihood",
             got=least,
             allowed=f"at most {np.nanmax(likelihood[:, column]):.3g}, its largest",
             fix="Train the network further, choose other markers, or pass a smaller min_likelihood",
@@ -336,8 +340,8 @@ def _check_speed(recording: Recording, fastest: float) -> None:
         if too_fast.any():
             worst = int(np.argmax(np.abs(turn) / step))
             raise InvalidInput(
-                f"{recording.source}: link {k} turns by {turn[worst]:.4g} rad within {step[worst]:.4g} s at t = "
-                f"{recording.t[known][worst]:.6g} s",
+                f"{recording.source}: {recording.label(k)} turns by {turn[worst]:.4g} rad within {step[worst]:.4g} s "
+                f"at t = {recording.t[known][worst]:.6g} s",
                 allowed=f"at most max_rate = {fastest:g} rad/s",
                 fix="Are the angles in degrees (unit='deg'), wrapped at a whole turn (wrapped=True), or the times in "
                 "another unit (time_unit='ms')? If the link is truly that fast, pass a larger max_rate",
@@ -361,8 +365,8 @@ def _check_rates(recording: Recording, rates: Array) -> None:
         slope = float(seen @ told / (told @ told))
         if not 0.5 < slope < 2.0:
             raise InvalidInput(
-                f"{recording.source}: the rates of link {k} are not the slope of its angles, which change {slope:.4g} "
-                "times as fast",
+                f"{recording.source}: the rates of {recording.label(k)} are not the slope of its angles, which change "
+                f"{slope:.4g} times as fast",
                 allowed="a factor near 1",
                 fix="About 57 or 0.017 tells of degrees in one and radians in the other, a power of 1000 of times in "
                 "another unit, a negative one of another sense. Declare the right unit, or leave the rates out",

@@ -58,8 +58,6 @@ class Format:
         What its numbers mean unless the caller says otherwise.
     options : tuple of str
         Which of `time` and `topic` a caller may give.
-    advice : str
-        What to do with a file that holds no angles and no markers.
     """
 
     name: str
@@ -67,12 +65,12 @@ class Format:
     read: Callable[[PathLike, Selection], Content]
     usual: Mapping[str, Any] = field(default_factory=dict)
     options: tuple[str, ...] = ()
-    advice: str = ""
 
 
 def _begins(pattern: str) -> Callable[[Head], object]:
-    """Return whether the text of a file begins with a pattern."""
-    return lambda head: head.text and re.match(pattern, head.text)
+    """Return whether the text of a file begins with a pattern, in which a comma stands for what separates cells."""
+    compiled = re.compile(pattern.replace(",", "[,;\t]"))
+    return lambda head: compiled.match(head.text)
 
 
 def _bytes(pattern: bytes) -> Callable[[Head], object]:
@@ -89,9 +87,6 @@ def _header(*words: str) -> Callable[[Head], object]:
 
 
 _PIXELS = {"unit": "px", "y_axis": "down"}
-_NO_ANGLES = (
-    "Accelerations and rates are no angles: film the rope, or fasten an encoder or an inclinometer to each link"
-)
 _TIME, _MESSAGES = ("time",), ("time", "topic")
 _BAG = Format("ROS 2 bag", _bytes(rb"SQLite format 3\0"), messages.read_bag, options=_MESSAGES)
 FORMATS = (
@@ -109,11 +104,9 @@ FORMATS = (
     Format("Kinovea trajectories", _begins("#Kinovea"), videos.read_kinovea),
     Format("OptiTrack Motive CSV", _begins("Format Version,"), capture.read_motive),
     Format("OptiTrack Motive CSV 1.1", _begins("(comment|info),"), capture.read_motive_frames),
-    Format(
-        "Vicon Nexus CSV", _begins(r"[A-Z][\w ]*[,;\t]*\n[\d.]+[,;\t]*\n.*\n\"?Frame.Sub Frame"), capture.read_vicon
-    ),
-    Format("Qualisys TSV", _begins(r"(FILE_VERSION|NO_OF_FRAMES)\t"), capture.read_qualisys),
-    Format("OpenSim TRC", _begins("PathFileType[\t,]"), capture.read_trc),
+    Format("Vicon Nexus CSV", _begins(r"[A-Z][\w ]*,*\n[\d.]+,*\n.*\n\"?Frame.Sub Frame"), capture.read_vicon),
+    Format("Qualisys TSV", _begins("(FILE_VERSION|NO_OF_FRAMES),"), capture.read_qualisys),
+    Format("OpenSim TRC", _begins("PathFileType,"), capture.read_trc),
     Format(
         "PlotJuggler CSV",
         _begins('"?__time"?,'),
@@ -124,8 +117,7 @@ FORMATS = (
     Format("DeepLabCut CSV", _begins("scorer,"), tables.read, options=_TIME, usual={**_PIXELS, "min_likelihood": 0.6}),
     Format("Anipose CSV", _header("_ncams", "fnum"), tables.read, options=_TIME),
     Format("idtracker.ai CSV", _begins("seconds,x1,y1"), tables.read, options=_TIME, usual=_PIXELS),
-    Format("AnimalTA CSV", _begins("Frame;Time;"), tables.read, options=_TIME, usual={"time_unit": "s"}),
-    Format("phyphox CSV", _header("Time (s)", "m/s"), tables.read, options=_TIME, advice=_NO_ANGLES),
+    Format("AnimalTA CSV", _begins("Frame,Time,X_Arena"), tables.read, options=_TIME, usual={"time_unit": "s"}),
     Format("table", lambda head: bool(head.text.strip()), tables.read, options=_TIME),
 )
 OTHERS = {  # files that are often given instead, by how they begin: what they are, and what to do
@@ -161,5 +153,4 @@ def content_of(path: PathLike, kind: Format, selection: Selection) -> Content:
             what = f"{option} is not for files such as {path}: {kind.name}"
             raise InvalidInput(what, got=given, allowed=f"{option} of {others}", fix="Omit it")
     content = kind.read(path, selection)
-    usual = {**kind.usual, **content.usual}
-    return replace(content, usual=usual, advice=content.advice or kind.advice, source=str(path))
+    return replace(content, usual={**kind.usual, **content.usual}, source=str(path))

@@ -131,7 +131,7 @@ def read_datasets(path: PathLike, selection: Selection) -> Content:
                 return
             if item.dtype.kind == "O" and item.size <= most // 8:  # a cell of MATLAB holds references
                 arrays[name] = _cell(path, file, item)
-            elif item.dtype.kind in "iuf" and item.ndim <= 2:
+            elif item.dtype.kind in "iuf" and item.ndim <= 3:
                 arrays[name] = item
 
         file.visititems(add)

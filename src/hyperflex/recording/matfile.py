@@ -1,12 +1,12 @@
-"""MATLAB 5 files: arrays of numbers, and cells of them, by name.
+"""MATLAB 5 files: arrays of numbers, cells and structs of them, by name.
 
-The reader is our own, of numbers and cells alone: that of scipy.io ends Python (segmentation fault) on some damaged
+The reader is our own, of these alone: that of scipy.io ends Python (segmentation fault) on some damaged
 files, whose numbers are of an unknown kind.
 """
 
 import math
 import zlib
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from hyperflex.recording.content import Content, Selection
 # Elements of a MATLAB 5 file ("MAT-File Format", MathWorks): kinds of numbers by their code, matrices, packed ones
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _PACKED = 14, 15
-_CELL, _ARRAYS, _COMPLEX = 1, range(6, 16), 0x0800  # classes of matrices, and a flag beside them
+_CELL, _STRUCT, _ARRAYS, _COMPLEX = 1, 2, range(6, 16), 0x0800  # classes of matrices, and a flag beside them
 
 _Order = Literal["<", ">"]
 
@@ -30,7 +30,10 @@ def read(path: PathLike, selection: Selection) -> Content:
 
 
 def _load(path: PathLike) -> dict[str, Array]:
-    """Return the variables of a MATLAB 5 file: arrays of numbers and cells of them; None stands for what is neither."""
+    """Return the variables of a MATLAB 5 file: arrays of numbers, cells of them; None stands for what is neither.
+
+    The fields of a struct are variables such as run/t.
+    """
     raw = read_bytes(path, "MATLAB file")
     if not raw.startswith(b"MATLAB 5.0 MAT-file"):
         raise InvalidInput(f"{path} is no MATLAB 5 file", got=raw[:20], fix="Check that the right file was given")
@@ -41,7 +44,7 @@ def _load(path: PathLike) -> dict[str, Array]:
 def _variables(raw: bytes) -> dict[str, Array]:
     """Return the variables by their names; ValueError or zlib.error where the file is damaged."""
     order: _Order = "<" if raw[126:128] == b"IM" else ">"
-    found, at = {}, 128
+    found, at = dict[str, Array](), 128
     while at < len(raw):
         kind, body, at = _element(raw, at, order)
         if kind == _PACKED:
@@ -50,8 +53,10 @@ def _variables(raw: bytes) -> dict[str, Array]:
             if not stream.eof:
                 raise ValueError("a packed element does not end")
         if kind == _MATRIX:
-            name, value = _matrix(body, order, cells=True)
-            found[name] = value
+            name, value = _matrix(body, order, nested=True)
+            found |= (
+                {f"{name}/{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}
+            )
     return found
 
 
@@ -67,8 +72,8 @@ def _element(data: bytes, at: int, order: _Order) -> tuple[int, bytes, int]:
     return kind, body, after
 
 
-def _matrix(data: bytes, order: _Order, *, cells: bool) -> tuple[str, Array]:
-    """Return name and value of a matrix: numbers or, with `cells`, a cell of them; an array of None for all else."""
+def _matrix(data: bytes, order: _Order, *, nested: bool) -> tuple[str, Array | dict[str, Array]]:
+    """Return name and value of a matrix: numbers; with `nested` a cell or a struct of them; else an array of None."""
     if not data:
         return "", np.empty((0, 0))
     _, head, at = _element(data, 0, order)
@@ -76,7 +81,7 @@ def _matrix(data: bytes, order: _Order, *, cells: bool) -> tuple[str, Array]:
     _, sizes, at = _element(data, at, order)
     _, word, at = _element(data, at, order)
     name, kind = word.decode("ascii", "replace"), flags & 0xFF
-    if not (kind in _ARRAYS and not flags & _COMPLEX) and not (kind == _CELL and cells):
+    if not (kind in _ARRAYS and not flags & _COMPLEX) and not (kind in (_CELL, _STRUCT) and nested):
         return name, np.array(None)
     shape = np.frombuffer(sizes, f"{order}i4").tolist()
     if min(shape, default=-1) < 0 or math.prod(shape) > len(data):
@@ -86,10 +91,25 @@ def _matrix(data: bytes, order: _Order, *, cells: bool) -> tuple[str, Array]:
         if code not in _NUMBERS:
             raise ValueError("numbers of no known kind")
         return name, np.frombuffer(body, order + _NUMBERS[code]).astype(np.float64).reshape(shape, order="F")
+    if kind == _STRUCT:
+        _, width, at = _element(data, at, order)
+        _, text, at = _element(data, at, order)
+        size = int(np.frombuffer(width, f"{order}i4")[0])
+        fields = [text[k : k + size].partition(b"\0")[0].decode("ascii", "replace") for k in range(0, len(text), size)]
+        held = _held(data, at, order, len(fields)) if math.prod(shape) == 1 else []
+        return name, dict(zip(fields, held, strict=False))
     value = np.empty(math.prod(shape), dtype=object)
-    for k in range(value.size):
+    for k, each in enumerate(_held(data, at, order, value.size)):
+        value[k] = each
+    return name, value.reshape(shape, order="F")
+
+
+def _held(data: bytes, at: int, order: _Order, count: int) -> list[Array]:
+    """Return the matrices that a cell or a struct holds from a byte on."""
+    found = []
+    for _ in range(count):
         code, body, at = _element(data, at, order)
         if code != _MATRIX:
-            raise ValueError("a cell holds no matrix")
-        value[k] = _matrix(body, order, cells=False)[1]
-    return name, value.reshape(shape, order="F")
+            raise ValueError("a cell or a struct holds no matrix")
+        found.append(cast(Array, _matrix(body, order, nested=False)[1]))
+    return found

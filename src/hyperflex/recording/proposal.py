@@ -26,7 +26,7 @@ from hyperflex.recording.formats import content_of, format_of
 from hyperflex.recording.recording import Recording
 
 _ASSUMED = {"frame_rate": 30.0, "scale": 0.001}  # frames/s; m per pixel: of nothing in the file, to be replaced
-_LIKELY = re.compile(r"(?i)angle|position|theta|phi\b")  # in the name of a column of angles
+_LIKELY = re.compile(r"(?i)\bang\b|angle|position|theta|phi\b")  # in the name of a column of angles
 _FAST = 0.75  # of a turn, from sample to sample: a jump by a whole turn
 
 
@@ -44,16 +44,19 @@ class Proposal:
         Arguments of :func:`hyperflex.read_recording`.
     assumed : tuple of str
         Those of them that nothing in the file declares: the user must check these.
+    unused : tuple of str
+        Markers or channels that are not read.
     recording : Recording, optional
         What these arguments give; None if they give an error.
     problem : str
-        That error.
+        That error, or what is undecided.
     """
 
     format: str
     content: Content
     arguments: Mapping[str, Any]
     assumed: tuple[str, ...]
+    unused: tuple[str, ...]
     recording: Recording | None
     problem: str = ""
 
@@ -69,12 +72,13 @@ def propose(path: PathLike) -> Proposal:
         It is of no known format, or holds no times, angles or markers; the message says what to do.
     """
     kind = format_of(path)
-    content = content_of(path, kind, Selection())
+    content = content_of(path, kind, Selection(assume=True))
     chosen, assumed = _choice(content)
+    chosen, assumed = {**content.assumed, **chosen}, (*content.assumed, *assumed)
     try:
         raw = raw_of(content, Selection(**chosen))
     except InvalidInput as error:
-        return Proposal(kind.name, content, chosen, assumed, None, str(error))
+        return Proposal(kind.name, content, chosen, assumed, (), None, str(error))
     declared = {**raw.usual, **raw.declared}
     arguments: dict[str, Any] = {}
     recording, problem = None, ""
@@ -90,7 +94,11 @@ def propose(path: PathLike) -> Proposal:
             recording = to_recording(named, Declarations(**arguments), None, FASTEST)
         except InvalidInput as error:
             problem = str(error)
-    return Proposal(kind.name, content, chosen | arguments, assumed, recording, problem)
+        if recording is not None and arguments.get("unit") == "rad" and (size := _range(raw)) > math.tau:
+            problem = (
+                f"the unit may be deg: the angles range over {size:.3g}, which is {size / math.tau:.2g} turns in rad"
+            )
+    return Proposal(kind.name, content, chosen | arguments, assumed, _unused(content, raw), recording, problem)
 
 
 def _choice(content: Content) -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -98,7 +106,7 @@ def _choice(content: Content) -> tuple[dict[str, Any], tuple[str, ...]]:
     if content.angles:
         return ({"columns": list(content.angles), "kind": "angles"} if content.strangers else {}), ()
     if content.points and not content.ordered:
-        return {"markers": list(content.points)}, ("markers",)
+        return {"markers": _group(list(content.points))}, ("markers",)
     angular = [name for name in content.names if unit_name(content.units.get(name, "")) in RADIANS]
     if not content.points and angular:
         return {"columns": angular}, ("columns",) if len(angular) > 1 else ()
@@ -106,6 +114,32 @@ def _choice(content: Content) -> tuple[dict[str, Any], tuple[str, ...]]:
     if likely and not content.points:
         return {"columns": likely, "kind": "angles"}, ("columns", "kind")
     return {}, ()
+
+
+def _group(names: list[str]) -> list[str]:
+    """Return the markers of the body, subject or animal with most of them, as names such as rope:tip or cat_tail tell.
+
+    All of them where names tell no such groups.
+    """
+    mark = ":" if any(":" in name for name in names) else "_" if all("_" in name for name in names) else None
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(name.partition(mark)[0] if mark else "", []).append(name)
+    largest = max(groups.values(), key=len)
+    return largest if len(largest) > 1 else names
+
+
+def _unused(content: Content, raw: Raw) -> tuple[str, ...]:
+    """Return markers that are not read; of angles all channels that are not, but for rates, noise and likelihood."""
+    if raw.kind == "markers":
+        return tuple(name for name, parts in content.points.items() if not {*parts} & {*raw.columns})
+    beside = {name for each in (content.rates, content.noise, content.likelihood) for name in each.values()}
+    return tuple(name for name in content.names if name not in beside and name not in raw.columns)
+
+
+def _range(raw: Raw) -> float:
+    """Return by how much the angle moves that moves most, in their unit."""
+    return float(np.nanmax(np.nanmax(raw.data, axis=0) - np.nanmin(raw.data, axis=0), initial=0.0))
 
 
 def _assumption(key: str, raw: Raw, declared: Mapping[str, Any]) -> Any:
@@ -117,13 +151,14 @@ def _assumption(key: str, raw: Raw, declared: Mapping[str, Any]) -> Any:
         return next((unit for unit, size in SECONDS.items() if 1e-4 < step * size < 0.2), "s")  # 5 Hz to 10 kHz
     if key == "unit":
         if raw.kind == "angles":
-            return "deg" if float(np.nanmax(np.ptp(raw.data, axis=0), initial=0.0)) > math.tau else "rad"
+            fastest = np.nanmax(np.abs(np.diff(raw.data, axis=0)), initial=0.0)
+            return "deg" if _range(raw) > math.tau and fastest > math.pi else "rad"  # half a turn between samples
         size = float(np.nanmax(np.abs(raw.data), initial=0.0))
         return "m" if size < 20.0 else "mm" if raw.in_space else "px"
     if key == "y_axis":
         return "down" if declared.get("unit") == "px" else "up"
     if key == "plane":
-        spread = np.nanstd(raw.data.reshape(-1, 3), axis=0)
+        spread = np.nanmean(np.nanstd(raw.data.reshape(raw.t.size, -1, 3), axis=0), axis=0)
         right, up = (axis for k, axis in enumerate("xyz") if k != int(np.argmin(spread)))
         return f"{right}{up}" if declared.get("up") in (None, up) else f"{up}{right}"
     return "z"

@@ -36,7 +36,7 @@ class Recording:
     ----------
     t : array_like (T,), s
         Strictly increasing sample times, T >= 2; uneven steps are fine.
-    data : array_like (T, C)
+    data : array_like (T, C), or (T,) of the angles of one link
         ``kind="angles"``: C = n absolute link angles in rad, unwrapped (0 hanging, positive towards +x; link 0 nearest
         the motor). ``kind="markers"``: C = 2 (n + 1) positions ``x0, y0, x1, y1, ...`` in m (x right, y up) of markers
         at the joints, the first at the pivot; or of any markers, with `arc_lengths` of `identify`. NaN marks a gap.
@@ -49,6 +49,8 @@ class Recording:
         are mostly computed from the angles.
     convention, name, source : str
         For reports: the declared and converted units and axes, a short name, and the source of the data.
+    columns : tuple of str, optional
+        For messages: the columns of each link or marker in the file.
     epoch : float, s, optional
         Time 0 in seconds since 1970, where the file has such stamps.
     out_of_plane : float, m, optional
@@ -75,13 +77,14 @@ class Recording:
     convention: str = ""
     name: str = ""
     source: str = ""
+    columns: tuple[str, ...] = ()
     epoch: float | None = None
     out_of_plane: float | None = None
 
     def __post_init__(self) -> None:
         kind = cast(Kind, checks.choice("kind", self.kind, KINDS))
         t = checks.times("t", self.t, least=2)
-        data = checks.array("data", self.data, (t.size, -1), unit=UNIT[kind], gaps=True)
+        data = checks.array("data", _as_column(kind, self.data), (t.size, -1), unit=UNIT[kind], gaps=True)
         _check_columns(kind, data)
         for name in ("convention", "name", "source"):
             checks.text(f"recording {name}", getattr(self, name))
@@ -93,14 +96,26 @@ class Recording:
             values["noise"] = per_sample(self.noise, data)
         if self.rates is not None:
             shape = t.size, data.shape[1] if kind == "angles" else 0
-            values["rates"] = checks.array("rates", self.rates, shape, unit="rad/s", gaps=True)
+            values["rates"] = checks.array("rates", _as_column(kind, self.rates), shape, unit="rad/s", gaps=True)
         for name, value in values.items():
             object.__setattr__(self, name, value)
+        empty = np.isnan(data).all(axis=0)
+        if empty.any():
+            raise InvalidInput(
+                f"{self.label(int(np.argmax(empty)) // (1 if kind == 'angles' else 2))} has no value at all, only gaps",
+                allowed="at least one value in each channel",
+                fix="Leave that link out of the model or the recording, or take a longer span",
+            )
 
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
         what = f"{self.kind} of {self.n_links} links" if self.n_links else "one marker"
         return f"<Recording {name}{what}, {self.t.size} samples, {self.t[0]:g} to {self.t[-1]:g} s, {self.gaps} gaps>"
+
+    def label(self, k: int) -> str:
+        """Return the name of a link or marker, counted from 0, with its columns in the file where these are known."""
+        what, count = ("link", self.n_links) if self.kind == "angles" else ("marker", self.n_links + 1)
+        return f"{what} {k} ({self.columns[k]})" if len(self.columns) == count else f"{what} {k}"
 
     @property
     def n_links(self) -> int:
@@ -166,7 +181,7 @@ class Recording:
                 noise = np.sqrt(((squares[:, :-1] + squares[:, 1:]) * across**2).sum(axis=-1)) / distance
             noise = np.where(np.isfinite(noise), noise, np.pi)  # a gap says nothing: any angle
         convention = f"{CONVENTION['angles']}; from the lines between markers ({self.convention})"
-        return replace(self, data=unwrap(angle), kind="angles", noise=noise, convention=convention)
+        return replace(self, data=unwrap(angle), kind="angles", noise=noise, convention=convention, columns=())
 
     def link_lengths(self) -> Array:
         """Return the median distance (n,) between neighbouring markers, m; InvalidInput for angles."""
@@ -244,23 +259,25 @@ def unwrap(angle: Array) -> Array:
 
 
 def _check_columns(kind: Kind, data: Array) -> None:
-    """Refuse a number of columns that does not fit the kind, and channels without any value."""
+    """Refuse a number of columns that does not fit the kind."""
     columns = data.shape[1]
     if columns < 1 or (kind == "markers" and columns % 2):
         allowed = {"angles": "one column a link", "markers": "x and y of each marker: 2, 4, 6, ... columns"}
         raise InvalidInput("data has the wrong number of columns", got=columns, allowed=allowed[kind])
-    empty = np.isnan(data).all(axis=0)
-    if empty.any():
-        raise InvalidInput(
-            f"channel {int(np.argmax(empty))} of {kind} has no value at all, only gaps",
-            allowed="at least one value in each channel",
-            fix="Leave that link out of the model or the recording, or take a longer span",
-        )
+
+
+def _as_column(kind: Kind, values: object) -> object:
+    """Return the angles (T,) of one link as (T, 1); other values as they are."""
+    try:
+        return np.asarray(values)[:, None] if kind == "angles" and np.ndim(values) == 1 else values  # type: ignore[arg-type]
+    except ValueError:  # ragged
+        return values
 
 
 def per_sample(noise: object, data: Array) -> Array:
     """Return the noise of each sample (T, C) from one number, one a channel, or all of them."""
     given = checks.array("noise", noise, None, sign="positive")
+    given = given[:, None] if data.shape[1] == 1 and given.shape == data.shape[:1] else given
     if given.shape not in ((), data.shape[1:], data.shape):
         allowed = f"one number, {data.shape[1]} of them, or {data.shape[0]} x {data.shape[1]}"
         raise InvalidInput("noise has the wrong shape", got=given.shape, allowed=allowed)

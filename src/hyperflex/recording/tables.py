@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, read_table
+from hyperflex.files import PathLike, Table, read_table
 from hyperflex.recording.content import ALONE, Content, Selection, likelihood_of, points_of
-from hyperflex.recording.declare import POSITIVE, UNITS, Declarations, unit_name
+from hyperflex.recording.declare import POSITIVE, SECONDS, UNITS, Declarations, unit_name
 
 _NUMBERED = {  # names of columns, by what they hold
     "angle": re.compile(r"(?:th|theta|q)_?(\d+)\Z"),
@@ -21,9 +21,13 @@ _INDEX = re.compile(r"_?\{(.*?)\}")  # as Tracker writes one: t_{1}
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
 _NOTES = (*Declarations.__dataclass_fields__, "noise")
 _LONG_NOTES = [each for each in _NOTES if each not in ("up", "plane")]  # like no word of a comment ("cup", "place")
+_NO_ANGLES = (
+    "Accelerations and rates are no angles: film the rope, or fasten an encoder or an inclinometer to each link"
+)
 _ARGUMENTS = ("kind", "max_rate")  # only the caller can give these
-_TIME = re.compile(r"(?i)t|t_\d+|time|timestamp|seconds|__time")  # columns that stand for the default, t
+_TIME = re.compile(r"(?i)t|t_\d+|%?time|timestamp|seconds|__time")  # columns that stand for the default, t
 _FRAME = re.compile(r"(?i)frame|fnum")  # columns that count frames: the time column where there is no other
+_NANO = re.compile(r"(?i)(.*)n(?:ano)?(secs?)")  # ROS writes a stamp as two columns: whole seconds, and nanoseconds
 _COUNTERS = re.compile(r"(?i)frames?|fnum|index")  # of rows; not needed if there are times
 
 
@@ -41,8 +45,14 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         raise InvalidInput(what, got=table.names, fix=fix)
     at = dict(zip(names, table.names, strict=True))
     units = {name: unit for name, (_, unit) in zip(names, split, strict=True) if unit is not None}
-    time = _time(path, names, selection.time)
-    if table.has_clock(at[time]) or time.lower() == "seconds":
+    stamps = {
+        match[1].rstrip("._/ ") or match[2]: (match[1] + match[2], name)
+        for name in names
+        if (match := _NANO.fullmatch(name)) and match[1] + match[2] in names
+    }
+    time, assumed = _time(path, table, at, stamps, selection)
+    names = [name for name in names if name not in stamps.get(time, (time,))]
+    if time in stamps or table.has_clock(at[time]) or time.lower() == "seconds":
         units.setdefault(time, "s")
     elif _FRAME.fullmatch(time):
         units.setdefault(time, "frame")  # as its name declares
@@ -53,7 +63,7 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
             raise InvalidInput(what, got=[unit, declared["time_unit"]], fix="Mend one of them")
     found = {what: _numbered(names, pattern) for what, pattern in _NUMBERED.items()}
     noise = {name.removeprefix(_NOISE): name for name in names if name.startswith(_NOISE)}
-    others = [name for name in names if name != time and not _COUNTERS.fullmatch(name) and name not in noise.values()]
+    others = [name for name in names if not _COUNTERS.fullmatch(name) and name not in noise.values()]
     chosen = selection.columns is not None or selection.markers is not None
     points = {} if chosen else _numbered_points(path, found["x"], found["y"], names)
     numbered = bool(points)
@@ -63,8 +73,12 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
     rates = (
         dict(zip(angles, _in_order(path, found["rate"], len(angles)), strict=True)) if angles and found["rate"] else {}
     )
+    if time in stamps:
+        t = table.columns([at[name] for name in stamps[time]]) @ [1.0, SECONDS["ns"]]
+    else:
+        t = table.columns([at[time]])[:, 0] if sparse else table.times(at[time])
     return Content(
-        t=table.columns([at[time]])[:, 0] if sparse else table.times(at[time]),
+        t=t,
         names=names,
         take=lambda chosen: table.columns([at[name] for name in chosen]),
         points=points,
@@ -75,8 +89,10 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         noise=noise,
         likelihood=likelihood_of(points, names),
         units=units,
+        assumed=assumed,
         sparse=sparse,
         declared=declared,
+        advice=_NO_ANGLES if any("/s" in unit for unit in units.values()) else "",
         source=str(path),
     )
 
@@ -104,13 +120,30 @@ def _numbered_points(
     return {str(k): (x[k], y[k]) for k in sorted(x)}
 
 
-def _time(path: PathLike, names: list[str], time: str) -> str:
-    """Return the name of the time column: `time`, or where that is the default and not there, what stands for it."""
-    others = [name for name in names if _TIME.fullmatch(name)] or [name for name in names if _FRAME.fullmatch(name)]
-    if time not in names and (time != "t" or len(others) != 1):
-        fix = "Pass time='NAME' with its time column's name"
-        raise InvalidInput(f"{path} has no time column {time!r}", got=names, fix=fix)
-    return time if time in names else others[0]
+def _time(
+    path: PathLike, table: Table, at: Mapping[str, str], stamps: Mapping[str, tuple[str, str]], selection: Selection
+) -> tuple[str, dict[str, str]]:
+    """Return the name of the time column or of a stamp, and the argument for it if it had to be assumed."""
+    time = next((name for name, parts in stamps.items() if selection.time in parts), selection.time)
+    if time in at or time in stamps:
+        return time, {}
+    if time == "t":
+        times, frames = ([name for name in at if pattern.fullmatch(name)] for pattern in (_TIME, _FRAME))
+        found = times or list(stamps) or frames
+        if len(found) == 1:
+            return found[0], {}
+        likely = sorted(at, key=lambda name: bool(_COUNTERS.fullmatch(name))) if selection.assume else []
+        if found := [name for name in likely if _increases(table, at[name])]:
+            return found[0], {"time": found[0]}
+    fix = "Pass time='NAME' with its time column's name, or add a column of times"
+    raise InvalidInput(f"{path} has no time column {selection.time!r}", got=list(at), fix=fix)
+
+
+def _increases(table: Table, name: str) -> bool:
+    try:
+        return table.times(name).size > 1
+    except InvalidInput:
+        return False
 
 
 def _notes(path: PathLike, notes: Mapping[str, str]) -> dict[str, object]:

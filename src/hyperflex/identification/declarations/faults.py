@@ -13,7 +13,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.findings import Finding, Kind
-from hyperflex.recording import Recording
+from hyperflex.recording import UNIT, Recording
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,11 @@ def lost(recording: Recording) -> Iterator[Finding]:
     for place, _ in {str(place): (place, part) for place, part in found.values()}.values():
         numbers = [number for number, each in found.items() if each[0] == place]
         part = max(found[number][1] for number in numbers)
-        what, shown = ("Marker", f"({place[0]:.4g}, {place[-1]:.4g})") if markers else ("Link", f"{place[0]:.4g} rad")
-        yield Finding(Kind.LOST, values={"what": what, "numbers": numbers, "place": shown, "part": part})
+        where = ", ".join(map(recording.label, numbers))
+        shown = f"({place[0]:.4g}, {place[-1]:.4g})" if markers else f"{place[0]:.4g} rad"
+        yield Finding(
+            Kind.LOST, values={"where": where[0].upper() + where[1:], "numbers": numbers, "place": shown, "part": part}
+        )
 
 
 def wrapped(recording: Recording) -> Iterator[Finding]:
@@ -98,22 +101,30 @@ def wrapped(recording: Recording) -> Iterator[Finding]:
         turned &= ~(np.append(back, False) | np.append(False, back))
         if turned.any():
             first = float(recording.t[known[min(int(np.argmax(turned)), known.size - 1)]])
-            yield Finding(Kind.WRAPPED, values={"link": link, "count": int(turned.sum()), "time": first})
+            where = recording.label(link)
+            yield Finding(
+                Kind.WRAPPED, values={"link": link, "where": where, "count": int(turned.sum()), "time": first}
+            )
 
 
 def repeated(recording: Recording) -> Iterator[Finding]:
     """Yield that frames repeat the frame before while the rope moves: a slower camera, stored faster.
 
-    Frames that nearly repeat it tell how often noise of a coarse sensor does so by chance.
+    Runs of steps of at most the resolution are counted that end in motion on both sides. Those that are not all
+    exactly 0 tell how often noise of a coarse sensor makes such runs by chance.
     """
     size = np.abs(np.diff(recording.data, axis=0))
     resolution = np.where(size > 0.0, size, np.inf).min(axis=0, initial=np.inf)
     moves = (size >= LIMITS.moving * resolution).any(axis=1)
-    between = moves[:-2] & moves[2:]
-    same = between & (size[1:-1] == 0.0).all(axis=1)
-    nearly = between & (size[1:-1] <= 1.5 * resolution).all(axis=1) & ~same
-    if same.sum() > max(LIMITS.several * size.shape[0], nearly.sum()):
-        yield Finding(Kind.REPEATED_FRAMES, values={"part": float(same.sum() / size.shape[0])})
+    still = (size <= 1.5 * resolution).all(axis=1)
+    first, end = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2).T
+    between = np.append(False, moves)[first] & np.append(moves, False)[end]
+    length = (end - first)[between]
+    zeros = np.append(0, np.cumsum((size == 0.0).all(axis=1)))
+    exact = (zeros[end] - zeros[first])[between] == length
+    same, nearly = int(length[exact].sum()), int(length[~exact].sum())
+    if same > max(LIMITS.several * len(size), nearly):
+        yield Finding(Kind.REPEATED_FRAMES, values={"part": same / len(size)})
 
 
 def _even(recording: Recording, longest: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -245,9 +256,9 @@ def jumps(recording: Recording) -> Iterator[Finding]:
         yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
         return
     most = max(found, key=lambda each: each.certain)
-    markers = recording.kind == "markers"
-    channel = f"{'xy'[most.channel % 2]} of marker {most.channel // 2}" if markers else f"angle of link {most.channel}"
-    values = {"channel": channel, "size": most.size, "unit": "m" if markers else "rad"}
+    number, axis = divmod(most.channel, 2) if recording.kind == "markers" else (most.channel, 2)
+    channel = f"{('x', 'y', 'angle')[axis]} of {recording.label(number)}"
+    values = {"channel": channel, "size": most.size, "unit": UNIT[recording.kind]}
     yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
 
 
