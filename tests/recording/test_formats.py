@@ -274,6 +274,14 @@ def test_a_marker_whose_columns_are_x_and_y_needs_no_name(tmp_path):
     np.testing.assert_allclose(read_recording(path, y_axis="up").data, [[1e-3, 2e-3], [3e-3, 4e-3]], rtol=1e-15)
 
 
+def test_messages_name_the_column(tmp_path):
+    path = table(tmp_path, "t [s],th1 [rad],th2 [rad]\n0,0,0\n0.01,0,9\n0.02,0,9\n")
+    refuses(r"link 1 \(th2\) turns by 9 rad", read_recording, path)
+    path, arguments = made(tmp_path, "motive")
+    label = read_recording(path, **arguments).label(1)
+    assert label == "marker 1 (rope:tip_x, rope:tip_y, rope:tip_z)"
+
+
 def test_what_holds_no_motion_is_said(tmp_path):
     for what, unit in (("Acceleration", "m/s^2"), ("Gyroscope", "rad/s")):
         phone = table(tmp_path, f'"Time (s)","{what} x ({unit})","{what} y ({unit})"\n0,1,2\n0.1,1,2\n')

@@ -55,9 +55,11 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "one sample": ({"t": [0.0], "data": [[0.1]]}, "too few samples"),
     "none": ({"t": [], "data": np.zeros((0, 1))}, "too few samples"),
     "wrong length": ({"data": [[0.1], [0.1], [0.1]]}, "wrong shape"),
-    "flat": ({"data": [0.1, 0.2]}, "wrong shape"),
+    "flat": ({"kind": "markers", "data": [0.1, 0.2]}, "wrong shape"),
+    "ragged": ({"data": [[0.1], [0.1, 0.2]]}, "not an array of numbers"),
+    "a time step": ({"t": 0.1}, "got 0.1. Allowed: a list of numbers"),
     "no columns": ({"data": np.zeros((2, 0))}, "wrong number of columns"),
-    "all gaps": ({"data": [[0.1, NAN], [0.2, NAN]]}, "channel 1 of angles has no value"),
+    "all gaps": ({"data": [[0.1, NAN], [0.2, NAN]]}, "link 1 has no value"),
     "odd markers": ({"kind": "markers", "data": np.zeros((2, 5))}, "wrong number of columns"),
     "half a marker": ({"kind": "markers", "data": np.zeros((2, 1))}, "wrong number of columns"),
     "kind": ({"kind": "video"}, "kind is not known"),
@@ -68,6 +70,17 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "rates": ({"rates": [[0.1, 0.2], [0.1, 0.2]]}, "rates"),
     "words": ({"data": [["a"], ["b"]]}, "not an array of numbers"),
 }
+
+
+def test_the_angles_of_one_link_may_be_a_vector():
+    """A message names the column of the file that a link or marker was in."""
+    assert Recording([0.0, 0.1], [0.1, 0.2], rates=[1.0, 1.0]).data.tolist() == [[0.1], [0.2]]
+    named = Recording([0.0, 0.1], [[0.1, 0.2]] * 2, columns=("th1", "th2"))
+    assert (named.label(1), named.window(0.0, 1.0).label(1), Recording([0.0, 0.1], [0.1, 0.2]).label(0)) == (
+        "link 1 (th2)",
+        "link 1 (th2)",
+        "link 0",
+    )
 
 
 @pytest.mark.parametrize(("change", "match"), BAD.values(), ids=BAD.keys())

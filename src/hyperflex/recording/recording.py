@@ -277,7 +277,6 @@ def _as_column(kind: Kind, values: object) -> object:
 def per_sample(noise: object, data: Array) -> Array:
     """Return the noise of each sample (T, C) from one number, one a channel, or all of them."""
     given = checks.array("noise", noise, None, sign="positive")
-    given = given[:, None] if data.shape[1] == 1 and given.shape == data.shape[:1] else given
     if given.shape not in ((), data.shape[1:], data.shape):
         allowed = f"one number, {data.shape[1]} of them, or {data.shape[0]} x {data.shape[1]}"
         raise InvalidInput("noise has the wrong shape", got=given.shape, allowed=allowed)
