@@ -59,7 +59,7 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
         mean, std = 0.3 * mean + 0.7 * x[best].mean(axis=0), 0.3 * std + 0.7 * x[best].std(axis=0)
         for k in best[found.turns[best] >= problem.criteria.turns][:1]:
             one = Candidate(moves[k], float(found.score[k]), 0.0, True)
-            if not verify_members(problem, model.cut(3), peg, one, budget).message:
+            if not verify_members(problem, [model.cut(3)], peg, one, budget).message:
                 return True
     return False
 

@@ -33,7 +33,9 @@ FINER = 2.5  # times the links in the independent run
 def rope_and_arm(seed: int, number: int, finer: float = 1.0) -> tuple[hf.Rope, hf.Arm]:
     """Draw rope `number` of a seed, and its arm; the same rope as `finer` times as many links.
 
-    Damping and stiffness are those of a length of rope; dry friction is a bending moment, the same at each joint.
+    Damping and stiffness are those of a length of rope, but the hinge at the arm keeps its own, as
+    :func:`hyperflex.model.divided` has it; dry friction is a bending moment, the same at each joint. The mass per
+    length is one line along the rope, through the taper's values at the middles of its first and last drawn link.
     """
     rng = np.random.default_rng([seed, number])
 
@@ -44,16 +46,17 @@ def rope_and_arm(seed: int, number: int, finer: float = 1.0) -> tuple[hf.Rope, h
     n, tip = int(rng.integers(25, 61)), rng.uniform(0.0, 0.4)
     bending, damping = log_uniform(1e-6, 3e-4) * rng.integers(2), log_uniform(3e-6, 3e-5)  # N m^2, N m^2 s
     dry, arm = rng.uniform(0.0, 5e-4), rng.uniform(0.05, 0.15)
-    n = round(finer * n)
+    drawn, n = n, round(finer * n)
     link, mass = length / n, length * density
-    share = np.linspace(1.0, 1.0 / taper, n)
+    way = ((np.arange(n) + 0.5) * drawn / n - 0.5) / (drawn - 1)  # 0 at the first drawn link's middle, 1 at the last's
+    share = 1.0 + way * (1.0 / taper - 1.0)
     share *= n / share.sum()
     rope = hf.Rope.uniform(length, mass, n, math.sqrt(density / (1000.0 * math.pi)), tip_mass=tip * mass, friction=0.0)
     hinge = np.arange(n) == 0
     rope = rope.replace(
         mass=share * rope.mass,
         inertia=share * rope.inertia,
-        friction=np.full(n, damping / link),
+        friction=np.where(hinge, damping * drawn / length, damping / link),
         stiffness=np.where(hinge, 0.0, bending / link),
         dry_friction=np.full(n, dry),
     )

@@ -41,6 +41,7 @@ from tests.planning.known import planned
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, radius=0.002, friction=2e-4)
 ARM, PEG = hf.Arm(length=0.15), hf.Peg(-0.5, -0.7, 0.03)
+LOW = hf.Peg(-0.25, -0.6, 0.03)
 FAR = hf.Peg(-1.3, -0.55, 0.03)  # out of reach
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 
@@ -371,12 +372,36 @@ def test_a_strike_after_the_time_limit_does_not_count():
         assert len(limited.start([found[0].moves], budget)) == count
 
 
+def test_runs_in_contact_keep_dry_friction():
+    """The model of free flights, viscous friction, never holds a wound rope still."""
+    task = WindTask(Problem(CORD.replace(dry_friction=1e-4), ARM), PEG, SearchOptions(threads=1))
+    assert not any(each.rope.dry_friction.any() for each in task.search.chains)
+    assert all(each.rope.dry_friction.any() for each in (task.contact, task.finer))
+
+
+def test_variations_of_the_best_flights_strike_with_more_energy_for_the_same_number_of_flights():
+    def best(members: int) -> float:
+        task, found = WindTask(Problem(CORD, ARM), LOW, SearchOptions(threads=1, members=members)), [0.0]
+        while task.runs < 1_500:  # before any run in contact
+            found += [one.score for one in task.sample([], Budget(threads=1))]
+        return max(found)
+
+    assert best(16) > 1.5 * best(0)
+
+
 def test_variations_change_only_the_last_moves_of_a_strike():
     search = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1)).search
     budget, found, varied = Budget(threads=1), list[Strike](), list[Strike]()
     while not varied:
         found += search.extend(budget)
         varied = search.vary(found, budget)
+    again = list[Strike]()
+    while not again:
+        again = [one for one in search.extend(budget) if one.moves.ends.size > 2 * SearchOptions().back]
+    for _ in range(4):  # of variations, too
+        again = search.vary(again, budget) or again
+        made = [int((one.moves.starts(MotorLimits()) < one.t).sum()) for one in again]
+        assert all(one.swing.moves.ends.size >= k - SearchOptions().back for one, k in zip(again, made, strict=True))
     for one in varied:
         kept = one.swing.moves.ends.size
         assert any(np.array_equal(one.moves.ends[:kept], other.moves.ends[:kept]) for other in found)

@@ -138,6 +138,13 @@ def test_what_a_turning_rod_promises():
     assert turns == pytest.approx(s / (2.0 * np.pi * 0.0125))
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_tail_that_turns_away_from_the_peg_does_not_wind(side):
+    q, qd = np.zeros(50), np.where(np.arange(50) < 25, 0.0, 4.0)  # counterclockwise, to the right
+    ratio, _ = tail_energy(CABLE, hf.Peg(side * 0.0125, -1.0, 0.01), q, qd, np.zeros(2), np.zeros(2), 25)
+    assert ratio * side > 0.1
+
+
 def test_a_weight_at_the_tip_counts():
     peg, w = hf.Peg(0.0, -1.0, 0.01), 4.0
     q, qd = np.zeros(50), np.where(np.arange(50) < 25, 0.0, w)

@@ -55,15 +55,16 @@ class Spare:
 SPARE = Spare()
 
 
-def verify_members(problem: Problem, finer: Problem, peg: Peg, one: Candidate, budget: Budget) -> Verified:
-    """Verify moves on the rope as planned, and on the same with shorter links.
+def verify_members(problem: Problem, finer: Sequence[Problem], peg: Peg, one: Candidate, budget: Budget) -> Verified:
+    """Verify moves on the rope as planned, and on the same with shorter links, in one or more ways.
 
-    The rope with shorter links has viscous friction in place of dry friction, which makes runs expensive. The first
-    member to fail ends the other, and the less expensive one begins first. A candidate whose runs take more than three
-    quarters of the remaining time fails.
+    Ways after the first are for a rope that comes off the target after its first touch and winds later: what it does in
+    between depends on little, so that two runs may agree by chance. The rope with shorter links has viscous friction in
+    place of dry friction, which makes runs expensive. The first member to fail ends the other, and the less expensive
+    one begins first. A candidate whose runs take more than three quarters of the remaining time fails.
     """
     motion, share = one.moves.motion(problem.limits), budget.share(0.75)
-    members = [(problem, DEFAULT_CONTACT_STEP), (finer, 2.0 * DEFAULT_CONTACT_STEP)]
+    members = [(problem, DEFAULT_CONTACT_STEP), *((each, 2.0 * DEFAULT_CONTACT_STEP) for each in finer)]
     order, failed = ([1, 0] if problem.rope.dry_friction.any() else [0, 1]), list[int]()
 
     def run(k: int) -> CastOutcome:
@@ -81,9 +82,14 @@ def verify_members(problem: Problem, finer: Problem, peg: Peg, one: Candidate, b
     if failed and failed[0] == 0:
         return Verified(one, found[0], None, found[0].message, -1.0)
     second = found[1] if failed else repeatable(found[0], found[1])
+    if not second.message and any(each.strike_time > each.touch_time for each in found.values()):
+        for k in range(2, len(members)):
+            found[k] = repeatable(found[0], run(k))
+            second = found[k] if found[k].message and not second.message else second
+        budget.check()
     first = None if 0 in failed else found[0]  # it did not end
     message = f"with shorter links {second.message}" if second.message else ""
-    return Verified(one, first, second, message, -1.0 if message else margin(problem.criteria, found[0], second))
+    return Verified(one, first, second, message, -1.0 if message else margin(problem.criteria, *found.values()))
 
 
 def repeatable(first: CastOutcome, finer: CastOutcome) -> CastOutcome:

@@ -198,8 +198,9 @@ class Strikes:
 
     Notes
     -----
-    The score is the energy with which the tail turns about the peg as a rigid body, over the energy that lifts its
-    centre of mass over the top, times the turns for which the tail is long enough.
+    The score is the energy with which the tail turns round the peg as a rigid body, over the energy that lifts its
+    centre of mass over the top, times the turns for which the tail is long enough; 0 if it turns away from the peg. Of
+    166 strikes of four random ropes 26 turned away, many with the best scores otherwise; none of them wound.
     """
 
     score: Array
@@ -247,14 +248,15 @@ def find_strikes(problem: Problem, peg: Peg, batch: RolloutBatch, t: Array, q: A
     at = np.where(struck, at, 1)
     score = np.zeros(len(batch))
     for m in np.flatnonzero(struck).tolist():
-        hit = moved[which[m]][m], q[m, at[m]], qd[m, at[m]], base[m, at[m]], base_velocity[m, at[m]], int(link[m])
+        k = at[m] - 1  # later the rope may be past the peg
+        hit = moved[which[m]][m], q[m, k], qd[m, k], base[m, k], base_velocity[m, k], int(link[m])
         ratio, left = tail_energy(batch.ropes[m], *hit)
         if which[m]:
             axis, beyond = hit[0].radius + batch.ropes[m].radius, math.dist((peg.x, peg.y), (hit[0].x, hit[0].y))
             turn = 2.0 * np.pi * (peg.radius + batch.ropes[m].radius)
             left = max(2.0 * np.pi * axis * left - beyond, 0.0) / turn
         tail = np.clip(left - MODEL.hanging_tail, 0.0, MODEL.max_tail + problem.criteria.turns - 1.25)
-        score[m] = min(ratio, MODEL.max_ratio) * tail
+        score[m] = min(max(ratio, 0.0), MODEL.max_ratio) * tail
     score = np.where(struck, np.where(flat, MODEL.folded, 1.0) * score, NEVER - least)
     return Strikes(score, np.where(struck, t[at - 1], np.nan), q[rows, at - 1], qd[rows, at - 1], clear)
 
@@ -292,6 +294,7 @@ def tail_energy(
 ) -> tuple[float, float]:
     """Return energy ratio and turns of the tail of a strike with `link`; see :class:`Strikes`.
 
+    The ratio is below 0 if the tail turns away from the peg: it winds towards the side on which the peg is of `link`.
     Angles q (n,), rad, rates qd (n,), rad/s; position and velocity (2,) of the first joint, m and m/s.
     """
     places, speeds = rope.mass_points(q, qd, base, velocity)
@@ -302,7 +305,9 @@ def tail_energy(
     centre = (mass[:, None] * places).sum(axis=0)
     lift = float(np.hypot(*down) * np.hypot(*centre) + centre @ down)
     turns = float(rope.length[link:].sum()) / (2.0 * np.pi * (peg.radius + rope.radius))
-    return 0.5 * momentum**2 / max(inertia * max(lift, 1e-12), 1e-300), turns
+    x, y = np.array([peg.x, peg.y]) - rope.joints(q, base)[link]
+    sense = math.copysign(1.0, math.sin(q[link]) * y + math.cos(q[link]) * x)  # of rotation, as wound
+    return 0.5 * sense * momentum * abs(momentum) / max(inertia * max(lift, 1e-12), 1e-300), turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,8 +330,8 @@ def simulate_contact(
     """Simulate ropes (M,) with pegs from shortly before their strikes at `begin` (M,), s, under motions that end.
 
     The score is in turns: those that stay, a part of those that do not, less what delay, slip, and a rope that is too
-    near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. With
-    `sweeping` runs end early that make few turns.
+    near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. Runs end
+    early whose rope comes too near arm or obstacles, and with `sweeping` those that make few turns.
     """
 
     def one(k: int) -> tuple[float, float, float, float]:
@@ -367,16 +372,19 @@ class _Contact:
             t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), more, strict=True))
             self.most = max(self.most, float(np.nan_to_num(np.abs(turns)).max()))
             seen = turns if until < check - 1e-9 else turns[-1:]
+            score, stay = self._turns(t, turns, float(t[-1]))
             if not float(np.abs(seen).max()) >= least:
-                return self._turns(t, turns, float(t[-1]))[0], 0.0, math.inf
+                return score, 0.0, math.inf
+            if cost := self._too_near(t, q, qd):
+                return score - max(min(stay, 3.0) - criteria.turns, 0.0) - cost, 0.0, math.inf
         score, stay = self._turns(t, turns, end)
         settled, way = t >= check, math.inf
         if stay >= criteria.turns:
             way = float(np.abs(slid(rope, self.peg, q[settled], self._joints(t, q)[settled])).max())
             score -= way / (way + MODEL.slip) if math.isfinite(way) else 1.0
-        faults = self._faults(t, q, qd)
-        if faults > 0.0:
-            score, stay = score - max(min(stay, 3.0) - criteria.turns, 0.0) - faults, min(stay, hope)
+        astray = self._astray(t, q)
+        if astray > 0.0:
+            score, stay = score - max(min(stay, 3.0) - criteria.turns, 0.0) - astray, min(stay, hope)
         if at_limits(limit_bend(rope), q, -FOLD).any():
             score -= MODEL.fault
         return score, stay, way
@@ -391,8 +399,8 @@ class _Contact:
         score = min(stay, most) + MODEL.passing * min(float(np.abs(turns).max()), most)
         return score - MODEL.late * self.begin, stay
 
-    def _faults(self, t: Array, q: Array, qd: Array) -> float:
-        """Return the cost of a rope that is too near arm or obstacles, or does not run behind its pegs in the end."""
+    def _too_near(self, t: Array, q: Array, qd: Array) -> float:
+        """Return the cost of a rope that comes too near its arm or obstacles."""
         problem, rope = self.problem, self.rope
         polls: Array = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / MODEL.poll) + 1)
         places = interpolated(t, q, qd, polls), problem.arm.tip(self.motion.angle(polls))
@@ -403,13 +411,17 @@ class _Contact:
             least = max(problem.clearance, 0.0)
             near |= sampled_obstacle_gaps(rope, problem.obstacles, *places, least) <= least
         seconds = MODEL.poll * int(near.sum())
-        cost = MODEL.fault * (1.0 + seconds / (seconds + 0.3)) if seconds else 0.0
-        if behind := problem.criteria.behind:
-            some = t >= t[-1] - MODEL.last
-            apart = float(way_gaps(rope, self.peg, behind, q[some], self._joints(t, q)[some]).max(initial=0.0))
-            if apart > TOUCH:
-                cost += MODEL.fault * (1.0 + (apart / (apart + 0.05) if math.isfinite(apart) else 1.0))
-        return cost
+        return MODEL.fault * (1.0 + seconds / (seconds + 0.3)) if seconds else 0.0
+
+    def _astray(self, t: Array, q: Array) -> float:
+        """Return the cost of a rope that does not run behind its pegs in the end."""
+        if not (behind := self.problem.criteria.behind):
+            return 0.0
+        some = t >= t[-1] - MODEL.last
+        apart = float(way_gaps(self.rope, self.peg, behind, q[some], self._joints(t, q)[some]).max(initial=0.0))
+        if apart <= TOUCH:
+            return 0.0
+        return MODEL.fault * (1.0 + (apart / (apart + 0.05) if math.isfinite(apart) else 1.0))
 
     def _joints(self, t: Array, q: Array) -> Array:
         return self.rope.joints(q, self.problem.arm.tip(self.motion.angle(t)))
