@@ -77,6 +77,7 @@ def moved(data, column, size):
 
 MARKERS, ANGLES, FAST = recorded(kind="markers"), recorded(), recorded(200.0, noise=2e-4)
 KEPT = np.flatnonzero(np.arange(2000) % 100 > 0)
+STRETCH = np.delete(np.arange(600), slice(240, 258))
 HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
 
 
@@ -98,7 +99,14 @@ HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
         # 25 standard deviations of the noise
         (spoiled(FAST, moved(FAST.data, 1, 0.02)), Kind.JUMP, "The angle of link 1 jumps by 0.0191 rad at t = 4.995 s"),
         (spoiled(MARKERS, moved(MARKERS.data, 4, 0.02)), Kind.JUMP, "The x of marker 2 jumps by"),
-        (spoiled(FAST, FAST.data[KEPT], FAST.t[: KEPT.size]), Kind.MISSING_FRAMES, "skips whole frames"),
+        (spoiled(FAST, FAST.data[KEPT], FAST.t[: KEPT.size]), Kind.MISSING_FRAMES, "skips frames at t = 1.48"),
+        # 0.3 s of a swing of 1.5 s, which goes on differently
+        (
+            spoiled(ANGLES, ANGLES.data[STRETCH], ANGLES.t[: STRETCH.size]),
+            Kind.MISSING_FRAMES,
+            "skips frames at t = 3.983 s",
+        ),
+        (spoiled(MARKERS, MARKERS.data[STRETCH], ANGLES.t[: STRETCH.size]), Kind.MISSING_FRAMES, "at t = 3.983 s"),
     ],
     ids=[
         "marker lost",
@@ -112,6 +120,8 @@ HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
         "zero",
         "slipped",
         "some missing",
+        "a stretch missing",
+        "a stretch missing, markers",
     ],
 )
 def test_faults_are_found(recording, kind, said):

@@ -70,13 +70,13 @@ class Kind(StrEnum):
     )
     MISSING_FRAMES = (
         "missing frames",
-        """The motion skips whole frames, at t = {times:list} s. | Frames are missing and the times count on. Use the
-        time stamps of the frames.""",
+        """The motion skips frames at t = {times:list} s. | Frames are missing there and the times count on. Use the
+        time stamps of the frames, or the longest stretch between.""",
     )
     JUMP = (
         "jump of a channel",
-        """The {channel} jumps by {size:{unit}} at t = {time:.4g} s and stays there. | A zero has moved, or a marker has
-        slipped. Use the recording before or after it, or subtract the jump.""",
+        """The {channel} jumps by {size:{unit}} at t = {time:.4g} s and stays there. | A zero has moved, a marker has
+        slipped, or frames are missing there. Use the recording before or after it, or subtract a moved zero.""",
     )
     PICTURE_SCALE = (
         "different scales along x and y",

@@ -177,16 +177,19 @@ class _Jump(NamedTuple):
     steps: float
 
 
-def _jumps(column: Array, channel: int, recording: Recording, reach: float) -> Iterator[_Jump]:
+def _jumps(column: Array, channel: int, recording: Recording, reach: float, apart: int) -> Iterator[_Jump]:
     """Yield jumps of a channel: where polynomials with a jump in the middle leave no more than usual.
 
     As many samples are used as leave no more variance than fewer ones, so that it is noise; those must see it as well.
+    `apart` is as of _Polynomials.
     """
     fits = list[_Polynomials]()
     for side in LIMITS.sides:
         if 4 * side > column.size:
             break
-        fit = _Polynomials.of(np.where(_even(recording, 2 * side), 1.0, np.nan), column, side)
+        if side <= apart:
+            continue
+        fit = _Polynomials.of(np.where(_even(recording, 2 * side), 1.0, np.nan), column, side, apart)
         if not np.isfinite(fit.usual) or (fits and fit.usual > LIMITS.alike * fits[0].usual):
             break
         fits.append(fit)
@@ -194,7 +197,9 @@ def _jumps(column: Array, channel: int, recording: Recording, reach: float) -> I
         return
     best = fits[-1]
     certain = np.abs(best.size) / best.std
-    certain[~(best.variance <= best.usual * (1.0 + LIMITS.agree * np.sqrt(2.0 / (2 * best.side - TERMS - 1))))] = 0.0
+    certain[~(best.variance <= best.usual * (1.0 + LIMITS.agree * np.sqrt(2.0 / (2 * best.side - TERMS - apart))))] = (
+        0.0
+    )
     certain[np.abs(best.size) < LIMITS.matters * reach] = 0.0
     for fit in fits[:-1]:
         inner = slice(best.side - fit.side, best.side - fit.side + certain.size)
@@ -211,6 +216,7 @@ class _Polynomials(NamedTuple):
     """Polynomials of fifth degree with a jump in the middle, through each window of 2 `side` samples (W,); NaN in gaps.
 
     The jump, the slope a sample, the variance left, its median, and the standard deviation of jumps that are none.
+    With `apart` = 1 the value alone jumps, with TERMS all derivatives: each side is followed by itself.
     """
 
     side: int
@@ -221,11 +227,12 @@ class _Polynomials(NamedTuple):
     std: float
 
     @classmethod
-    def of(cls, known: Array, column: Array, side: int) -> "_Polynomials":
+    def of(cls, known: Array, column: Array, side: int, apart: int) -> "_Polynomials":
         """Return those of the windows that are `known` (W,): 1, or NaN."""
         u = (np.arange(2 * side) - side + 0.5) / side
-        model = np.column_stack([u > 0.0, np.vander(u, TERMS, increasing=True)]).astype(float)
-        parts = np.linalg.pinv(model)[[0, 2]].T
+        powers = np.vander(u, TERMS, increasing=True)
+        model = np.column_stack([(u > 0.0)[:, None] * powers[:, :apart], powers])
+        parts = np.linalg.pinv(model)[[0, apart + 1]].T
         table = np.column_stack([parts, np.linalg.qr(model)[0]])
         windows = np.lib.stride_tricks.sliding_window_view(column, 2 * side)
         found = []
@@ -233,7 +240,7 @@ class _Polynomials(NamedTuple):
             samples = windows[block : block + BLOCK] - windows[block : block + BLOCK, :1]
             size, slope, *along = (samples @ table).T
             left = np.einsum("ij,ij->i", samples, samples) - np.sum(np.square(along), axis=0)
-            found.append([size, slope, np.maximum(left, 0.0) / (2 * side - TERMS - 1)])
+            found.append([size, slope, np.maximum(left, 0.0) / (2 * side - TERMS - apart)])
         size, slope, variance = np.concatenate(found, axis=1) * known
         if not np.isfinite(size).any():
             return cls(side, size, slope, variance, np.inf, np.inf)
@@ -242,11 +249,23 @@ class _Polynomials(NamedTuple):
 
 
 def jumps(recording: Recording) -> Iterator[Finding]:
-    """Yield that a channel jumps by a constant and stays there, or that motion skips steps: frames are missing."""
-    reach = float((np.nanmax(recording.data, axis=0) - np.nanmin(recording.data, axis=0)).max())
-    reach = min(reach, 2.0 * np.pi) if recording.kind == "angles" else reach
-    found = [each for k, column in enumerate(recording.data.T) for each in _jumps(column, k, recording, reach)]
+    """Yield that a channel jumps by a constant and stays there, or that motion skips steps: frames are missing.
+
+    Where many are missing, half of the channels that move jump at once and move on differently.
+    """
+    reaches = np.nanmax(recording.data, axis=0) - np.nanmin(recording.data, axis=0)
+    reach = min(float(reaches.max()), 2.0 * np.pi) if recording.kind == "angles" else float(reaches.max())
+    found, apart = list[_Jump](), list[_Jump]()
+    for k, column in enumerate(recording.data.T):
+        found += _jumps(column, k, recording, reach, 1)
     if not found:
+        for k, column in enumerate(recording.data.T):
+            apart += _jumps(column, k, recording, reach, TERMS)
+        before = np.array([each.before for each in apart])
+        moving = float((reaches > 0.1 * reaches.max()).sum())
+        at = [k for k in np.unique(before) if (np.abs(before - k) <= 1).sum() >= 0.5 * moving]
+        if at:
+            yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
         return
     steps = np.array([each.steps for each in found])
     frames = np.round(steps)
