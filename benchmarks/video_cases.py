@@ -7,7 +7,8 @@ python -m benchmarks.video_cases page              the page from what there is
 Nothing of `hyperflex.vision` makes the pictures: the camera is written out here (pinhole, k1, k2), discs and rope are
 drawn in four times the resolution, the motion blur is the mean of sub-frames, boards are traced pixel by pixel. The
 user's part is done by the command line: `hyperflex calibrate` from a video of a board and a picture of it in the plane,
-the hook clicked to a whole pixel, then `hyperflex track`. The truth is a chain of 120 links, tracked with 24.
+the hook clicked to a whole pixel, then `hyperflex track`; if markers have two colours, one of each is clicked. The
+truth is a chain of 120 links, tracked with 24. Each seed has another rope, camera, frame rate, and number of markers.
 """
 
 import argparse
@@ -385,6 +386,11 @@ def page(rows: list[log.Row]) -> str:
                 numbers += [1e2 * row["inside"], 1e2 * row["wrong"]]
                 cells = [name, str(seed), *(f"{number:.3g}" for number in numbers), "; ".join(row["said"])]
                 lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", "| seed | rope, m | markers | their radius, px | frames/s | pixels a metre |", "|---" * 6 + "|"]
+    for scene in map(Scene, sorted({seed for _, seed in kept})):
+        scale = TALL / scene.length
+        numbers = [scene.length, len(scene.arcs), scene.radius * scale, scene.rate, scale]
+        lines.append(f"| {scene.seed} | {' | '.join(f'{number:.3g}' for number in numbers)} |")
     return "\n".join([*lines, "", f"{log.made(kept.values())} {machine.sentence(machine.describe())}\n"])
 
 
