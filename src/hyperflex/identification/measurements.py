@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ STILL = 0.001  # rad, a recording that moves less holds no dynamics
 STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
 UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
-# samples a window; more of them repeat what their neighbours say and only cost time
+# samples a window; of more, neighbours become one, between which a swing is a parabola to a millionth of itself
 DENSEST = 200
 # samples a window, where the recording allows it
 FEWEST_SAMPLES = 8
@@ -52,33 +52,50 @@ BEYOND = 5.0  # standard deviations of the declared noise: a spread that large i
 LARGE = 0.1  # rad, the same of link angles: no camera errs so much
 
 
+Merging = Literal["mean", "median", "first"]
+
+
 @dataclass(frozen=True)
 class Measurements:
     """What is fitted: channels, the angles that they show, and the prior (r, 2n) of a state (see Window).
 
-    sides: other angles that would show as the same channels.
+    sides: other angles that would show as the same channels. merging: how neighbouring samples become one. precision:
+    of the values (T, C), over that of the best, where their noise is not known: a marker that errs turns a short link
+    farther, and samples may miss in values that several have become.
     """
 
     channels: Recording
     shape: Recording
     prior: Array
     sides: tuple[Recording, ...] = ()
+    merging: Merging = "mean"
+    precision: Array | float = 1.0
 
     def step(self, length: float) -> int:
-        """Return the step of the decimation that leaves at most ``DENSEST`` samples in a window of `length` (s)."""
+        """Return how many samples become one, so that a window of `length` (s) holds at most ``DENSEST``."""
         return max(1, int(length / (float(np.median(np.diff(self.channels.t))) * DENSEST)))
+
+    def merged(self, step: int) -> "Measurements":
+        """Return the same with each `step` neighbouring samples as one value; see :func:`merged`."""
+        if step == 1 or self.channels.t.size < 3 * step:  # too short for differences between groups
+            return self
+        every = (self.channels, self.shape, *self.sides)
+        (channels, share), *angles = (merged(each, step, self.merging) for each in every)
+        shape, *sides = (each for each, _ in angles)
+        precision = self.precision * (share if channels.noise is None else 1.0)
+        return replace(self, channels=channels, shape=shape, sides=tuple(sides), precision=precision)
 
     def windows(self, length: float, step: int | None = None) -> tuple[list[Window], int]:
         """Cut the samples into windows [start, start + `length`), s; return them and the number left out.
 
-        Every `step`-th sample is used, by default so many that a window holds DENSEST at most. Windows are left out
+        Each `step` samples become one, by default so many that a window holds DENSEST at most. Windows are left out
         where some link has too few values, or too long a gap, to tell its angle and rate.
         """
-        step = step or self.step(length)
-        channels, noise = self.channels.decimate(step), self.channels.noise
-        angles, *sides = (each.data[::step] for each in (self.shape, *self.sides))
+        whole = self.merged(step or self.step(length))
+        channels, angles, sides = whole.channels, whole.shape.data, [each.data for each in whole.sides]
         t, y = channels.t, np.nan_to_num(channels.data)
-        weight = np.where(np.isnan(channels.data), 0.0, 1.0 if noise is None else 1.0 / noise[::step])
+        weight = np.where(np.isnan(channels.data), 0.0, 1.0 if channels.noise is None else 1.0 / channels.noise)
+        weight = weight * np.sqrt(whole.precision)
         number = np.floor((t - t[0]) / length + 1e-6 * np.median(np.diff(t)) / length)
         windows, cuts = [], [number == k for k in np.unique(number)]
         for rows in cuts:
@@ -96,6 +113,46 @@ class Measurements:
         """Return the samples with ``start <= t < end``, s."""
         channels, shape, *sides = (each.window(start, end) for each in (self.channels, self.shape, *self.sides))
         return replace(self, channels=channels, shape=shape, sides=tuple(sides))
+
+
+def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[Recording, Array]:
+    """Return a recording with each `step` neighbouring samples as one, and the part of them (m, C) that is there.
+
+    Its times (m,) are the means of theirs. Its values are the means, weighted by the noise, or the medians, of the
+    samples less the motion within the group: a line and a parabola, by differences between groups. So a sample that is
+    missing shifts no value, and the fit may compare values with predictions at one instant. Without the parabola means
+    would err by the second derivative times the square of the group's duration over 24. What may jump, as a torque does
+    where a motion switches, is not merged: the ``first`` sample stands for all.
+    """
+    if merging == "first":
+        return recording.decimate(step), np.ones((-(-recording.t.size // step), recording.data.shape[1]))
+    t, data = recording.t, recording.data
+    group = np.floor((t - t[0]) / float(np.median(np.diff(t))) + 0.5) // step  # no longer than that where frames miss
+    first = np.flatnonzero(np.diff(group, prepend=-1.0))
+    size = np.diff(np.append(first, t.size))
+    which = np.repeat(np.arange(first.size), size)
+    time, known = np.add.reduceat(t, first) / size, ~np.isnan(data)
+    off, count = (t - time[which])[:, None], np.add.reduceat(known.astype(np.float64), first)
+    precision = known / (1.0 if recording.noise is None else recording.noise**2)
+    total = np.add.reduceat(precision, first)
+    laid = np.full((first.size, size.max(), data.shape[1]), np.nan)
+    inside: Array | float = 0.0
+    for _ in range(4):  # each lessens what missing samples shift tenfold
+        left = data - inside
+        if merging == "median":
+            laid[which, np.arange(t.size) - first[which]] = left
+            ranked, last = np.sort(laid, axis=1), np.maximum(count - 1.0, 0.0)[:, None]  # gaps come last
+            low, high = (np.take_along_axis(ranked, each.astype(np.intp), 1) for each in (last // 2, (last + 1) // 2))
+            values = 0.5 * (low + high)[:, 0]
+        else:
+            values = np.add.reduceat(precision * np.nan_to_num(left), first)
+            values = np.divide(values, total, out=np.full_like(values, np.nan), where=total > 0.0)
+        smooth = np.column_stack([np.interp(time, time[~np.isnan(x)], x[~np.isnan(x)]) for x in values.T])
+        slope = np.gradient(smooth, time, axis=0)
+        inside = off * slope[which] + 0.5 * off**2 * np.gradient(slope, time, axis=0)[which]
+    noise = None if recording.noise is None else np.where(total > 0.0, total, 1.0) ** -0.5
+    whole = replace(recording, t=time, data=values, noise=noise, rates=None)
+    return whole, np.minimum(count / step, 1.0)
 
 
 def swing_period(rope: Rope) -> float:
@@ -204,8 +261,10 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
     beside any marker that sees the bend. Markers without given noise then count with 0.2 % of the rope's length.
     """
     if arc_lengths is None:
-        angles = recording.angles()
-        return Measurements(angles, angles, np.zeros((0, 2 * rope.n_links)))
+        angles, precision = recording.angles(), 1.0
+        if recording.kind == "markers" and recording.noise is None:
+            precision = (recording.link_lengths() / recording.link_lengths().max()) ** 2
+        return Measurements(angles, angles, np.zeros((0, 2 * rope.n_links)), precision=precision)
     along, places = recording, arc_lengths
     if arc_lengths[0] > 0.0 and joint is not None:
         along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
@@ -244,7 +303,7 @@ def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayL
         np.column_stack([channels.data, values]),
         noise=np.column_stack([channels.noise, spread]),
     )
-    return replace(measured, channels=joined)
+    return replace(measured, channels=joined, merging="first")
 
 
 def _shape(recording: Recording, rope: Rope, arc_lengths: Array, side: float = 0.0) -> Recording:
@@ -405,6 +464,8 @@ def split(
             raise InvalidInput(
                 what, fix=f"Omit it, from arc_lengths as well, or let train end elsewhere than at {time:.4g} s"
             )
+    if options.loss != "squares" and measured.merging == "mean":
+        measured = replace(measured, merging="median")  # of which an outlier is no part
     rest = measured.between(time, np.inf) if (t >= time).sum() > 1 else None
     return (measured if time > t[-1] else measured.between(-np.inf, time)), rest
 

@@ -391,7 +391,7 @@ class MultiStart:
         states: list[Array] = []
         for window in windows:
             self.budget.check()
-            starts = [known.get(window.t[0], window.guess), *window.others]
+            starts = [_known_state(known, window), *window.others]
             if window.others and kept and refine:
                 starts += arrived(self.plant, x, kept[-1], states[-1], window)
             rounds = 30 if refine or window.others else 0
@@ -405,6 +405,18 @@ class MultiStart:
                 "shorter windows (window=...)."
             )
         return kept, states
+
+
+def _known_state(known: dict[float, Array], window: Window) -> Array:
+    """Return the state (2n,) in which a window begins: of those known by time, s, if there is one, else its guess.
+
+    Where samples were merged a window begins less than a step later than one of samples.
+    """
+    away, at = min(((window.t[0] - t, t) for t in known), key=lambda each: abs(each[0]), default=(np.inf, 0.0))
+    if abs(away) >= window.t[1] - window.t[0]:
+        return window.guess
+    angles, rates = np.split(known[at], 2)
+    return np.append(angles + away * rates, rates)
 
 
 def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Loss) -> list[Array]:

@@ -128,8 +128,8 @@ def identify(
     Notes
     -----
     Without a known force or torque a common factor of masses, inertias and frictions is not identifiable: `std` is inf
-    there, and `ratios` hold what is known. Samples denser than 200 in a window of 1.2 periods are decimated
-    (``settings["decimation"]``).
+    there, and `ratios` hold what is known. Of samples denser than 200 in a window of 1.2 periods, neighbours become one
+    value, their mean, with a robust loss their median (``settings["decimation"]`` is their number).
     Samples without given noise have equal weights. With fewer markers than links, a prior keeps neighbouring links
     about in line (0.5 rad over the root of their number).
 
@@ -282,7 +282,7 @@ class _Case:
                     basis = with_model_error(trial.plain, tests, stds, covariance if scatter else None)
                     trial = replace(trial, basis=basis, tests=tests, scatter=scatter)
                 if self.rest is not None:
-                    held_out = predict(trial.basis, self.rest, self.options, self.budget)
+                    held_out = predict(trial.basis, self.rest, self.options, self.budget, trial.settings["decimation"])
                 if held_out is not None and held_out.understated > 1.0:
                     trial = replace(trial, basis=with_prediction_error(trial.basis, held_out.understated))
                 ranges = self._intervals(trial, remarks)
@@ -480,6 +480,7 @@ def _result(
         residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
         residual_t=np.concatenate([w.t for w in basis.windows]),
         residuals=residuals,
+        fitted=np.concatenate([w.y for w in basis.windows])[:, : residuals.shape[1]] - residuals,
         held_out=held_out,
         parameters=parameters.labels,
         covariance=covariance,

@@ -108,16 +108,16 @@ class HeldOut:
         return self.starts[np.isinf(self.window_rms).any(axis=1)]
 
 
-def predict(basis: Basis, measured: Measurements, options: FitOptions, budget: Budget) -> HeldOut | None:
+def predict(basis: Basis, measured: Measurements, options: FitOptions, budget: Budget, step: int = 1) -> HeldOut | None:
     """Predict the measurements piece by piece, without force or torque; None if too short for one prediction.
 
     The first prediction starts ``options.lead`` after the first sample, each next one ``options.ahead`` later, its
-    state fitted to the measurements on the time `lead` before it. More than 200 samples in that time are decimated. All
-    samples have equal weights, compared with a prior of the state those of the noise.
+    state fitted to the measurements on the time `lead` before it. Each `step` samples become one, as in the fit, whose
+    noise that of the values is. All have equal weights, compared with a prior of the state those of the noise.
     """
     plant, x, lead, ahead = replace(basis.plant, torque=False), basis.fit.x, options.lead, options.ahead
-    step = measured.step(lead)
-    recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
+    measured = measured.merged(step)
+    recording, angles = measured.channels, measured.shape.data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     uncertainty = prediction_uncertainty(basis, data.shape[1])
     size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), float(np.finfo(float).eps))

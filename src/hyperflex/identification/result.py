@@ -58,8 +58,8 @@ class Identification:
         What the data say of what was held or declared; the greatest gain first. Empty where the fit did not converge.
     residual_rms : (C,) rad or m
         Fit error of each channel (each link's angle, or each marker's x and y) over all windows.
-    residual_t (m,), residuals (m, C) : s, rad or m
-        Measured less fitted channels at the fitted samples; NaN in gaps.
+    residual_t (m,), residuals, fitted (m, C) : s, rad or m
+        Measured less fitted channels, and fitted ones, at the fitted samples; NaN in gaps.
     held_out : HeldOut or None
         Prediction of the part that was not fitted.
     parameters, covariance : tuple of str, (P, P)
@@ -71,9 +71,9 @@ class Identification:
     singular_values : (P,)
         Of the scaled information, largest first.
     settings : dict
-        Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
-        time of the residuals (samples), seconds taken; ``free``, loss, base, ``noise_declared``, and where
-        given `arc_lengths`, `origin` and the delay that the fit started from (s).
+        Window length (s), number of windows and of those left out, samples in a value (``decimation``), time fitted
+        (s), autocorrelation time of the residuals (samples), seconds taken; ``free``, loss, base, ``noise_declared``,
+        and where given `arc_lengths`, `origin` and the delay that the fit started from (s).
     converged : bool
         Whether the fit converged.
     ended : Status or None
@@ -109,6 +109,7 @@ class Identification:
     residual_rms: Array
     residual_t: Array
     residuals: Array
+    fitted: Array
     held_out: HeldOut | None
     parameters: tuple[str, ...]
     covariance: Array

@@ -135,7 +135,7 @@ def _sizes(basis: Basis) -> Array:
     known, motion = weights > 0.0, np.concatenate([w.motion for w in basis.windows])
     count = np.maximum(known.sum(axis=0), 1)
     noise = np.sqrt(np.divide(1.0, weights**2, out=np.zeros_like(weights), where=known).sum(axis=0) / count)
-    noise[(~known | (weights == 1.0)).all(axis=0)] = 0.0  # not declared
+    noise[(~known | (weights <= 1.0)).all(axis=0)] = 0.0  # not declared: no noise is 1 rad or 1 m
     if basis.fit.loss.name == "squares":
         rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     else:

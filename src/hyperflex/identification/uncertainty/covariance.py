@@ -12,7 +12,14 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit import Fit, Loss, Window, least_squares, linearise
 from hyperflex.identification.model import Mask, Parameter, Parameters, Plant, in_common_factor, lumped
-from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
+from hyperflex.identification.uncertainty.noise import (
+    Piece,
+    autocorrelation,
+    channel_correlation,
+    correlated,
+    noise_memory,
+    whiteness,
+)
 from hyperflex.interruption import stoppable
 from hyperflex.model import RESISTANCES, Rope
 from hyperflex.status import Status
@@ -158,11 +165,11 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     - A = mean(psi') S^T S, and what each residual counts has the variance s^2 = K^2 sum(psi^2) / freedom / mean(psi'),
       where psi is half the slope of the loss and K = 1 + (p / n) var(psi') / mean(psi')^2 (Huber, Robust Statistics,
       section 7.6). For squares psi is the residual and s^2 their variance.
-    - M = s^2 S^T R S: R are the autocorrelations of the residuals, one for all channels and windows, see
-      :func:`noise_memory`.
+    - M = s^2 S^T R S: R are the correlations of the residuals, those of their instants, see :func:`noise_memory`, times
+      those of their channels, see :func:`channel_correlation`.
 
-    Assumed are residuals of one stationary process, independent between channels and windows, at times that are about
-    even, and weights that are right up to a common factor. Model errors are not covered.
+    Assumed are residuals of one stationary process, alike and independent in all windows, at times that are about even.
+    Model errors are not covered.
     """
     widths, total = plant.parameters.widths, len(plant.parameters)
     psi = zip(windows, map(fit.loss.sensitivity, fit.residuals), strict=True)
@@ -175,11 +182,14 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     inner = known / singular[: known.shape[1]]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
     memory, agrees = noise_memory(pieces)
-    absorbed = sum(float((piece.basis * correlated(memory, piece.basis)).sum()) for piece in pieces)
+    channels = channel_correlation(pieces, memory)
+    absorbed = sum(float((piece.basis * correlated(memory, channels, piece.basis)).sum()) for piece in pieces)
     freedom = max(1.0, slopes.size - absorbed)
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
     variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
-    meat = (np.sum([model.meat(memory) for model in models], axis=0) + prior.T @ prior) * np.outer(widths, widths)
+    meat = (np.sum([model.meat(memory, channels) for model in models], axis=0) + prior.T @ prior) * np.outer(
+        widths, widths
+    )
     plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
     scale = variance * np.outer(widths, widths)
     return Information(
@@ -221,11 +231,13 @@ class _Model:
         basis = np.column_stack([self.own, self.shared @ inner])[: self.influence.size]
         return Piece(self.influence, self.seen, basis.reshape(*self.influence.shape, -1) * self.seen[:, :, None])
 
-    def meat(self, memory: Array) -> Array:
+    def meat(self, memory: Array, channels: Array) -> Array:
         """Return S^T R S (P, P)."""
         size, shape = self.influence.size, self.influence.shape
         rows, prior = self.shared[:size].reshape(*shape, -1), self.shared[size:]
-        return np.asarray(np.tensordot(rows, correlated(memory, rows), axes=([0, 1], [0, 1])) + prior.T @ prior)
+        return np.asarray(
+            np.tensordot(rows, correlated(memory, channels, rows), axes=([0, 1], [0, 1])) + prior.T @ prior
+        )
 
 
 def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budget: Budget) -> list[_Model]:

@@ -145,14 +145,37 @@ def _bridged(piece: Piece) -> Piece:
     return Piece(both[:, :, 0], seen, basis * np.divide(before, now, out=np.zeros_like(now), where=now > 0.0))
 
 
-def correlated(memory: Array, values: Array) -> Array:
-    """Return R values (m, ...): R (m, m) holds the autocorrelations `memory`, by lag."""
+def correlated(memory: Array, channels: Array, values: Array) -> Array:
+    """Return values (m, C, ...) times the covariance of noise over instants and channels, in units of its variance.
+
+    memory: autocorrelations by lag; channels (C, C): see :func:`channel_correlation`.
+    """
     from scipy.linalg import matmul_toeplitz
 
-    if not memory[1:].any():
-        return values
     m = values.shape[0]
-    return np.asarray(matmul_toeplitz(memory[:m], values.reshape(m, -1), check_finite=False)).reshape(values.shape)
+    if memory[1:].any():
+        each = matmul_toeplitz(memory[:m], values.reshape(m, -1), check_finite=False)
+        values = np.asarray(each).reshape(values.shape)
+    return np.asarray(np.einsum("cd,md...->mc...", channels, values))
+
+
+def channel_correlation(parts: Sequence[Piece], memory: Array) -> Array:
+    """Return the covariance (C, C) of the channels' noise, over its mean variance.
+
+    It is drawn to equal, independent channels as far as chance explains what differs from these: by the weight that
+    makes its expected squared error least (Ledoit and Wolf 2004, doi:10.1016/S0047-259X(03)00096-4).
+    """
+    found = _channel_covariance(parts)
+    seen = np.sum([part.seen.sum(axis=0) for part in parts], axis=0)
+    mean = float(np.diag(found) @ seen) / max(float(seen.sum()), 1.0)
+    if mean <= 0.0:
+        return np.eye(len(found))
+    found, own = found / mean, np.diag(found) / mean
+    count = float(seen.mean()) / max(1.0, 2.0 * float(memory @ memory) - 1.0)
+    chance = float((np.outer(own, own) + found**2).sum()) / max(count, 1.0)
+    away = float(((found - np.eye(len(found))) ** 2).sum())
+    part = min(1.0, chance / away) if away > 0.0 else 1.0
+    return np.asarray((1.0 - part) * found + part * np.eye(len(found)))
 
 
 def autocorrelation(pieces: Sequence[Piece]) -> float:

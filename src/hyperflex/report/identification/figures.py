@@ -54,7 +54,7 @@ class FittedChannels:
         angles, rms = found.unit == "rad", found.residual_rms
         channels = recording.angles() if angles else recording
         self.found, self.t, self.measured, self.fit_t = found, channels.t, channels.data, found.residual_t
-        self.fitted = channels.data[np.searchsorted(channels.t, self.fit_t)] - found.residuals
+        self.fitted = found.fitted
         step, length = float(np.median(np.diff(self.t))), float(found.settings["window"])
         length = min(length, 2.0 * (self.t[-1] - self.t[0]))
         self.window = np.floor((self.fit_t - self.fit_t[0]) / length + 1e-6 * step / length).astype(int)
