@@ -1,6 +1,6 @@
 """Regular swings: do 95 % intervals contain the truth, and how wide are they against the least that is possible?
 
-python -m benchmarks.intervals                        1, 2, 5, 20 and 140 s, an hour; to benchmarks/results/
+python -m benchmarks.intervals                        1, 2, 5, 20 and 140 s, half an hour; to benchmarks/results/
 python -m benchmarks.intervals --count 20 --out -     a look; nothing is written
 python -m benchmarks.intervals --durations 5 20       of these durations alone
 
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 G = 9.81  # m/s^2
 NOISE = 1e-3  # m, of a marker; of an angle over the mean length
 RATES = (30, 60, 100, 240, 500)  # Hz
-COUNTS = {1.0: 200, 2.0: 200, 5.0: 200, 20.0: 150, 140.0: 30}  # recordings of each duration (s)
+COUNTS = {1.0: 80, 2.0: 80, 5.0: 80, 20.0: 60, 140.0: 10}  # recordings of each duration (s)
 HELD = hf.FitOptions(length_std=0.0, clock_std=0.0)
 LOW, HIGH, WIDEST = 0.93, 0.97, 1.3
 
@@ -207,7 +207,7 @@ def main() -> int:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--durations", type=float, nargs="+", default=list(COUNTS), help="s (1 2 5 20 140)")
-    parser.add_argument("--count", type=int, help="recordings of each duration (200; of 20 s 150, of 140 s 30)")
+    parser.add_argument("--count", type=int, help="recordings of each duration (80; of 20 s 60, of 140 s 10)")
     parser.add_argument("--seed", type=int, default=1, help="of all draws (1)")
     parser.add_argument("--out", default=str(RESULTS), metavar="FOLDER", help="for JSON and Markdown; - writes nothing")
     options = parser.parse_args()

@@ -51,9 +51,7 @@ def test_autocorrelations_of_an_autoregression_and_back():
     assert np.prod(1.0 - parts**2) == pytest.approx(1.0 - a * first - b * second)
     values = np.random.default_rng(0).standard_normal((6, 2))
     matrix = np.array([[0.7 ** abs(i - j) for j in range(6)] for i in range(6)])
-    np.testing.assert_allclose(
-        correlated(0.7 ** np.arange(len(values)), np.eye(2), values), matrix @ values, rtol=1e-12
-    )
+    np.testing.assert_allclose(correlated(0.7 ** np.arange(len(values)), values), matrix @ values, rtol=1e-12)
 
 
 def test_what_the_fit_absorbs_is_given_back():
@@ -136,7 +134,7 @@ def test_gaps_in_slow_residuals_do_not_change_their_noise(missing):
     for part in (0.0, missing):
         memory, agrees = noise_memory(slow(np.random.default_rng(0), 20, part))
         assert agrees
-        said.append(float(np.sqrt((line * correlated(memory, np.eye(1), line)).sum())))
+        said.append(float(np.sqrt((line * correlated(memory, line)).sum())))
     assert said[1] == pytest.approx(said[0], rel=0.1)
 
 
@@ -172,7 +170,7 @@ def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away():
         line = np.linspace(-1.0, 1.0, 150)[:, None]  # a parameter that acts slowly
         own = correlations(terms, 150)
         left = (expected_products(part, 1) @ own)[0]
-        spread = (line * correlated(own, np.eye(1), line)).sum() / left
+        spread = (line * correlated(own, line)).sum() / left
         said.append(np.sqrt(spread * sum((p.residual**2).sum() for p in part)))
     walk = np.tril(np.ones((150, 150)))
     true = float(np.sqrt(line[:, 0] @ (walk @ walk.T + np.eye(150)) @ line[:, 0]))

@@ -27,8 +27,10 @@ from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Fit, Window, fit, linearise
 from hyperflex.identification.model import Mask, Parameter, Plant, extended, scale_words
 from hyperflex.identification.uncertainty.covariance import (
+    LEVEL,
     Basis,
     estimate_covariance,
+    quantile,
     ratio_gradients,
     ratio_spread,
     ratios,
@@ -87,7 +89,8 @@ class ScoreTest:
     moved : float
         Largest relative change of J/p1 and p/p1 that a refit finds; NaN without one.
     beyond : float
-        The same in standard deviations that noise gives these ratios, the largest; inf of one that was held.
+        The same in standard deviations that noise gives these ratios, wider by Student's quantile where the residuals
+        hold few values; the largest, inf of one that was held.
     std : float
         Greatest standard deviation that they would have.
     shift : (P,) float64
@@ -424,6 +427,7 @@ def _refitted(before: Basis | None, test: ScoreTest) -> ScoreTest:
         if sure:  # then what it leaves is the noise
             share = mended.variance * mended.correlation / max(noise.variance * noise.correlation, 1e-300)
             std, excess_gain = std * np.sqrt(share), 1.0 - (1.0 - excess_gain) * min(share, 1.0)
+    std = std * np.sqrt(quantile(LEVEL, noise.freedom) / quantile(LEVEL, np.inf))  # of few values little is known
     step = np.abs(later / size - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):  # what was held has no deviation: inf if it moves
         beyond = np.where(step > TESTING.tiny, np.abs(later - size) / std, 0.0)

@@ -183,13 +183,12 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     pieces = [model.piece(inner * widths[:, None]) for model in models]
     memory, agrees = noise_memory(pieces)
     channels = channel_correlation(pieces, memory)
-    absorbed = sum(float((piece.basis * correlated(memory, channels, piece.basis)).sum()) for piece in pieces)
+    absorbed = sum(float((piece.basis * correlated(memory, piece.basis)).sum()) for piece in pieces)
     freedom = max(1.0, slopes.size - absorbed)
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
     variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
-    meat = (np.sum([model.meat(memory, channels) for model in models], axis=0) + prior.T @ prior) * np.outer(
-        widths, widths
-    )
+    meat = np.sum([model.meat(memory, channels) for model in models], axis=0) + prior.T @ prior
+    meat = meat * np.outer(widths, widths)
     plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
     scale = variance * np.outer(widths, widths)
     return Information(
@@ -235,9 +234,8 @@ class _Model:
         """Return S^T R S (P, P)."""
         size, shape = self.influence.size, self.influence.shape
         rows, prior = self.shared[:size].reshape(*shape, -1), self.shared[size:]
-        return np.asarray(
-            np.tensordot(rows, correlated(memory, channels, rows), axes=([0, 1], [0, 1])) + prior.T @ prior
-        )
+        coloured = np.einsum("cd,tdp->tcp", channels, correlated(memory, rows))
+        return np.asarray(np.tensordot(rows, coloured, axes=([0, 1], [0, 1])) + prior.T @ prior)
 
 
 def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budget: Budget) -> list[_Model]:

@@ -145,18 +145,14 @@ def _bridged(piece: Piece) -> Piece:
     return Piece(both[:, :, 0], seen, basis * np.divide(before, now, out=np.zeros_like(now), where=now > 0.0))
 
 
-def correlated(memory: Array, channels: Array, values: Array) -> Array:
-    """Return values (m, C, ...) times the covariance of noise over instants and channels, in units of its variance.
-
-    memory: autocorrelations by lag; channels (C, C): see :func:`channel_correlation`.
-    """
+def correlated(memory: Array, values: Array) -> Array:
+    """Return R values (m, ...): R (m, m) holds the autocorrelations `memory`, by lag."""
     from scipy.linalg import matmul_toeplitz
 
+    if not memory[1:].any():
+        return values
     m = values.shape[0]
-    if memory[1:].any():
-        each = matmul_toeplitz(memory[:m], values.reshape(m, -1), check_finite=False)
-        values = np.asarray(each).reshape(values.shape)
-    return np.asarray(np.einsum("cd,md...->mc...", channels, values))
+    return np.asarray(matmul_toeplitz(memory[:m], values.reshape(m, -1), check_finite=False)).reshape(values.shape)
 
 
 def channel_correlation(parts: Sequence[Piece], memory: Array) -> Array:
