@@ -183,7 +183,9 @@ def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir):
     assert (np.abs(found.ratios["J/p1"] - [0.0906, 0.00691]) < 2.0 * found.ratio_std["J/p1"]).all()
 
 
-@pytest.mark.parametrize(("name", "begin", "duration"), [("triple", 0.01, 0.6), ("triple", 5.0, 0.6), ("16", 25.0, 3.0)])
+@pytest.mark.parametrize(
+    ("name", "begin", "duration"), [("triple", 0.01, 0.6), ("triple", 5.0, 0.6), ("16", 25.0, 3.0)]
+)
 def test_short_recordings_that_are_right_are_not_refused(data_dir, name, begin, duration):
     """Real pendulums: what all of the recording says is within three deviations of what a short part does."""
     if name == "triple":

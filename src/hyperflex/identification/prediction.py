@@ -116,13 +116,13 @@ def predict(basis: Basis, measured: Measurements, options: FitOptions, budget: B
     noise that of the values is. All have equal weights, compared with a prior of the state those of the noise.
     """
     plant, x, lead, ahead = replace(basis.plant, torque=False), basis.fit.x, options.lead, options.ahead
-    measured = measured.merged(step)
+    begin, end, measured = measured.channels.t[0], measured.channels.t[-1], measured.merged(step)
     recording, angles = measured.channels, measured.shape.data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     uncertainty = prediction_uncertainty(basis, data.shape[1])
     size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), float(np.finfo(float).eps))
     predictions = []
-    for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
+    for start in np.arange(begin + lead, end - ahead + slack, ahead):
         budget.check()
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
