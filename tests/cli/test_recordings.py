@@ -1,5 +1,6 @@
 """``hyperflex look``: what a file holds, its picture, and lines that read it."""
 
+import math
 import shlex
 from pathlib import Path
 
@@ -45,3 +46,15 @@ def test_the_line_that_look_proposes_identifies(hyperflex, hyperflex_json, tmp_p
     assert command == "hyperflex identify swing.csv --rope rope.toml --columns Angle -o identified"
     code, _, _ = hyperflex(*shlex.split(command)[1:], "--free", "inertia")
     assert code in (0, 5)  # read and fitted
+
+
+def test_look_lists_what_it_does_not_read_and_what_it_cannot_decide(hyperflex, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{k / 100.0},{8.0 * math.cos(k / 20.0)},0.1\n" for k in range(100))
+    Path("motor.csv").write_text(f"Zeit,position,torque\n{rows}")
+    code, out, _ = hyperflex("look", "motor.csv")
+    assert code == 0
+    assert "not used                torque (a motor's torque: --torque NAME)" in out
+    assert "time = Zeit, columns = position" in out
+    assert "the unit may be deg: the angles range over 16" in out
+    assert "read_recording('motor.csv', time='Zeit', columns=['position'], kind='angles'" in out

@@ -221,6 +221,12 @@ def test_stamps_of_any_unit_are_read_and_of_a_wrong_one_refused(tmp_path, unit, 
         refuses(f"years after 1970.*Pass time_unit='{unit}'", read_recording, path, time_unit=larger, unit="rad")
 
 
+def test_a_clock_of_whole_seconds_is_no_fault_of_single_rows(tmp_path):
+    rows = "".join(f"{k // 30},0.1\n" for k in range(90))
+    refuses("Write times with more digits", read_recording, table(tmp_path, f"t [s],th1 [rad]\n{rows}"))
+    refuses("drop repeated ones", read_recording, table(tmp_path, "t [s],th1 [rad]\n0,1\n0,1\n1,1\n2,1\n3,1\n"))
+
+
 def test_stamps_in_two_columns_are_joined(tmp_path):
     """As ROS writes them; each alone repeats or goes back."""
     rows = "".join(f"{1_700_000_000 + k // 4},{k % 4 * 250_000_000},0.1\n" for k in range(8))

@@ -100,6 +100,8 @@ class Table:
             what = "is a gap" if np.isnan(t[k]) else "repeats a time" if t[k] == t[k - 1] else "goes back in time"
             allowed = "a time in each row" + ("" if np.isnan(t[k]) else f", here after {t[k - 1]:.10g}")
             fix = "Fill it in, or remove the row" if np.isnan(t[k]) else "Sort the rows by time and drop repeated ones"
+            if 2 * np.count_nonzero(np.diff(t) == 0.0) > t.size:  # not of some rows, but of the column
+                fix = "Write times with more digits, or pass another column as time"
             where = f"{self.path}, line {self.numbers[k]}, column {name!r} {what}"
             raise InvalidInput(where, got=float(t[k]), allowed=allowed, fix=fix)
         return t
