@@ -59,8 +59,16 @@ def test_what_grows_with_the_common_factor():
 
 def test_ratios_end_at_0_where_they_cannot_be_negative():
     values = {"J/p1": np.array([0.1]), "p/p1": np.array([0.1]), "c/p1": np.array([0.0])}
-    found = of_ratios(values, {name: np.array([1.0]) for name in values}, np.inf)
+    stds, none = ({name: np.array([std]) for name in values} for std in (1.0, 0.0))
+    found = of_ratios(values, stds, none, np.inf)
     assert found["J/p1[0]"].low == found["c/p1[0]"].low == 0.0
     assert found["J/p1[0]"].ends == found["c/p1[0]"].ends == ("bound", "crossed")
     assert found["p/p1[0]"].low < -1.0  # a centre of mass may lie behind its joint
     assert found["c/p1[0]"].high == pytest.approx(1.96, abs=0.01)  # the normal quantile
+
+
+def test_what_was_declared_has_no_students_doubt():
+    """Of a length known to 1 % half an interval is 1.96 %, however few values tell the noise."""
+    value, std = {"J/p1": np.array([1.0])}, {"J/p1": np.array([0.01])}
+    widths = [of_ratios(value, std, {"J/p1": np.array([part])}, 1.0)["J/p1[0]"].high - 1.0 for part in (0.0, 0.01)]
+    assert widths == pytest.approx([0.127, 0.0196], rel=0.01)  # Student's quantile with one degree of freedom is 12.7

@@ -125,9 +125,12 @@ class Window:
 POOR = 0.05
 
 
-def part_left(windows: Sequence[Window], residuals: Sequence[Array]) -> float:
-    """Return the residuals [(m C,), ..] as a part of the motion about each window's mean, rms of both; inf without."""
-    left = sum(float(residual @ residual) for residual in residuals)
+def part_left(windows: Sequence[Window], residuals: Sequence[Array], loss: Loss) -> float:
+    """Return the residuals [(m C,), ..] as a part of the motion about each window's mean, rms of both; inf without.
+
+    A robust loss counts outliers, which are no part of the motion, as little as the fit does.
+    """
+    left = sum(map(loss.cost, residuals))
     moved = sum(float(((window.motion * window.weight) ** 2).sum()) for window in windows)
     return float(np.sqrt(left / moved)) if moved > 0.0 else np.inf
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain
@@ -162,6 +163,7 @@ class Parameters:
         """Return the value of a parameter of the whole, `held` where it is not free."""
         return next((p.value(each) for p, each in zip(self.all, x, strict=True) if p.name == name), held)
 
+    @checks.derived()
     def rope(self, x: Array) -> Rope:
         """Return the guess with the free parameters set to x."""
         return self.guess.replace(**self._changed(x))

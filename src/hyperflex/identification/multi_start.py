@@ -162,7 +162,7 @@ class MultiStart:
         """Whether values cost twice what known noise does, or a fit leaves a large part of the motion."""
         if self.measured.channels.noise is not None:
             return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
-        return not found.converged or part_left(windows, found.residuals) > POOR
+        return not found.converged or part_left(windows, found.residuals, found.loss) > POOR
 
     def fits(self) -> Iterator[Fitted]:
         """Yield fits of shorter windows, of those of the length, and the best so far from each other start.
@@ -234,7 +234,7 @@ class MultiStart:
             states.append(state[0] if state else window.guess)
         residuals = [window.residual(self.plant, x, state) for window, state in zip(windows, states, strict=True)]
         known = [each for each in residuals if each is not None]
-        if not known or len(known) < len(windows) or part_left(windows, known) > PREDICTED:
+        if not known or len(known) < len(windows) or part_left(windows, known, found.fit.loss) > PREDICTED:
             return None
         models = (
             linearise(self.plant, window, x, state, residual, Loss())

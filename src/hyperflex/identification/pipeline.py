@@ -409,7 +409,7 @@ class _Case:
         """Return what seems wrong in the declaration of the recording, as far as it and short fits show."""
         short = ShortFit(self.guess, trial.free, self.setup, Loss(self.options.loss), self.budget)
         said = spring_or_angles(self.recording, short)
-        left = part_left(trial.plain.windows, trial.plain.fit.residuals)
+        left = part_left(trial.plain.windows, trial.plain.fit.residuals, trial.plain.fit.loss)
         wrong = (
             any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
             or float(np.nanmax(np.abs(self.seen.shape.data))) < SMALL
@@ -429,7 +429,7 @@ class _Case:
         basis, how = trial.basis, self.options.intervals
         if how is None or not basis.information.estimated:
             return None
-        wrong = first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR
+        wrong = first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals, basis.fit.loss) > POOR
         if not trial.complete or (how == "auto" and wrong):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
         return all_intervals(basis, how, remarks=remarks, budget=self.budget, report=self.report)
@@ -465,7 +465,8 @@ def _result(
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     covariance, by_length = information.covariances(slopes)
     if intervals is not None:
-        intervals = intervals | of_ratios(known, ratio_std, information.freedom)
+        declared = ratio_spread(parameters, information.declared, model=True)
+        intervals = intervals | of_ratios(known, ratio_std, declared, information.freedom)
     result = Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),

@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.evidence import hangs_upwards, unlike_lengths
 from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, SCALES, as_free
-from hyperflex.identification.declarations.score_tests import TESTING, Scatter, ScoreTest
+from hyperflex.identification.declarations.score_tests import TESTING, Scatter, ScoreTest, determined
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, lumped
@@ -180,7 +180,7 @@ def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
     """
     p, inertia = lumped(rope)
     span = np.where(p > 0.0, p, np.inf) * rope.length
-    reach, spread = inertia / span, std * p[0] / span
+    reach, spread = inertia / span, np.where(p > 0.0, std, 0.0) * p[0] / span
     k = int(np.argmax(reach))
     at_end = guess.com[k] > (1.0 - BEYOND) * guess.length[k]
     point = at_end and guess.inertia[k] < BEYOND * guess.mass[k] * guess.length[k] ** 2
@@ -330,10 +330,6 @@ class FindingLimits:
     short: float = 0.004
     # standard deviations: more than noise makes of 99.7 % of what is right
     certain: float = 3.0
-    # condition number of information that determines nothing
-    singular: float = 10000000000.0
-    # probability: more likely than not
-    likely: float = 0.5
 
 
 REPORTED = FindingLimits()
@@ -357,6 +353,8 @@ def score_findings(tests: Sequence[ScoreTest], *, odd: bool, known: bool, wrong:
     What explains such a fit is wrong; `wrong`: something else is known to be, and causes are doubts.
     """
     found = _of_links(tests, odd=odd)
+    seeming = {name for each in tests for name in each.explains} if found else set()
+    tests = [each for each in tests if each.name not in seeming]
     first, cause = first_misdeclared(tests), None
     if first is not None:
         cause = next((each for each in _causes(tests) if each.gain > first.gain + TESTING.equal), None)
@@ -407,14 +405,16 @@ def _doubtful(test: ScoreTest, first: ScoreTest | None) -> bool:
 def _of_links(tests: Sequence[ScoreTest], *, odd: bool) -> list[Finding]:
     """Return that links are too long: the cause of an `odd` fit, or a doubt; nothing where another cause is better."""
     links = next((each for each in tests if each.name == LINKS), None)
-    if links is None or links.excess_gain < REPORTED.likely or links.gain <= TESTING.equal:
+    if links is None or links.excess_gain < TESTING.likely or links.gain <= TESTING.equal:
         return []
-    better = {other.name for other in tests if other.significant and other.gain > links.gain + TESTING.equal}
+    others = [other for other in tests if other.name not in links.explains]
+    better = {other.name for other in others if other.significant and other.gain > links.gain + TESTING.equal}
     if not better <= set(links.freed_with):
         return []
     along = {"freed_with": as_free(links.freed_with)}
     values = along | {"probability": links.excess_gain, "moved": links.ratio_sensitivity}
-    cause = odd and links.gain >= max(TESTING.explains, *(other.gain for other in tests))
+    explained = max(links.gain, *(other.gain for other in tests if other.name in links.explains), 0.0)
+    cause = odd and explained >= max(TESTING.explains, *(other.gain for other in others))
     found = Finding(Kind.LINKS_TOO_LONG, Severity.WRONG if cause else Severity.DOUBT, values, links.gain)
     return [found] * (cause or links.ratio_sensitivity > 0.0)
 
@@ -425,8 +425,7 @@ def _lengths(tests: Sequence[ScoreTest]) -> list[Finding]:
     if scales is None or any(each.significant and each.name == CLOCK for each in tests):
         return []
     known = scales.information[:2, :2]  # of links' lengths and of gravity, the arm being as long as declared
-    size = np.sqrt(np.diag(known))
-    if size.min() == 0.0 or np.linalg.cond(known / np.outer(size, size)) > REPORTED.singular:
+    if not determined(known):
         return []
     score = scales.information[:2] @ np.log(np.clip(scales.values, 1e-9, 1e9))
     off, std = abs(float(np.linalg.solve(known, score)[0])), float(np.sqrt(np.linalg.inv(known)[0, 0]))

@@ -161,7 +161,7 @@ class ShortFit:
                 continue
             states = [each.guess for each in windows]
             found = fit(plant, windows, x, states, loss=self.loss, rounds=SHORT_FIT.rounds, enough=HARDLY)
-            x, fitted = found.x, (windows, found.residuals)
+            x, fitted = found.x, (windows, found.residuals, found.loss)
         if fitted is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
             return np.inf, x
         return part_left(*fitted), x

@@ -64,6 +64,9 @@ class ScoreTestOptions:
     covered: float = 2.0
     # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
     hiding: int = 2
+    # probability of finer links: more likely than not; part of a test's gain that these show as well at least
+    likely: float = 0.5
+    seeming: float = 0.5
     # of information about a number that alone has 1, or part of the largest eigenvalue: about the root of rounding
     tiny: float = 1e-08
 
@@ -112,6 +115,8 @@ class ScoreTest:
         Of its own x, in units of the noise's variance.
     declared_std : float
         Of gravity_scale: relative standard deviation by lengths and times as declared; else 0.
+    explains : tuple of str
+        Of links: tests that a rope of finer links would make seem as significant.
     """
 
     name: str
@@ -129,6 +134,7 @@ class ScoreTest:
     freed_with: tuple[str, ...] = ()
     information: Array = field(default_factory=lambda: np.zeros((0, 0)))
     declared_std: float = 0.0
+    explains: tuple[str, ...] = ()
 
     @property
     def quantity(self) -> HeldQuantity:
@@ -359,6 +365,14 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
     )
 
 
+def determined(information: Array) -> bool:
+    """Whether information (k, k) tells each of k numbers from the others: no direction is as small as rounding."""
+    size = np.sqrt(np.diag(information))
+    if not (np.isfinite(information).all() and size.min(initial=np.inf) > 0.0):
+        return False
+    return bool(np.linalg.eigvalsh(information / np.outer(size, size))[0] > TESTING.tiny)
+
+
 def _inverse(information: Array) -> Array:
     """Return the inverse (k, k) of information about numbers each of which would alone have 1, 0 where there is none.
 
@@ -398,6 +412,12 @@ def _fit_with(some: Basis, *names: str) -> Basis | None:
     except InvalidInput:
         return None
     return replace(some, plant=plant, fit=found)
+
+
+def _refit_gain(before: Basis, name: str) -> float:
+    """Return the part of a fit's cost that `name`, free as well, takes away; 0 where no fit converges."""
+    after = _fit_with(before, name)
+    return 0.0 if after is None or before.fit.cost <= 0.0 else 1.0 - after.fit.cost / before.fit.cost
 
 
 def fit_with(basis: Basis, name: str) -> Basis | None:
@@ -561,19 +581,27 @@ def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest
     """Return the test of a rope's links, or nothing where they cannot be cut, or where few leave no more than noise.
 
     Links of a rope of many have to be alike; few may each have values of their own, with their mass in their middle. If
-    one of the `others` explains much, what it leaves is tested: a fit with it free as well.
+    one of the `others` explains much that longer links do not, what it leaves is tested: a fit with it free as well.
 
     Notes
     -----
     Indirect inference: the rope as fitted, its links cut into PIECES, is simulated, and the fit repeated on what the
     same sensor would see of that. The parameters' change is the error that too long links make; the residuals are its
     pattern. How much of it the residuals hold is 1 of the finer rope and 0 of a chain that has just these links; see
-    :func:`_probability`.
+    :func:`_probability`. Of the `others` those are explained by the links that a fit to the finer rope shows as well,
+    with half of their gain at least.
     """
-    name = next((each.name for each in others if each.masks), "")
-    richer = fit_with(basis, name)
-    if richer is not None:
-        return tuple(within(each, basis.fit.x.size, [name]) for each in link_test(richer))
+    found = _link_test(basis, others)
+    explained = {name for each in found for name in each.explains}
+    masking = next((each.name for each in others if each.masks and each.name not in explained), "")
+    richer = fit_with(basis, masking)
+    if richer is None:
+        return found
+    return tuple(within(each, basis.fit.x.size, [masking]) for each in _link_test(richer))
+
+
+def _link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest, ...]:
+    """Return the test of a rope's links, with what it explains of the `others`."""
     plant, x, some = basis.plant, basis.fit.x, part_of(basis)
     n, parameters, loss, states = plant.parameters.guess.n_links, plant.parameters.all, some.fit.loss, some.fit.states
     own = any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
@@ -590,13 +618,16 @@ def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest
     shift, std = again.x - x, np.sqrt(np.diag(basis.information.covariance))
     now, then = map(plant.parameters.values, (x, again.x))
     parts = np.abs(np.divide(then - now, now, out=np.zeros(x.size), where=now > 0.0))
+    probability, of_finer = _probability(basis, pairs), replace(some, windows=seen, fit=again)
+    shown = [each for each in others if each.refitted and probability > TESTING.likely]
     test = ScoreTest(
         LINKS,
         max(before - after, 0.0) / before if before > 0.0 else 0.0,
         np.array([float(n * PIECES)]),
         shift=shift,
-        excess_gain=_probability(basis, pairs),
+        excess_gain=probability,
         ratio_sensitivity=float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0)),
+        explains=tuple(each.name for each in shown if _refit_gain(of_finer, each.name) > TESTING.seeming * each.gain),
     )
     return (test,)
 

@@ -1,7 +1,7 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -72,6 +72,11 @@ class Information:
     def total(self) -> Array:
         """Covariance (P, P) of x by noise and errors of the model, lengths and times being as declared."""
         return self.covariance + self.model
+
+    @property
+    def declared(self) -> "Information":
+        """The same without errors of the model: what ``model_spread`` has then is by lengths, clock and torque."""
+        return replace(self, model=0.0)
 
     def model_spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
         """Return the part of `spread` that errors of the model, the lengths, the clock and the torque have."""
@@ -297,6 +302,17 @@ def quantile(level: float, freedom: float) -> float:
     return float(stdtrit(freedom, 0.5 * (1.0 + level))) ** 2
 
 
+def freedom_with(freedom: float, std: Array, declared: Array) -> Array:
+    """Return the degrees of freedom of standard deviations (k,), of which `declared` (k,) is a part that is known.
+
+    Welch and Satterthwaite (doi:10.2307/3002019): noise and errors of the model have those of the residuals, `freedom`,
+    and what was declared of lengths, clock and torque has no doubt.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        estimated = np.where(np.isfinite(std), 1.0 - (declared / std) ** 2, 1.0)
+        return np.asarray(freedom / np.clip(estimated, 0.0, 1.0) ** 2)
+
+
 def interval(
     at: float,
     std: float,
@@ -318,18 +334,26 @@ def of_parameters(basis: Basis, level: float = LEVEL) -> dict[str, Interval]:
     """Return intervals of all free parameters by label, from their standard deviations, within bounds."""
     information = basis.information
     stds = information.deviations(np.ones(information.x.size))
-    each = zip(basis.plant.parameters.all, information.x, stds, strict=True)
-    return {p.label: interval(float(x), std, information.freedom, p.least, level, p.value) for p, x, std in each}
+    freedom = freedom_with(information.freedom, stds, information.declared.model_spread(np.eye(information.x.size)))
+    each = zip(basis.plant.parameters.all, information.x, stds, freedom, strict=True)
+    return {p.label: interval(float(x), std, more, p.least, level, p.value) for p, x, std, more in each}
 
 
-def of_ratios(ratios: dict[str, Array], std: dict[str, Array], freedom: float) -> dict[str, Interval]:
-    """Return intervals of the ratios by name and link (``J/p1[0]``), from their standard deviations, within bounds."""
-    return {
-        f"{name}[{k}]": interval(value, spread, freedom, -np.inf if name in SIGNED else 0.0)
-        for name, values in ratios.items()
-        for k, (value, spread) in enumerate(zip(values, std[name], strict=True))
-        if spread > 0.0
-    }
+def of_ratios(
+    ratios: dict[str, Array], std: dict[str, Array], declared: dict[str, Array], freedom: float
+) -> dict[str, Interval]:
+    """Return intervals of the ratios by name and link (``J/p1[0]``), from their standard deviations, within bounds.
+
+    `declared` is the part of these that follows from what was declared, `freedom` are the degrees of that of the rest.
+    """
+    found = {}
+    for name, values in ratios.items():
+        every = zip(values, std[name], freedom_with(freedom, std[name], declared[name]), strict=True)
+        for k, (value, spread, degrees) in enumerate(every):
+            if spread > 0.0:
+                least = -np.inf if name in SIGNED else 0.0
+                found[f"{name}[{k}]"] = interval(value, spread, degrees, least)
+    return found
 
 
 def ratios(rope: Rope, free: Collection[str] = ()) -> dict[str, Array]:

@@ -54,8 +54,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     gravity = next((float(each.values[0]) for each in tests if each.name == CLOCK), 1.0)
     driven = basis.plant.driven
     believed = driven or white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight
-    observed = driven or (not counted and believed)
-    scaled = _scale_error(basis, tests, scale_std, believed=believed, observed=observed)
+    scaled = _scale_error(basis, tests, scale_std, believed=believed, observed=driven or not counted)
     return replace(basis, information=replace(information, model=model, scaled=scaled))
 
 
@@ -91,9 +90,10 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, believ
     The prior deviations are `std` (4,), of gravity twice that of a clock. A clock also changes frictions and torques by
     its own factor. The data determine some combinations, as a rule: the posterior covariance keeps the width of
     `std` where they determine nothing. It is about what was declared: what the data show counts as an error if
-    `observed`, of one of the factors, since a mistake is of one. Not where gravity counts already; nor, where residuals
-    of a free swing are not white, within what a ruler errs, since an omitted law looks the same. A drive has its own
-    lengths and times, by which the data determine those of the rope.
+    `observed`, of one of the factors, since a mistake is of one. Not where gravity counts already. Where residuals of a
+    free swing are not white, an omitted law may look as a factor within what a ruler errs: then the data are not
+    `believed`, and tell the factors no better than that (Birge's ratio). A drive has its own lengths and times, by
+    which the data determine those of the rope.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
     rate, known, step = np.zeros((x.size, std.size)), np.zeros((std.size, std.size)), np.zeros(std.size)
@@ -110,7 +110,8 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, believ
     rate[:, 1] += rate[:, 3]  # where times are multiplied by a, gravity is by 1 / a^2, and so torque over its reading
     std = np.where(rate.any(axis=0), std, 0.0)
     prior = np.diag(std**2)
-    known *= believed  # what the data tell of the factors, if that is not an omitted law
+    if not believed:
+        known /= max(1.0, float(step @ known @ step))
     error = np.linalg.solve(np.eye(std.size) + prior @ known, prior)
     moved = error @ known @ step
     share = std**2 / max(float(std @ std), 1e-300)  # of the one cause, the probability
