@@ -60,6 +60,7 @@ CAUSES: dict[
     "5 % lost, written as 0": (Kind.LOST,),
     "lost for 0.2 s every 2 s, written as 0": (Kind.LOST,),
     "half of the frames dropped, times counted on": (Kind.UNEVEN_FRAMES, Kind.MISSING_FRAMES, *TIMES_OR_LENGTHS),
+    "every 25th frame dropped, times counted on": (Kind.MISSING_FRAMES, Kind.UNEVEN_FRAMES),
     "half the frames, each twice": (Kind.REPEATED_FRAMES,),
     "a zero moved halfway": (Kind.JUMP, *ANGLES),
     "4 % outliers": (Kind.OUTLIERS,),

@@ -78,6 +78,10 @@ def moved(data, column, size):
 MARKERS, ANGLES, FAST = recorded(kind="markers"), recorded(), recorded(200.0, noise=2e-4)
 KEPT = np.flatnonzero(np.arange(2000) % 100 > 0)
 STRETCH = np.delete(np.arange(600), slice(240, 258))
+SLOW = recorded(50.0, ([0.9, 0.6], [0.0, 0.0]), noise=5e-4)
+KEPT_SLOW = np.flatnonzero(np.arange(SLOW.t.size) % 25 > 0)
+AGAIN = np.arange(SLOW.t.size) - (np.arange(SLOW.t.size) % 50 == 0)
+AGAIN[0] = 0
 HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
 
 
@@ -107,6 +111,8 @@ HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
             "skips frames at t = 3.983 s",
         ),
         (spoiled(MARKERS, MARKERS.data[STRETCH], ANGLES.t[: STRETCH.size]), Kind.MISSING_FRAMES, "at t = 3.983 s"),
+        (spoiled(SLOW, SLOW.data[KEPT_SLOW], SLOW.t[: KEPT_SLOW.size]), Kind.MISSING_FRAMES, "skips frames at t ="),
+        (spoiled(SLOW, SLOW.data[AGAIN]), Kind.REPEATED_FRAMES, "of the frames repeat the frame before"),
     ],
     ids=[
         "marker lost",
@@ -122,6 +128,8 @@ HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
         "some missing",
         "a stretch missing",
         "a stretch missing, markers",
+        "every 25th missing",
+        "every 50th twice",
     ],
 )
 def test_faults_are_found(recording, kind, said):

@@ -423,7 +423,7 @@ class _Case:
         severity = Severity.WRONG if any(each.severity is Severity.WRONG for each in found) else Severity.DOUBT
         said += [replace(each, severity=severity) for each in self.faulty]
         fitted = trial.basis.plant.parameters.rope(trial.basis.fit.x)  # whose lengths may be free
-        return [*said, *(evidence(self.recording, fitted) if self.setup.arc_lengths is None else [])]
+        return [*(evidence(self.recording, fitted) if self.setup.arc_lengths is None else []), *said]
 
     def _intervals(self, trial: Trial, remarks: list[Finding]) -> dict[str, Interval] | None:
         basis, how = trial.basis, self.options.intervals

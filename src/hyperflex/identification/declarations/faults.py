@@ -76,9 +76,10 @@ def lost(recording: Recording) -> Iterator[Finding]:
             continue
         off = np.linalg.norm(place[1:-1] - 0.5 * (place[:-2] + place[2:]), axis=1)
         other = ~(at[:-2] | at[1:-1] | at[2:])
+        step = np.linalg.norm(np.diff(place, axis=0), axis=1)[~(at[:-1] | at[1:])]  # which a repeated frame is away
         away = np.linalg.norm(0.5 * (place[last] + place[after]) - places[np.argmax(count)], axis=1)
         if other.any() and np.median(away) > max(
-            LIMITS.far * np.quantile(off[other], 0.9), LIMITS.matters * np.ptp(place)
+            LIMITS.far * np.quantile(off[other], 0.9), np.quantile(step, 0.9), LIMITS.matters * np.ptp(place)
         ):
             found[number] = places[np.argmax(count)].tolist(), float(at.mean())
     for place, _ in {str(place): (place, part) for place, part in found.values()}.values():
@@ -167,14 +168,41 @@ def uneven_frames(recording: Recording) -> Iterator[Finding]:
         yield Finding(Kind.UNEVEN_FRAMES, values={"part": part})
 
 
+def missing_frames(recording: Recording) -> Iterator[Finding]:
+    """Yield that the motion skips whole frames, while times are even: all channels together step two to four times.
+
+    A step is compared with the mean of the two steps on either side of it, over all channels, where these four agree.
+    Other jumps go back as often as ahead, and by no whole steps.
+    """
+    data = recording.data
+    if recording.t.size < 6 + LIMITS.many:
+        return
+    step = np.diff(data, axis=0)
+    around = np.stack([step[:-4], step[1:-3], step[3:-1], step[4:]])
+    usual = around.mean(axis=0)
+    more, fast = step[2:-2] - usual, np.linalg.norm(usual, axis=1)
+    alike = np.linalg.norm(around - usual, axis=2).max(axis=0) < LIMITS.whole * fast
+    known = np.isfinite(more).all(axis=1) & _even(recording, 6)
+    if not known.any():
+        return
+    resolution = np.abs(step).min(initial=np.inf, where=np.abs(step) > 0.0)
+    noise = max(float(np.median(np.abs(more[known]))) / NormalDist().inv_cdf(0.75), resolution)
+    odd = known & alike & (np.sqrt((more**2).mean(axis=1)) > LIMITS.jump * noise)
+    count = np.divide((more * usual).sum(axis=1), fast**2, out=np.zeros(fast.size), where=odd)
+    whole = odd & (np.abs(np.abs(count) - np.round(np.abs(count))) < LIMITS.whole)
+    whole &= (np.abs(count) > 1.0 - LIMITS.whole) & (np.abs(count) < LIMITS.missing + LIMITS.whole)
+    ahead = whole & (count > 0.0)
+    if ahead.sum() > 1 and ahead.sum() > 0.5 * odd.sum():
+        yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[np.flatnonzero(ahead) + 2].tolist()})
+
+
 class _Jump(NamedTuple):
-    """A jump between the sample `before` and the next: how large, in standard deviations, and over the usual step."""
+    """A jump between the sample `before` and the next: how large, and in standard deviations."""
 
     channel: int
     before: int
     size: float
     certain: float
-    steps: float
 
 
 def _jumps(column: Array, channel: int, recording: Recording, reach: float, apart: int) -> Iterator[_Jump]:
@@ -207,21 +235,19 @@ def _jumps(column: Array, channel: int, recording: Recording, reach: float, apar
     limit = LIMITS.jump * (LIMITS.sharp if len(fits) == 1 else 1.0)
     while certain.max(initial=0.0) > limit:
         k = int(np.argmax(certain))
-        steps = float(best.size[k] / best.slope[k]) if best.slope[k] else np.inf
-        yield _Jump(channel, k + best.side - 1, float(best.size[k]), float(certain[k]), steps)
+        yield _Jump(channel, k + best.side - 1, float(best.size[k]), float(certain[k]))
         certain[max(0, k - best.side) : k + best.side + 1] = 0.0
 
 
 class _Polynomials(NamedTuple):
     """Polynomials of fifth degree with a jump in the middle, through each window of 2 `side` samples (W,); NaN in gaps.
 
-    The jump, the slope a sample, the variance left, its median, and the standard deviation of jumps that are none.
+    The jump, the variance left, its median, and the standard deviation of jumps that are none.
     With `apart` = 1 the value alone jumps, with TERMS all derivatives: each side is followed by itself.
     """
 
     side: int
     size: Array
-    slope: Array
     variance: Array
     usual: float
     std: float
@@ -232,24 +258,23 @@ class _Polynomials(NamedTuple):
         u = (np.arange(2 * side) - side + 0.5) / side
         powers = np.vander(u, TERMS, increasing=True)
         model = np.column_stack([(u > 0.0)[:, None] * powers[:, :apart], powers])
-        parts = np.linalg.pinv(model)[[0, apart + 1]].T
-        table = np.column_stack([parts, np.linalg.qr(model)[0]])
+        table = np.column_stack([np.linalg.pinv(model)[0], np.linalg.qr(model)[0]])
         windows = np.lib.stride_tricks.sliding_window_view(column, 2 * side)
         found = []
         for block in range(0, len(windows), BLOCK):
             samples = windows[block : block + BLOCK] - windows[block : block + BLOCK, :1]
-            size, slope, *along = (samples @ table).T
+            size, *along = (samples @ table).T
             left = np.einsum("ij,ij->i", samples, samples) - np.sum(np.square(along), axis=0)
-            found.append([size, slope, np.maximum(left, 0.0) / (2 * side - TERMS - apart)])
-        size, slope, variance = np.concatenate(found, axis=1) * known
+            found.append([size, np.maximum(left, 0.0) / (2 * side - TERMS - apart)])
+        size, variance = np.concatenate(found, axis=1) * known
         if not np.isfinite(size).any():
-            return cls(side, size, slope, variance, np.inf, np.inf)
+            return cls(side, size, variance, np.inf, np.inf)
         std = float(np.nanquantile(np.abs(size), BAND)) / NormalDist().inv_cdf(0.5 + 0.5 * BAND)
-        return cls(side, size, slope / side, variance, float(np.nanmedian(variance)), std)
+        return cls(side, size, variance, float(np.nanmedian(variance)), std)
 
 
 def jumps(recording: Recording) -> Iterator[Finding]:
-    """Yield that a channel jumps by a constant and stays there, or that motion skips steps: frames are missing.
+    """Yield that a channel jumps by a constant and stays there, or that many frames are missing at once.
 
     Where many are missing, half of the channels that move jump at once and move on differently.
     """
@@ -267,13 +292,6 @@ def jumps(recording: Recording) -> Iterator[Finding]:
         if at:
             yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
         return
-    steps = np.array([each.steps for each in found])
-    frames = np.round(steps)
-    skipped = (frames >= 1) & (frames <= LIMITS.missing) & (np.abs(steps - frames) < LIMITS.whole)
-    if skipped.sum() > 1 and skipped.mean() > 0.5:
-        at = sorted({each.before for each, gone in zip(found, skipped, strict=True) if gone})
-        yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
-        return
     most = max(found, key=lambda each: each.certain)
     number, axis = divmod(most.channel, 2) if recording.kind == "markers" else (most.channel, 2)
     channel = f"{('x', 'y', 'angle')[axis]} of {recording.label(number)}"
@@ -281,7 +299,7 @@ def jumps(recording: Recording) -> Iterator[Finding]:
     yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
 
 
-FAULTS = (lost, wrapped, repeated, uneven_frames, jumps)
+FAULTS = (lost, wrapped, repeated, uneven_frames, missing_frames, jumps)
 
 
 def faults(recording: Recording) -> list[Finding]:

@@ -32,6 +32,7 @@ from hyperflex.report.identification.tables import (
 from hyperflex.report.page import Picture, Section, TextTable, write_page
 from hyperflex.report.style import png
 from hyperflex.report.units import amount
+from hyperflex.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,25 +68,27 @@ def identification_page(
 ) -> dict[str, Path]:
     """Write the page alone: one HTML file with its figures inside. Arguments as of :func:`write_identification`.
 
-    Returns the file ``page``.
+    What was interrupted has tables alone, to end soon. Returns the file ``page``.
     """
-    view = FittedChannels(recording, found)
-    many = len(view.names) > len(view.chosen)
+    drawn = [] if found.ended is Status.INTERRUPTED else _drawn(FittedChannels(recording, found))
     sections = [
         _assessment(found),
         *_found(found, guess),
-        _fit(view, many),
-        _prediction(view),
-        _residuals(view),
-        _history(found),
+        *drawn,
         Section("Recording", table=recording_table(recording, found)),
         Section("How it was fitted", table=fit_table(found)),
         _rope(found),
-        *([_all(view)] if many else []),
     ]
     title = f"{recording.name or 'A recording'}, identified"
     write_page(path, title, lead(recording, found), str(found.grade), sections)
     return {"page": Path(path)}
+
+
+def _drawn(view: FittedChannels) -> list[Section]:
+    """Return the sections with the fit's figures."""
+    many = len(view.names) > len(view.chosen)
+    every = [_all(view)] if many else []
+    return [_fit(view, many), _prediction(view), _residuals(view), _history(view.found), *every]
 
 
 def _assessment(found: Identification) -> Section:
