@@ -58,13 +58,15 @@ def readable_unit(what: str, values: npt.ArrayLike) -> Unit:
 def amount(value: float, what: str, digits: int = 3) -> str:
     """Return a value with the unit that suits it, and so many digits; `what` as of :func:`readable_unit`."""
     unit = readable_unit(what, value)
-    return f"{value / unit.size:.{digits}g} {unit.name}"
+    return f"{value / unit.size:.{digits}g}{unit.after}"
 
 
 def rounded(value: float, std: float) -> str:
-    """Return a value rounded to two digits of its standard deviation; four digits without one."""
+    """Return a value rounded to two digits of its standard deviation; four digits without one, and a plain 0."""
     if not np.isfinite(value):
         return "not known"
+    if value == 0.0:
+        return "0"
     if not np.isfinite(std) or std <= 0.0:
         return f"{value:.4g}"
     decimals = 1 - int(np.floor(np.log10(std)))

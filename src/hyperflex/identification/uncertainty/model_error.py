@@ -54,7 +54,8 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     gravity = next((float(each.values[0]) for each in tests if each.name == CLOCK), 1.0)
     driven = basis.plant.driven
     believed = driven or white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight
-    scaled = _scale_error(basis, tests, scale_std, believed=believed, observed=driven or not counted)
+    observed = driven or (not counted and believed)
+    scaled = _scale_error(basis, tests, scale_std, believed=believed, observed=observed)
     return replace(basis, information=replace(information, model=model, scaled=scaled))
 
 
@@ -90,10 +91,10 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, believ
     The prior deviations are `std` (4,), of gravity twice that of a clock. A clock also changes frictions and torques by
     its own factor. The data determine some combinations, as a rule: the posterior covariance keeps the width of
     `std` where they determine nothing. It is about what was declared: what the data show counts as an error if
-    `observed`, of one of the factors, since a mistake is of one. Not where gravity counts already. Where residuals of a
-    free swing are not white, an omitted law may look as a factor within what a ruler errs: then the data are not
-    `believed`, and tell the factors no better than that (Birge's ratio). A drive has its own lengths and times, by
-    which the data determine those of the rope.
+    `observed`, of one of the factors, since a mistake is of one. Not where gravity counts already; nor, where residuals
+    of a free swing are not white, within what a ruler errs, since an omitted law looks the same: then the data are not
+    `believed`, and tell the factors no better than these seem off (Birge's ratio). A drive has its own lengths and
+    times, by which the data determine those of the rope.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
     rate, known, step = np.zeros((x.size, std.size)), np.zeros((std.size, std.size)), np.zeros(std.size)

@@ -269,18 +269,22 @@ def shapes_figure(view: FittedChannels) -> Figure:
 
 
 def history_figure(found: Identification) -> Figure:
-    """Draw the cost over the iterations of each stage, relative to the smallest of the stage."""
+    """Draw the cost over the iterations of each length of windows, relative to the smallest with that."""
+    from matplotlib.ticker import LogFormatter
+
     with new_figure(_WIDTH, 2.4) as figure:
         axis: Any = figure.subplots()
         first, place = 0, {"transform": axis.get_xaxis_transform(), "va": "bottom"}
-        for _, entries in groupby(found.history, key=lambda entry: (entry["stage"], entry.get("start"))):
+        for _, entries in groupby(found.history, key=lambda entry: (entry["window"], entry.get("start"))):
             cost, lengths = np.array([(entry["cost"], entry["window"]) for entry in entries]).T
             rounds = first + np.arange(cost.size)
             axis.plot(rounds, cost / max(float(cost.min()), 1e-300), "o-", ms=3.5, color=BLUE)
             axis.axvline(first - 0.5, color=GREY, lw=0.8, ls=(0, (3.0, 2.0)))
             axis.text(first - 0.4, 1.02, f"windows of {lengths[0]:.3g} s", fontsize=8.0, color=INK, **place)
             first += cost.size
-        axis.set(yscale="log", xlabel="round", ylabel="cost over its stage's least", xlim=(-0.5, first - 0.5))
+        axis.set(yscale="log", xlabel="round", ylabel="cost over its least", xlim=(-0.5, first - 0.5))
+        for formatter in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
+            formatter(LogFormatter(minor_thresholds=(2.0, 0.4)))
         axis.locator_params(axis="x", integer=True)
     return figure
 

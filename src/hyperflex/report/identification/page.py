@@ -104,7 +104,7 @@ def _assessment(found: Identification) -> Section:
         tiles.append((words, f"error of predicting {held.ahead:g} s that were not fitted (rms)"))
         if np.isfinite(held.inside):
             half = amount(BAND * float(np.sqrt(np.nanmean(held.std**2))), found.unit)
-            words = f"of these predictions lie in the band that should contain 95 %, within ± {half}"
+            words = f"of these predictions lie in the band that should contain 95 %, within ±\u00a0{half}"
             tiles.append((f"{100.0 * held.inside:.0f} %", words))
     marks = tuple((each.severity is Severity.NOTE, text(each)) for each in found.findings)
     verdict = found.success, f"{found.grade.capitalize()}."
@@ -184,7 +184,7 @@ def _residuals(view: FittedChannels) -> Section:
 def _history(found: Identification) -> Section:
     if not found.history:
         return Section("How the fit went", text=("The fit was interrupted during its first iteration.",))
-    caption = "Cost after each iteration, relative to the smallest of its stage; short windows tolerate a poor guess."
+    caption = "Cost after each iteration, relative to the least with such windows; short ones tolerate a poor guess."
     return Section("How the fit went", pictures=_pictures((history_figure(found), caption)))
 
 

@@ -77,7 +77,8 @@ def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
     """Return all free numbers with standard deviations and intervals, and the first guess if it is given."""
     every, rows = numbers(found), []
     for each in every:
-        alike = [other.value for other in every if (other.name, other.law) == (each.name, each.law)]
+        same = [other for other in every if (other.name, other.law) == (each.name, each.law)]
+        alike = [max(abs(other.value), other.std if np.isfinite(other.std) else 0.0) for other in same]
         unit = readable_unit("" if each.law in ("factor", "taper") else each.name, alike)
         value, std, low, high = (number / unit.size for number in (each.value, each.std, each.low, each.high))
         words = described(each.label, PROPERTIES[each.name].words)
