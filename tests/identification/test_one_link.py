@@ -1,11 +1,16 @@
 """One link on a driven arm: what no motion of it tells is neither tested nor spoken of."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 import hyperflex as hf
 from hyperflex.identification import FitOptions, Kind, RecordingSetup
+from hyperflex.identification.declarations.held import SCALES
+from hyperflex.identification.declarations.score_tests import ScoreTest, determined
 from hyperflex.identification.pipeline import first_choice
+from hyperflex.identification.symptoms import score_findings
 
 MOTION, ARM = hf.arm_swings(0.7, 0.4, "minimum-jerk"), hf.Arm(length=0.1)
 TRUE = hf.Rope(length=[0.3], mass=[0.1], com=[0.2], inertia=[8e-4], friction=[3e-4])
@@ -46,3 +51,49 @@ def test_a_torque_frees_the_masses_of_few_links_and_of_many():
     ):
         assert first_choice(rope, torque=True) == words
         assert first_choice(rope) == words[1:]
+
+
+@pytest.mark.parametrize(
+    "known",
+    [
+        np.zeros((2, 2)),  # nothing moves
+        np.diag([1e6, 0.0]),  # one of the two does not act
+        1e9 * np.ones((2, 2)),  # both act alike
+        np.array([[1.0, 1.0 - 1e-12], [1.0 - 1e-12, 1.0]]),  # but for rounding
+        np.full((2, 2), np.inf),  # no noise
+        np.full((2, 2), np.nan),
+    ],
+)
+def test_information_that_is_singular_says_nothing_of_lengths(known):
+    assert not determined(known)
+    information = np.zeros((3, 3))
+    information[:2, :2] = known
+    scales = ScoreTest(SCALES, 0.9, np.array([2.0, 2.0, 2.0]), information=information)
+    assert score_findings([scales], odd=False, known=True, wrong=False) == []
+
+
+def test_information_that_determines_lengths_tells_them():
+    scales = ScoreTest(SCALES, 0.9, np.array([1.1, 1.0, 1.0]), information=np.diag([1e6, 1e6, 1e6]))
+    (found,) = score_findings([scales], odd=False, known=True, wrong=False)
+    assert (found.kind, found.values["off"]) == (Kind.LENGTHS, pytest.approx(np.log(1.1)))
+
+
+def test_two_links_always_in_line_are_no_crash_and_ask_nothing_of_the_user():
+    """A rod cut in two: its parts act alike, and a free length may run away; ropes on the way are no user's."""
+    rod = hf.Rope([0.3], [0.1], friction=[3e-4])
+    t = np.arange(150) / 50.0
+    run = hf.simulate(rod, duration=float(t[-1]), t_eval=t, q0=[0.8])
+    q = run.q + 2e-3 * np.random.default_rng(0).standard_normal((t.size, 1))
+    guess = hf.Rope([0.15, 0.15], [0.05, 0.05], friction=3e-4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = hf.identify(
+            hf.Recording(t, np.column_stack([q, q])), guess, ["length", "friction"], options=FitOptions(intervals=None)
+        )
+    assert not found.has(Kind.LENGTHS)
+    basis = found._basis
+    assert basis is not None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # such as "rope length is 164 m: is it meant in mm?"
+        far = basis.plant.parameters.rope(basis.fit.x + 7.0)
+    assert far.total_length > 100.0

@@ -15,6 +15,7 @@ from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
 from hyperflex.report.identification.figures import (
     FittedChannels,
+    history_figure,
     prediction_figure,
 )
 from hyperflex.report.identification.page import identification_page, write_identification
@@ -28,6 +29,7 @@ from hyperflex.report.identification.tables import (
     rope_table,
     ties,
 )
+from hyperflex.report.units import rounded
 from hyperflex.status import Status
 
 NOISE = 2e-3
@@ -310,3 +312,15 @@ def test_correlation_of_a_known_process_also_with_gaps():
     # AR(1): 0.8^k; std of an estimate about sqrt((1 + 0.64) / (1 - 0.64) / 12000) = 0.02.
     np.testing.assert_allclose(correlation[:, 0], 0.8 ** np.arange(1, 6), atol=0.06)
     np.testing.assert_allclose(lag, 0.5 * np.arange(1, 6))
+
+
+def test_a_value_of_0_is_a_plain_0():
+    assert [rounded(0.0, std) for std in (3e-8, 0.2, np.inf)] == ["0"] * 3
+    assert rounded(0.31, 0.2) == "0.31"
+
+
+def test_each_length_of_windows_has_a_curve_of_its_own(swing):
+    """Windows that are joined later are a stage of the same number."""
+    entries = [{"stage": 0, "window": window, "cost": cost} for window in (1.0, 2.0) for cost in (3.0, 1.0)]
+    (axis,) = history_figure(dataclasses.replace(swing[1], history=tuple(entries))).axes
+    assert [list(line.get_ydata()) for line in axis.lines if line.get_marker() == "o"] == [[3.0, 1.0]] * 2
