@@ -122,9 +122,13 @@ def test_an_interrupted_fit_says_so(tmp_path, swing):
     recording, found = swing
     cut = changed(found, ended=Status.INTERRUPTED, history=(), held_out=None)
     text = page(tmp_path, (recording, cut))
-    assert "during its first iteration" in text
+    assert "interrupted during its first iteration; figures were not drawn" in text
     assert 'class="verdict warn"' in text
-    assert "Nothing was predicted: the fit ended early (interrupted)" in text
+    assert "data:image/png" not in text
+    late = changed(found, ended=Status.OUT_OF_TIME, history=(), held_out=None)
+    text = page(tmp_path, (recording, late))
+    assert "ended during its first iteration" in text
+    assert "Nothing was predicted: the fit ended early (out of time)" in text
 
 
 @pytest.mark.usefixtures("unseen")

@@ -70,7 +70,8 @@ def identification_page(
 
     What was interrupted has tables alone, to end soon. Returns the file ``page``.
     """
-    drawn = [] if found.ended is Status.INTERRUPTED else _drawn(FittedChannels(recording, found))
+    ended = found.ended is Status.INTERRUPTED
+    drawn = [_interrupted(found)] if ended else _drawn(FittedChannels(recording, found))
     sections = [
         _assessment(found),
         *_found(found, guess),
@@ -89,6 +90,12 @@ def _drawn(view: FittedChannels) -> list[Section]:
     many = len(view.names) > len(view.chosen)
     every = [_all(view)] if many else []
     return [_fit(view, many), _prediction(view), _residuals(view), _history(view.found), *every]
+
+
+def _interrupted(found: Identification) -> Section:
+    """Return the section in place of figures."""
+    when = f"after {len(found.history)} iterations" if found.history else "during its first iteration"
+    return Section("How the fit went", text=(f"It was interrupted {when}; figures were not drawn.",))
 
 
 def _assessment(found: Identification) -> Section:
@@ -183,7 +190,7 @@ def _residuals(view: FittedChannels) -> Section:
 
 def _history(found: Identification) -> Section:
     if not found.history:
-        return Section("How the fit went", text=("The fit was interrupted during its first iteration.",))
+        return Section("How the fit went", text=("The fit ended during its first iteration.",))
     caption = "Cost after each iteration, relative to the least with such windows; short ones tolerate a poor guess."
     return Section("How the fit went", pictures=_pictures((history_figure(found), caption)))
 
