@@ -5,6 +5,7 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+from scipy.io import savemat
 
 import hyperflex as hf
 
@@ -46,6 +47,15 @@ def test_the_line_that_look_proposes_identifies(hyperflex, hyperflex_json, tmp_p
     assert command == "hyperflex identify swing.csv --rope rope.toml --columns Angle -o identified"
     code, _, _ = hyperflex(*shlex.split(command)[1:], "--free", "inertia")
     assert code in (0, 5)  # read and fitted
+
+
+def test_look_draws_each_column_of_an_array(hyperflex, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(40) / 20.0
+    savemat("swing.mat", {"t": t, "theta": 0.1 * np.cos(np.outer(t, [3.0, 4.0]))})
+    code, out, _ = hyperflex("look", "swing.mat", "-o", "swing.png")
+    assert (code, "angles                  2: theta (2 columns)" in out) == (0, True), out
+    assert Path("swing.png").exists()
 
 
 def test_look_lists_what_it_does_not_read_and_what_it_cannot_decide(hyperflex, tmp_path, monkeypatch):

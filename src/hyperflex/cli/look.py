@@ -37,7 +37,7 @@ def look(
     chosen = found.arguments.get("markers") or found.arguments.get("columns")
     names = list(chosen or content.points or content.angles or content.names)
     holds = "markers" if content.points else "angles" if content.angles or chosen else "columns"
-    count = sum(content.widths.get(name, 1) for name in names)
+    widths = {name: content.widths.get(name, 1) for name in names}
     result: dict[str, Any] = {
         "file": file,
         "format": found.format,
@@ -52,7 +52,7 @@ def look(
         "command": command if recording is not None else None,
         "problem": found.problem or None,
     }
-    rows = [("format", found.format), (holds, f"{count}: {_named(content, names)}")]
+    rows = [("format", found.format), (holds, f"{sum(widths.values())}: {_named(content, names)}")]
     if found.unused:
         hint = "" if content.points else " (a motor's torque: --torque NAME)"
         rows.append(("not used", _named(content, found.unused) + hint))
@@ -75,7 +75,8 @@ def look(
     )
     rows += [("but", found.problem)] if found.problem else []
     if out is not None and recording is not None:
-        save_png(recording_figure(recording, tuple(map(str, chosen or names))), out)
+        labels = [f"{name} {k}" if name in content.widths else name for name in names for k in range(widths[name])]
+        save_png(recording_figure(recording, tuple(labels)), out)
         result |= {"output": out, "bytes": out.stat().st_size}
         rows.append(("picture", str(out)))
     lines = [Rows("To read it", [("Python", python), ("shell", command)])] if recording is not None else []
