@@ -296,6 +296,12 @@ class Kind(StrEnum):
         moment is more than such a link can have: it is longer, or times are to be multiplied by {clock:.3g}. Check
         times, frame rate, scale, lengths and the order of the links.""",
     )
+    COM_OR_CLOCK = (
+        "centre of mass or clock contradicts the guess",
+        """Link {link} would have its centre of mass {reach:.3g} times as far from its joint as declared. | com or the
+        clock contradicts the guess: com is another, or times are to be multiplied by {clock:.3g}; J/p1 is off by
+        {moved:%} then. Check the frame rate, and measure com, or free 'com'.""",
+    )
     PREDICTION_FAILED = (
         "prediction failed",
         """{failed} of {count} predictions of the held-out part failed (from t = {times:list} s). | The identified rope

@@ -242,12 +242,16 @@ class MultiStart:
         )
         if any(map(diverges, windows, models)):
             return None
-        stage = {"window": length, "stage": 0, "stages": 1}
-        joined = self.fit(windows, x, states, with_entries(self.report, stage), enough=None)
-        history = tuple(entry | stage for entry in joined.history)
-        joined = replace(joined, history=found.fit.history + history)
         settings = {name: found.settings[name] for name in ("starts", "starts_agree") if name in found.settings}
-        return Fitted(joined, windows, settings | self.settings(length, windows, dropped))
+        longer = replace(found, settings=settings | self.settings(length, windows, dropped))
+        return self.continued(longer, windows, x, states)
+
+    def continued(self, found: Fitted, windows: list[Window], x: Array, states: list[Array]) -> Fitted:
+        """Return a fit of these windows from x and states, which continues the history of another."""
+        stage = {"window": found.settings["window"], "stage": 0, "stages": 1}
+        now = self.fit(windows, x, states, with_entries(self.report, stage), enough=None)
+        history = found.fit.history + tuple(entry | stage for entry in now.history)
+        return replace(found, fit=replace(now, history=history), windows=windows)
 
     def other_starts(self, best: Fitted, starts: Sequence[Array]) -> Iterator[Fitted]:
         """Yield the best fit so far after each of other `starts`, as long as it is bad.

@@ -37,12 +37,12 @@ from hyperflex.identification.measurements import (
     usual_length,
     with_torque,
 )
-from hyperflex.identification.model import ANGLES, CONSTANT, Plant
+from hyperflex.identification.model import ANGLES, CONSTANT, Parameters, Plant, extended
 from hyperflex.identification.multi_start import WHOLE, WORSE, Fitted, MultiStart, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
-from hyperflex.identification.symptoms import explaining, first_misdeclared, symptoms
+from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms
 from hyperflex.identification.uncertainty.covariance import (
     Basis,
     Information,
@@ -66,6 +66,7 @@ SMALL = 0.06  # rad: half a turn that was read as degrees
 ODD = 0.02  # part of the motion that right fits do not leave, but for noise
 MOST = 3  # parameters that are freed at most beyond the first ones: each costs a fit
 # Of what was held, what a user is likely not to know: the likeliest first
+MOMENTS = ("length", "mass", "com", "inertia", "tip_mass")  # what ratios of moments and inertias are made of
 ALLOWED = ("com", "gravity_angle", "delay", *LAWS)
 
 
@@ -312,7 +313,7 @@ class _Case:
             mistaken = [each.gain for each in trial.tests if each.significant and each.name in (DRIFT, ANGLES)]
             least = max((gain + TESTING.equal for gain in mistaken), default=0.0)
             required = [each for each in trial.tests if self._required(each, trial.free) and each.gain > least]
-            if not required or not trial.complete:
+            if not required or not trial.complete or com_moved(trial.plain):
                 break
             equals = [each for each in required if each.gain > required[0].gain - TESTING.equal]
             chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
@@ -344,11 +345,11 @@ class _Case:
         wanted = usual if self.options.window is None else self.options.window
         length = min(wanted, WHOLE * self.seen.channels.duration)
         search = MultiStart(plant, self.seen, length, usual, loss, self.budget, self.report)
-        found = search.best()
-        information, ended = fit_information(plant, found.windows, found.fit)
+        search, found = self._with_com(search, search.best())
+        information, ended = fit_information(search.plant, found.windows, found.fit)
         if self.options.window is None:
-            found, information, ended = self._lengthened(search, found, information, ended)
-        basis = Basis(plant, found.windows, found.fit, information, usual)
+            search, found, information, ended = self._lengthened(search, found, information, ended)
+        basis = Basis(search.plant, found.windows, found.fit, information, usual)
         trial = Trial(list(free), basis, basis, found.settings | delay, ended)
         with stoppable() as stop:
             if trial.complete:
@@ -361,8 +362,8 @@ class _Case:
 
     def _lengthened(
         self, search: MultiStart, found: Fitted, information: Information, ended: Status | None
-    ) -> tuple[Fitted, Information, Status | None]:
-        """Return the fit of longer windows, as long as these make the parameters better known.
+    ) -> tuple[MultiStart, Fitted, Information, Status | None]:
+        """Return the fit of longer windows, as long as these make the parameters better known, and its search.
 
         A state that is common to a longer time leaves more of the motion to the parameters: a phase, above all. Where
         errors grow fast, longer windows tell less; where the model is not right for so long, residuals grow.
@@ -371,14 +372,33 @@ class _Case:
         with stoppable() as stop:
             while ended is None and found.fit.converged and not search.is_bad(found.windows, found.fit):
                 longer = search.joined(found)
-                ended = None if longer is None else longer.fit.status  # what was interrupted is not finished
-                if longer is None or not longer.fit.converged or search.is_bad(longer.windows, longer.fit):
+                if longer is None:
                     break
-                more = estimate_covariance(search.plant, longer.windows, longer.fit, self.budget)
+                following, longer = self._with_com(search, longer)
+                ended = longer.fit.status  # what was interrupted is not finished
+                if not longer.fit.converged or search.is_bad(longer.windows, longer.fit):
+                    break
+                more = estimate_covariance(following.plant, longer.windows, longer.fit, self.budget)
                 if more.variance > most or not more.tells_more(information):
                     break
-                found, information = longer, more
-        return found, information, ended or stop.status
+                search, found, information = following, longer, more
+        return search, found, information, ended or stop.status
+
+    def _with_com(self, search: MultiStart, found: Fitted) -> tuple[MultiStart, Fitted]:
+        """Return a search and its fit, with centres of mass free as well where no ratio of masses can follow the data.
+
+        A moment of inertia that would be negative stays at 0, as that of a point mass on a string. Then lengths or
+        times that are off by less than was declared of them would look like another fault: that is the prior.
+        """
+        plant, std = search.plant, self.options.gravity_std
+        if found.fit.status is not None or std == 0.0 or not _at_bounds(plant, found.fit.x):
+            return search, found
+        freed, x, groups = extended(plant, found.fit.x, ["com"])
+        loose = replace(search, plant=freed).continued(found, found.windows, x, found.fit.states)  # for the noise
+        known = [replace(each, prior=std * self.guess.length[each.links[0]] / each.scale) for each in groups["com"]]
+        parameters = Parameters(self.guess, [*plant.parameters.all, *known])
+        search = replace(search, plant=replace(plant, parameters=parameters))
+        return search, search.continued(loose, found.windows, loose.fit.x, loose.fit.states)
 
     def _settings(self, trial: Trial, began: float) -> dict[str, Any]:
         """Return what was fitted and how."""
@@ -433,6 +453,18 @@ class _Case:
         if not trial.complete or (how == "auto" and wrong):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
         return all_intervals(basis, how, remarks=remarks, budget=self.budget, report=self.report)
+
+
+def _at_bounds(plant: Plant, x: Array) -> bool:
+    """Whether all that is free of the masses of a free swing of few links is at its bound, and com is declared.
+
+    It counts as declared where it is not in the middle of each link, as by default.
+    """
+    guess, every = plant.parameters.guess, zip(plant.parameters.all, x <= plant.parameters.lower, strict=True)
+    declared = not np.allclose(guess.com, 0.5 * guess.length, rtol=1e-6, atol=0.0)
+    swings = guess.n_links <= FEW_LINKS and guess.gravity.any() and not plant.driven
+    bounded = [at_bound for each, at_bound in every if each.name in MOMENTS]
+    return bool(declared and swings and bounded and all(bounded))
 
 
 def _with_word(free: Sequence[str], word: str) -> list[str]:

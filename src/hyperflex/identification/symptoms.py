@@ -66,7 +66,9 @@ def symptoms(
         tests, odd=any(each.severity is Severity.WRONG for each in odd), known=known, wrong=bool(impossible)
     )
     std = ratio_spread(basis.plant.parameters, basis.information)["J/p1"]
-    found = [*impossible, *declared, *odd, *_far(rope, basis.plant.parameters.guess, std), *loose]
+    if moved := com_moved(basis):  # which the clock explains as well, and which leaves nothing known
+        declared, loose = [each for each in declared if each.kind is not Kind.CLOCK], []
+    found = [*impossible, *declared, *odd, *moved, *_far(rope, basis.plant.parameters.guess, std), *loose]
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
     if abs(angle) > AXES:
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
@@ -187,6 +189,17 @@ def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
     if reach[k] > (1.0 + max(BEYOND, REPORTED.certain * spread[k]) if point else REACH):
         values = {"link": k, "reach": float(reach[k]), "clock": float(reach[k] ** -0.5)}
         yield Finding(Kind.MASS_FAR, Severity.WRONG, values)
+
+
+def com_moved(basis: Basis) -> list[Finding]:
+    """Return that a centre of mass is far more off than lengths and times are by what was declared of these."""
+    found = []
+    for each, x in zip(basis.plant.parameters.all, basis.fit.x.tolist(), strict=True):
+        if each.name == "com" and abs(x - each.first) > REPORTED.certain * each.prior and x / each.first > 0.0:
+            reach = x / each.first
+            values = {"link": each.links[0], "reach": reach, "clock": reach**-0.5, "moved": abs(1.0 - reach)}
+            found.append(Finding(Kind.COM_OR_CLOCK, Severity.WRONG, values))
+    return found
 
 
 def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:

@@ -445,7 +445,8 @@ def skewed(basis: Basis) -> list[int]:
     """
     information, above = basis.information, basis.information.x - basis.plant.parameters.lower
     std = np.sqrt(np.diag(information.covariance))
-    known = np.isfinite(information.deviations(np.ones(std.size))) & (std > 0.0)
+    before = np.array([np.isfinite(each.prior) for each in basis.plant.parameters.all])  # normal, as was declared
+    known = np.isfinite(information.deviations(np.ones(std.size))) & (std > 0.0) & ~before
     beside = near_bounds(information.covariance, above)
     tied: Mask = np.any((np.abs(information.covariance) > TIED * np.outer(std, std)) & beside, axis=1)
     order = np.argsort(above / np.where(std > 0.0, std, 1.0), kind="stable")

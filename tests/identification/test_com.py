@@ -1,0 +1,49 @@
+"""What was declared of a point mass, of lengths and of times, where its moment of inertia is at its bound."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.identification import Grade, Kind
+
+LENGTH, NOISE = 0.48, 2e-3  # m, rad
+STRING = hf.Rope(length=[LENGTH], mass=[0.08], com=[LENGTH], inertia=[0.0], friction=1e-4)
+
+
+def string(duration: float, length: float = LENGTH, seed: int = 3) -> tuple[Array, Array]:
+    """Times and angles of a point mass on a string, with linear and quadratic drag, at 40 frames/s."""
+    t = np.arange(round(40 * duration)) / 40.0
+
+    def slope(_: float, y: Array) -> list[float]:
+        return [y[1], -9.81 / length * np.sin(y[0]) - (0.015 + 0.008 * abs(y[1])) * y[1]]
+
+    angle = solve_ivp(slope, (0.0, duration), [0.3, 0.0], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    return t, angle + NOISE * np.random.default_rng(seed).standard_normal(t.size)
+
+
+@pytest.mark.parametrize("free", [None, ["inertia", "friction"]])
+def test_a_declared_centre_of_mass_that_would_move_far_contradicts_the_clock(free: list[str] | None) -> None:
+    """24 frames/s declared as 30: J/p1 would be 0.64 of the truth, with a com of 0.64 of the declared one."""
+    t, angle = string(12.0)
+    found = hf.identify(hf.Recording(t * 24.0 / 30.0, angle[:, None]), STRING, free)
+    assert found.grade is Grade.DO_NOT_USE
+    first = found.findings[0]
+    assert first.kind is Kind.COM_OR_CLOCK
+    assert first.values["clock"] == pytest.approx(1.25, rel=5e-3)  # quadratic drag, noise: 1.2497
+    assert "times are to be multiplied by 1.25" in found.report()
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_clock_within_what_was_declared_is_no_fault_at_a_bound(seed: int) -> None:
+    """A clock 0.3 % short: J/p1 seems less than a point mass can have, by 0.6 %, within clock_std of 0.5 %."""
+    t, angle = string(10.0, seed=seed)
+    found = hf.identify(hf.Recording(t / 1.003, angle[:, None]), STRING, ["inertia", "friction"])
+    assert found.grade is Grade.RATIOS
+    assert not found.has(Kind.ANGLE_SCALE, Kind.CLOCK, Kind.COM_OR_CLOCK)
+    assert LENGTH in found.intervals["J/p1[0]"]
+    # by clock_std alone: 1 % of J/p1; the declared length tells no more than 1.4 %
+    assert found.ratio_std["J/p1"][0] == pytest.approx(0.01 * LENGTH, rel=0.2)
+    most = 0.08 * LENGTH**2  # all that com and clock may hide, in inertia: 1.4 % of it, at two deviations
+    assert 0.01 * most < found.intervals["inertia[0]"].high < 0.04 * most
