@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import make_splrep
 
 import hyperflex as hf
-from hyperflex.identification import FitOptions, Identification, RecordingSetup
+from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup
 from hyperflex.identification.model import lumped
 from tests.reference.motors import Pendulum, single
 from tests.refusals import refuses
@@ -157,3 +157,26 @@ def test_the_rotor_of_an_inner_motor_is_taken_off_its_torque():
     about = np.array([i + m * a**2 for i, m, a in zip(TWO.inertia, TWO.mass, TWO.com, strict=True)])
     np.testing.assert_allclose(own, about, rtol=0.03)  # of the accelerations, which are off by some percent
     assert plain.rope.inertia[1] + plain.rope.mass[1] * plain.rope.com[1] ** 2 > 1.2 * about[1]
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_default_com_that_scales_the_mass_is_told_and_leaves_ratios(given: bool) -> None:
+    """A mass of 0.6 kg at 0.42 m seems 1.008 kg at the default of 0.25 m: the torque determines their product."""
+    recording, current = recorded(ONE, 1, 3)
+    guess = hf.Rope(length=[0.5], mass=[0.5], com=[0.42] if given else None, friction=0.02)
+    options = FitOptions(train=np.inf, intervals=None)
+    found = hf.identify(recording, guess, setup=RecordingSetup(torque=KT * current), options=options)
+    assert found.rope.mass[0] * found.rope.com[0] == pytest.approx(0.6 * 0.42, rel=1e-2)
+    assert found.grade == ("usable" if given else "usable for ratios")
+    (com,) = [each for each in found.findings if each.kind is Kind.COM_HELD]
+    assert com.values["moved"] == pytest.approx(1.0 - 1.0 / 1.01)
+    assert ("held at 0.25 m, its default of half the length" in found.report()) == (not given)
+
+
+def test_what_few_samples_leave_open_is_not_usable() -> None:
+    """0.4 s of a slow torque: mass 0.5 +- 0.3 kg, J/p1 1.1 +- 0.8 m."""
+    recording, current = recorded(ONE, 1, 3)
+    few = hf.Recording(recording.t[:40], recording.data[:40])
+    guess, setup = hf.Rope(length=[0.5], mass=[0.6], friction=0.02), RecordingSetup(torque=KT * current[:40])
+    found = hf.identify(few, guess, setup=setup, options=FitOptions(train=np.inf, intervals=None))
+    assert found.findings[0].kind is Kind.NOTHING_KNOWN

@@ -374,8 +374,9 @@ class Kind(StrEnum):
     )
     FEW_VALUES = (
         "few independent values",
-        """The residuals hold about {values:.2g} independent values. | Standard deviations and intervals are little more
-        than a guess. Record longer, or free fewer parameters.""",
+        """The residuals hold about {values:.2g} independent values. | Standard deviations are little more than a guess,
+        so 95 % intervals reach {half:.2g} of them to either side, not 2 (Student's t). Record longer, or free fewer
+        parameters.""",
     )
     BETTER_OPTIMUM = (
         "better optimum nearby",
@@ -388,6 +389,17 @@ class Kind(StrEnum):
         the standard deviation. Use profile(found, name) to see the curve, or free fewer parameters.""",
     )
     # What the values stand for
+    COM_HELD = (
+        "masses follow from com",
+        """Masses follow from com, held at {com:list} m{default:?, its default of half the length}. | The torque
+        determines mass times com alone: a com 1 % larger makes a mass up to {moved:%} smaller. Find where the link
+        balances and give com, or weigh it: free 'com' and hold 'mass'.""",
+    )
+    ONLY_RATIOS = (
+        "no mass known",
+        """No mass or inertia is known better than to {limit:%}. | The torque determines too little of them. Use ratios
+        alone, or record larger torques and swings.""",
+    )
     TORQUE_SCALE = (
         "proportional to the torque",
         """Masses, inertias and frictions are proportional to the torque as measured. | A torque 1 % too large makes
@@ -494,7 +506,8 @@ class Grade(StrEnum):
     DO_NOT_USE = "do not use"
 
 
-SCALES = (Kind.HELD_SCALE, Kind.COMMON_FACTOR)  # of these findings one says that only ratios are known
+# Of these findings one says that only ratios are known
+SCALES = (Kind.HELD_SCALE, Kind.COMMON_FACTOR, Kind.COM_HELD, Kind.ONLY_RATIOS)
 
 
 def grade(findings: Iterable[Finding]) -> Grade:
@@ -502,7 +515,8 @@ def grade(findings: Iterable[Finding]) -> Grade:
     findings = list(findings)
     if any(each.severity is Severity.WRONG for each in findings):
         return Grade.DO_NOT_USE
-    return Grade.RATIOS if any(each.kind in SCALES for each in findings) else Grade.USABLE
+    scaled = any(each.kind in SCALES and each.severity > Severity.NOTE for each in findings)
+    return Grade.RATIOS if scaled else Grade.USABLE
 
 
 def ordered(findings: Iterable[Finding]) -> tuple[Finding, ...]:

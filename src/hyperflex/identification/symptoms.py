@@ -14,7 +14,16 @@ from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, lumped
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis, ratio_gradients, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import (
+    LEVEL,
+    TOUCHED,
+    Basis,
+    quantile,
+    ratio_gradients,
+    ratio_spread,
+    ratios,
+    widening,
+)
 from hyperflex.identification.uncertainty.model_error import law_error
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import RESISTANCES, Rope
@@ -38,7 +47,8 @@ BEYOND = 0.02
 # the error is about as stated
 PERSISTENCE = 0.5
 AS_STATED = 0.9
-# std over value, beyond which it is poorly determined, and twice that of frictions and stiffnesses
+# std over value, beyond which it is poorly determined, and twice that of frictions and stiffnesses; less, as far as
+# Student's distribution widens intervals
 LOOSE = 0.15
 # part of a friction: by more than another law would change it, it is called a model error
 FRICTION_MOVES = 0.1
@@ -186,7 +196,7 @@ def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
     k = int(np.argmax(reach))
     at_end = guess.com[k] > (1.0 - BEYOND) * guess.length[k]
     point = at_end and guess.inertia[k] < BEYOND * guess.mass[k] * guess.length[k] ** 2
-    if reach[k] > (1.0 + max(BEYOND, REPORTED.certain * spread[k]) if point else REACH):
+    if reach[k] > max(1.0 + BEYOND if point else REACH, 1.0 + REPORTED.certain * spread[k]):
         values = {"link": k, "reach": float(reach[k]), "clock": float(reach[k] ** -0.5)}
         yield Finding(Kind.MASS_FAR, Severity.WRONG, values)
 
@@ -209,27 +219,30 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     held, and what cannot be known at all, is reported elsewhere.
     """
     parameters, information = basis.plant.parameters, basis.information
-    every, loose = ratios(rope, parameters.names), dict[str, float]()
+    every, loose, limit = ratios(rope, parameters.names), dict[str, float](), LOOSE / widening(information.freedom)
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.constants is None else set()
     for each, value, spread in zip(parameters.all, values, std, strict=True):
-        least = (1 + (each.name in LAWS)) * LOOSE * value
+        least = (1 + (each.name in LAWS)) * limit * value
         if each.kind.form != "linear" and each.name not in by_ratios and 0.0 < least < spread < np.inf:
             loose[each.label] = float(spread / value)
     masses: list[float] = []
     for name, spreads in ratio_spread(parameters, information).items():
         known = np.flatnonzero((spreads > 0.0) & (spreads < np.inf))
         parts = {int(k): float(spreads[k] / max(abs(every[name][k]), 1e-300)) for k in known}
-        wide = {k: part for k, part in parts.items() if part > (2 - (name in MASSES)) * LOOSE}
+        wide = {k: part for k, part in parts.items() if part > (2 - (name in MASSES)) * limit}
         if name in MASSES:
-            masses += parts.values()
+            masses += [*parts.values(), *spreads[spreads == np.inf]]
         if 1 < len(wide) == len(parts):
             loose[name] = max(wide.values())
         else:
             loose |= {f"{name}[{k}]": part for k, part in wide.items()}
-    nothing = bool(masses) and min(masses) > LOOSE
+    nothing = information.estimated and bool(masses) and min(masses) > limit
     found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LOOSE})] * nothing
+    own = [k for k, each in enumerate(parameters.all) if each.name in ("mass", "inertia", "tip_mass")]
+    if not nothing and own and not by_ratios and (std > limit * values)[own].all():
+        found.append(Finding(Kind.ONLY_RATIOS, Severity.LIMIT, {"limit": LOOSE}))
     if loose:
         others = "values" if information.unknown.shape[1] == 0 else "ratios"
         found.append(Finding(Kind.POORLY_DETERMINED, values={"parts": loose, "others": others}))
@@ -245,6 +258,21 @@ def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
         yield Finding(Kind.NOISE_OVERSTATED, values=values)
     elif tests and not any(each.significant for each in tests) and basis.information.variance > MISDECLARED**2:
         yield Finding(Kind.UNEXPLAINED, values={"times": float(np.sqrt(basis.information.variance))})
+
+
+def _of_torque(basis: Basis) -> Iterator[Finding]:
+    """Yield what masses that a torque determines depend on: a held com, and the torque's scale."""
+    parameters = basis.plant.parameters
+    rope, guess = parameters.rope(parameters.rounded(basis.fit.x)), parameters.guess
+    if "mass" in parameters.names and "com" not in parameters.names and rope.com.all():
+        # moments stay, which the torque determines: m_i com_i + l_i (all mass beyond)
+        beyond = np.triu(np.broadcast_to(rope.length[:, None], (rope.n_links, rope.n_links)), 1)
+        moments = (np.diag(rope.com) + beyond) @ rope.mass
+        moved = np.linalg.solve(np.diag(1.01 * rope.com) + beyond, moments) / rope.mass - 1.0
+        default = bool(np.allclose(guess.com, 0.5 * guess.length))
+        values = {"com": rope.com.tolist(), "default": default, "moved": float(np.abs(moved).max())}
+        yield Finding(Kind.COM_HELD, Severity.LIMIT if default else Severity.NOTE, values)
+    yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
 
 
 def _com_sensitivity(basis: Basis, tests: Sequence[ScoreTest]) -> float:
@@ -283,7 +311,7 @@ def _limits(
     if information.unknown.shape[1]:
         yield Finding(Kind.COMMON_FACTOR, Severity.LIMIT)
     elif basis.plant.constants is not None:
-        yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
+        yield from _of_torque(basis)
     else:
         yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"moved": _com_sensitivity(basis, tests)})
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
@@ -300,8 +328,9 @@ def _limits(
         yield Finding(Kind.COLOURED, Severity.LIMIT, {"samples": information.correlation})
     if not information.agrees:
         yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)
-    elif information.freedom < 2.0:  # of which Student's distribution has no variance
-        yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom})
+    elif widening(information.freedom) > REPORTED.wider:
+        half = float(np.sqrt(quantile(LEVEL, information.freedom)))
+        yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom, "half": half})
     chance = chdtrc(information.freedom, information.freedom * information.variance)  # of so large a variance
     if settings["noise_declared"] and chance < CHANCE:
         yield Finding(Kind.NOISE_UNDERSTATED, Severity.LIMIT, {"times": float(np.sqrt(information.variance))})
@@ -343,6 +372,8 @@ class FindingLimits:
     short: float = 0.004
     # standard deviations: more than noise makes of 99.7 % of what is right
     certain: float = 3.0
+    # times as wide as from a deviation that is known: an interval by three degrees of freedom
+    wider: float = 1.5
 
 
 REPORTED = FindingLimits()

@@ -313,6 +313,11 @@ def freedom_with(freedom: float, std: Array, declared: Array) -> Array:
         return np.asarray(freedom / np.clip(estimated, 0.0, 1.0) ** 2)
 
 
+def widening(freedom: float) -> float:
+    """Return how many times wider Student's distribution makes an interval than a deviation that is known."""
+    return float(np.sqrt(quantile(LEVEL, freedom) / quantile(LEVEL, np.inf)))
+
+
 def interval(
     at: float,
     std: float,
