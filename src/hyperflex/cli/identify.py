@@ -186,12 +186,12 @@ def _drive(path: Path | None) -> dict[str, Any]:
 def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
     """Yield the grade, the fit, tables of parameters and ratios; `whole` is where the whole tables are."""
     from hyperflex.identification import Kind, text
-    from hyperflex.report import TextTable, parameters_table, ratios_table, readable_unit
+    from hyperflex.report import TextTable, parameters_table, predicted, ratios_table, readable_unit
 
     unit = readable_unit(found.unit, found.residual_rms)
     rows = [("ended", str(found.status)), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
-        rows.append((f"prediction error over {held.ahead:g} s, rms", f"{held.error / unit.size:.3g} {unit.name}"))
+        rows.append((f"prediction error over {held.ahead:g} s, rms", " ".join(predicted(found)).rstrip()))
     yield from found.report().splitlines()
     yield from (text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"])
     if "gravity_angle" in found.values:

@@ -96,11 +96,21 @@ class HeldOut:
 
     @property
     def error(self) -> float:
-        """Prediction error, rms over all channels, rad or m: what terminal, page and findings report.
+        """Prediction error, rms over all channels, rad or m, as far as predictions are foreseeable; inf if one failed.
 
-        As far as predictions are foreseeable; inf if one failed.
+        Terminal and page report it, with that of all samples (`error_of_all`) where these are more.
         """
-        return float(np.sqrt(np.mean((self if self.failed.size else self.foreseeable).rms ** 2)))
+        return self.error_of_all if self.failed.size else self.foreseeable.error_of_all
+
+    @property
+    def error_of_all(self) -> float:
+        """Prediction error, rms over all channels and samples, rad or m; inf if a prediction failed."""
+        return float(np.sqrt(np.mean(self.rms**2)))
+
+    @property
+    def foreseen(self) -> float:
+        """Part of the predicted samples that is foreseeable."""
+        return self.foreseeable.t.size / self.t.size
 
     @property
     def failed(self) -> Array:

@@ -24,6 +24,7 @@ from hyperflex.report.identification.tables import (
     lead,
     numbers,
     parameters_table,
+    predicted,
     ratios_table,
     recording_table,
     rope_table,
@@ -106,9 +107,9 @@ def _assessment(found: Identification) -> Section:
         (amount(found.residual_rms_all, found.unit), "residual of the fit (rms over all channels)"),
     ]
     if (held := found.held_out) is not None:
-        words = amount(held.error, found.unit) if np.isfinite(held.error) else "failed"
+        words, note = predicted(found)
         held = held.foreseeable
-        tiles.append((words, f"error of predicting {held.ahead:g} s that were not fitted (rms)"))
+        tiles.append((words, f"error of predicting {held.ahead:g} s that were not fitted (rms) {note}".rstrip()))
         if np.isfinite(held.inside):
             half = amount(BAND * float(np.sqrt(np.nanmean(held.std**2))), found.unit)
             words = f"of these predictions lie in the band that should contain 95 %, within ±\u00a0{half}"
