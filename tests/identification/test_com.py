@@ -1,5 +1,7 @@
 """What was declared of a point mass, of lengths and of times, where its moment of inertia is at its bound."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -7,6 +9,7 @@ from scipy.integrate import solve_ivp
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.identification import Grade, Kind
+from hyperflex.identification.uncertainty.covariance import ratios
 
 LENGTH, NOISE = 0.48, 2e-3  # m, rad
 STRING = hf.Rope(length=[LENGTH], mass=[0.08], com=[LENGTH], inertia=[0.0], friction=1e-4)
@@ -47,3 +50,11 @@ def test_a_clock_within_what_was_declared_is_no_fault_at_a_bound(seed: int) -> N
     assert found.ratio_std["J/p1"][0] == pytest.approx(0.01 * LENGTH, rel=0.2)
     most = 0.08 * LENGTH**2  # all that com and clock may hide, in inertia: 1.4 % of it, at two deviations
     assert 0.01 * most < found.intervals["inertia[0]"].high < 0.04 * most
+
+
+def test_a_rope_without_a_first_moment_has_no_ratios_and_warns_of_nothing() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = ratios(STRING.replace(com=[0.0], inertia=[1e-3]))
+    assert np.isinf(found["J/p1"][0])
+    assert np.isnan(found["p/p1"][0])

@@ -243,8 +243,8 @@ class MultiStart:
         if any(map(diverges, windows, models)):
             return None
         settings = {name: found.settings[name] for name in ("starts", "starts_agree") if name in found.settings}
-        longer = replace(found, settings=settings | self.settings(length, windows, dropped))
-        return self.continued(longer, windows, x, states)
+        settings |= self.settings(length, windows, dropped)
+        return self.continued(replace(found, settings=settings), windows, x, states)
 
     def continued(self, found: Fitted, windows: list[Window], x: Array, states: list[Array]) -> Fitted:
         """Return a fit of these windows from x and states, which continues the history of another."""

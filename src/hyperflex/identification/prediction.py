@@ -96,11 +96,11 @@ class HeldOut:
 
     @property
     def error(self) -> float:
-        """Prediction error, rms over all channels, rad or m, as far as predictions are foreseeable; inf if one failed.
+        """Prediction error, rms over all channels, rad or m, as far as predictions are foreseeable, if they are at all.
 
-        Terminal and page report it, with that of all samples (`error_of_all`) where these are more.
+        Terminal and page report it, with that of all samples (`error_of_all`) where these are more; inf if one failed.
         """
-        return self.error_of_all if self.failed.size else self.foreseeable.error_of_all
+        return (self if self.failed.size or self.foreseen == 0.0 else self.foreseeable).error_of_all
 
     @property
     def error_of_all(self) -> float:

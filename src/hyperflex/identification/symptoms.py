@@ -238,7 +238,7 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
             loose[name] = max(wide.values())
         else:
             loose |= {f"{name}[{k}]": part for k, part in wide.items()}
-    nothing = information.estimated and bool(masses) and min(masses) > limit
+    nothing = information.estimated and bool(masses) and bool(min(masses) > limit)
     found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LOOSE})] * nothing
     own = [k for k, each in enumerate(parameters.all) if each.name in ("mass", "inertia", "tip_mass")]
     if not nothing and own and not by_ratios and (std > limit * values)[own].all():

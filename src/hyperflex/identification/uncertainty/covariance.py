@@ -365,13 +365,14 @@ def ratios(rope: Rope, free: Collection[str] = ()) -> dict[str, Array]:
     """Return the ratios over p1 = p of link 0 that are identifiable without known forces, each (n,).
 
     ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and of the other resistances those that the rope has or that are `free`:
-    ``tau_d/p1`` and ``k/p1`` (m/s^2), ``d/p1`` (1/m^3).
+    ``tau_d/p1`` and ``k/p1`` (m/s^2), ``d/p1`` (1/m^3). Without a first moment none is a number: inf, or nan.
     """
     p, inertia = lumped(rope)
     resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
     shown = {each.symbol for each in RESISTANCES if each.name in free or each.symbol == "c"}
     resistances = {name: value for name, value in resistances.items() if name in shown or value.any()}
-    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
 
 
 def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
