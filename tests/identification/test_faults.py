@@ -5,7 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import Kind
+from hyperflex.identification import Kind, Severity
 
 LENGTHS = np.array([0.3, 0.2])
 SWING, TUMBLE = ([0.6, 0.4], [0.0, 0.0]), ([2.6, 2.0], [3.0, -5.0])
@@ -154,6 +154,14 @@ def test_faults_come_first_in_a_report():
     found = hf.identify(spoiled(right, lost(right.data, slice(2, 4))), SINGLE)
     assert found.findings[0].kind is Kind.LOST
     assert "exactly (0, 0)" in found.report().splitlines()[1]
+
+
+def test_a_fault_that_spoils_the_fit_is_all_that_is_reported():
+    """What else seems wrong follows from it; nothing is tested, and no other cause is searched for."""
+    right = recorded(kind="markers", duration=3.0)
+    found = hf.identify(spoiled(right, lost(right.data, slice(2, 6))), hf.Rope(LENGTHS, 0.1, friction=1e-4))
+    assert [each.kind for each in found.findings if each.severity > Severity.NOTE] == [Kind.LOST]
+    assert found.score_tests == ()
 
 
 def test_outliers_are_named_and_bring_no_doubt_under_a_robust_loss():

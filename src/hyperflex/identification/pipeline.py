@@ -291,6 +291,8 @@ class _Case:
                 with deferred():
                     found = shown()
                 doubts = self._mistakes(trial, found)
+                if self.faulty and any(each.severity is Severity.WRONG for each in found):  # which follows from that
+                    found = [each for each in found if each.severity is Severity.NOTE]
         trial = replace(trial, ended=trial.ended or stop.status)
         with deferred():
             if trial.ended is not None:
@@ -352,7 +354,7 @@ class _Case:
         basis = Basis(search.plant, found.windows, found.fit, information, usual)
         trial = Trial(list(free), basis, basis, found.settings | delay, ended)
         with stoppable() as stop:
-            if trial.complete:
+            if trial.complete and not (self.faulty and search.is_bad(found.windows, found.fit)):  # nothing to test
                 angles = self.recording.kind == "angles"
                 tests, scores = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
                 trial = replace(trial, tests=tests, scores=scores)
