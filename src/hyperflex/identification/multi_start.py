@@ -242,7 +242,9 @@ class MultiStart:
         )
         if any(map(diverges, windows, models)):
             return None
-        settings = {name: found.settings[name] for name in ("starts", "starts_agree") if name in found.settings}
+        settings: dict[str, Any] = {
+            name: found.settings[name] for name in ("starts", "starts_agree") if name in found.settings
+        }
         settings |= self.settings(length, windows, dropped)
         return self.continued(replace(found, settings=settings), windows, x, states)
 

@@ -110,7 +110,7 @@ class HeldOut:
     @property
     def foreseen(self) -> float:
         """Part of the predicted samples that is foreseeable."""
-        return self.foreseeable.t.size / self.t.size
+        return self.foreseeable.t.size / max(self.t.size, 1)
 
     @property
     def failed(self) -> Array:
