@@ -78,7 +78,8 @@ def symptoms(
     std = ratio_spread(basis.plant.parameters, basis.information)["J/p1"]
     if moved := com_moved(basis):  # which the clock explains as well, and which leaves nothing known
         declared, loose = [each for each in declared if each.kind is not Kind.CLOCK], []
-    found = [*impossible, *declared, *odd, *moved, *_far(rope, basis.plant.parameters.guess, std), *loose]
+    far = _far(rope, basis.plant.parameters.guess, std)
+    found = [*impossible, *declared, *odd, *moved, *far, *_com_held(basis), *loose]
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
     if abs(angle) > AXES:
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
@@ -260,19 +261,18 @@ def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
         yield Finding(Kind.UNEXPLAINED, values={"times": float(np.sqrt(basis.information.variance))})
 
 
-def _of_torque(basis: Basis) -> Iterator[Finding]:
-    """Yield what masses that a torque determines depend on: a held com, and the torque's scale."""
+def _com_held(basis: Basis) -> Iterator[Finding]:
+    """Yield that masses that a torque determines follow from a held com: a doubt where nobody gave it."""
     parameters = basis.plant.parameters
     rope, guess = parameters.rope(parameters.rounded(basis.fit.x)), parameters.guess
-    if "mass" in parameters.names and "com" not in parameters.names and rope.com.all():
+    if basis.plant.constants is not None and "mass" in parameters.names and "com" not in parameters.names:
         # moments stay, which the torque determines: m_i com_i + l_i (all mass beyond)
         beyond = np.triu(np.broadcast_to(rope.length[:, None], (rope.n_links, rope.n_links)), 1)
         moments = (np.diag(rope.com) + beyond) @ rope.mass
-        moved = np.linalg.solve(np.diag(1.01 * rope.com) + beyond, moments) / rope.mass - 1.0
+        moved = np.linalg.pinv(np.diag(1.01 * rope.com) + beyond) @ moments / rope.mass - 1.0
         default = bool(np.allclose(guess.com, 0.5 * guess.length))
         values = {"com": rope.com.tolist(), "default": default, "moved": float(np.abs(moved).max())}
-        yield Finding(Kind.COM_HELD, Severity.LIMIT if default else Severity.NOTE, values)
-    yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
+        yield Finding(Kind.COM_HELD, Severity.DOUBT if default else Severity.NOTE, values)
 
 
 def _com_sensitivity(basis: Basis, tests: Sequence[ScoreTest]) -> float:
@@ -311,7 +311,7 @@ def _limits(
     if information.unknown.shape[1]:
         yield Finding(Kind.COMMON_FACTOR, Severity.LIMIT)
     elif basis.plant.constants is not None:
-        yield from _of_torque(basis)
+        yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
     else:
         yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"moved": _com_sensitivity(basis, tests)})
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
