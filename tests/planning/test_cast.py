@@ -379,37 +379,6 @@ def test_runs_in_contact_keep_dry_friction():
     assert all(each.rope.dry_friction.any() for each in (task.contact, task.finer))
 
 
-def test_variations_of_the_best_flights_strike_with_more_energy_for_the_same_number_of_flights():
-    def best(members: int) -> float:
-        task, found = WindTask(Problem(CORD, ARM), LOW, SearchOptions(threads=1, members=members)), [0.0]
-        while task.runs < 1_500:  # before any run in contact
-            found += [one.score for one in task.sample([], Budget(threads=1))]
-        return max(found)
-
-    assert best(16) > 1.5 * best(0)
-
-
-def test_variations_change_only_the_last_moves_of_a_strike():
-    search = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1)).search
-    budget, found, varied = Budget(threads=1), list[Strike](), list[Strike]()
-    while not varied:
-        found += search.extend(budget)
-        varied = search.vary(found, budget)
-    again = list[Strike]()
-    while not again:
-        again = [one for one in search.extend(budget) if one.moves.ends.size > 2 * SearchOptions().back]
-    for _ in range(4):  # of variations, too
-        again = search.vary(again, budget) or again
-        made = [int((one.moves.starts(MotorLimits()) < one.t).sum()) for one in again]
-        assert all(one.swing.moves.ends.size >= k - SearchOptions().back for one, k in zip(again, made, strict=True))
-    for one in varied:
-        kept = one.swing.moves.ends.size
-        assert any(np.array_equal(one.moves.ends[:kept], other.moves.ends[:kept]) for other in found)
-        assert not any(np.array_equal(one.moves.ends, other.moves.ends) for other in found)
-        assert len(one.states) == 2
-        assert abs(one.states[0].t - one.states[1].t) <= DELAY
-
-
 def test_a_reach_map_reads_back_equal(tmp_path):
     grid = TargetGrid(x=[-0.5, 2.5], y=[-0.7], radius=0.03)
     found = build_reach_map(CORD, ARM, grid=grid, time_budget=30.0, options=SearchOptions(threads=1))

@@ -330,8 +330,8 @@ def simulate_contact(
     """Simulate ropes (M,) with pegs from shortly before their strikes at `begin` (M,), s, under motions that end.
 
     The score is in turns: those that stay, a part of those that do not, less what delay, slip, and a rope that is too
-    near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. Runs end
-    early whose rope comes too near arm or obstacles, and with `sweeping` those that make few turns.
+    near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. With
+    `sweeping` runs end early that make few turns.
     """
 
     def one(k: int) -> tuple[float, float, float, float]:
@@ -372,19 +372,16 @@ class _Contact:
             t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), more, strict=True))
             self.most = max(self.most, float(np.nan_to_num(np.abs(turns)).max()))
             seen = turns if until < check - 1e-9 else turns[-1:]
-            score, stay = self._turns(t, turns, float(t[-1]))
             if not float(np.abs(seen).max()) >= least:
-                return score, 0.0, math.inf
-            if cost := self._too_near(t, q, qd):
-                return score - max(min(stay, 3.0) - criteria.turns, 0.0) - cost, 0.0, math.inf
+                return self._turns(t, turns, float(t[-1]))[0], 0.0, math.inf
         score, stay = self._turns(t, turns, end)
         settled, way = t >= check, math.inf
         if stay >= criteria.turns:
             way = float(np.abs(slid(rope, self.peg, q[settled], self._joints(t, q)[settled])).max())
             score -= way / (way + MODEL.slip) if math.isfinite(way) else 1.0
-        astray = self._astray(t, q)
-        if astray > 0.0:
-            score, stay = score - max(min(stay, 3.0) - criteria.turns, 0.0) - astray, min(stay, hope)
+        faults = self._faults(t, q, qd)
+        if faults > 0.0:
+            score, stay = score - max(min(stay, 3.0) - criteria.turns, 0.0) - faults, min(stay, hope)
         if at_limits(limit_bend(rope), q, -FOLD).any():
             score -= MODEL.fault
         return score, stay, way
@@ -399,8 +396,8 @@ class _Contact:
         score = min(stay, most) + MODEL.passing * min(float(np.abs(turns).max()), most)
         return score - MODEL.late * self.begin, stay
 
-    def _too_near(self, t: Array, q: Array, qd: Array) -> float:
-        """Return the cost of a rope that comes too near its arm or obstacles."""
+    def _faults(self, t: Array, q: Array, qd: Array) -> float:
+        """Return the cost of a rope that is too near arm or obstacles, or does not run behind its pegs in the end."""
         problem, rope = self.problem, self.rope
         polls: Array = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / MODEL.poll) + 1)
         places = interpolated(t, q, qd, polls), problem.arm.tip(self.motion.angle(polls))
@@ -411,17 +408,13 @@ class _Contact:
             least = max(problem.clearance, 0.0)
             near |= sampled_obstacle_gaps(rope, problem.obstacles, *places, least) <= least
         seconds = MODEL.poll * int(near.sum())
-        return MODEL.fault * (1.0 + seconds / (seconds + 0.3)) if seconds else 0.0
-
-    def _astray(self, t: Array, q: Array) -> float:
-        """Return the cost of a rope that does not run behind its pegs in the end."""
-        if not (behind := self.problem.criteria.behind):
-            return 0.0
-        some = t >= t[-1] - MODEL.last
-        apart = float(way_gaps(self.rope, self.peg, behind, q[some], self._joints(t, q)[some]).max(initial=0.0))
-        if apart <= TOUCH:
-            return 0.0
-        return MODEL.fault * (1.0 + (apart / (apart + 0.05) if math.isfinite(apart) else 1.0))
+        cost = MODEL.fault * (1.0 + seconds / (seconds + 0.3)) if seconds else 0.0
+        if behind := problem.criteria.behind:
+            some = t >= t[-1] - MODEL.last
+            apart = float(way_gaps(rope, self.peg, behind, q[some], self._joints(t, q)[some]).max(initial=0.0))
+            if apart > TOUCH:
+                cost += MODEL.fault * (1.0 + (apart / (apart + 0.05) if math.isfinite(apart) else 1.0))
+        return cost
 
     def _joints(self, t: Array, q: Array) -> Array:
         return self.rope.joints(q, self.problem.arm.tip(self.motion.angle(t)))

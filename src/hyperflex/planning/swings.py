@@ -43,9 +43,9 @@ class Swing:
     energy: float = 0.0
     parent: "Swing | None" = None
 
-    def first(self, strokes: int) -> "Swing":
-        """Return the swing that it continues with so many strokes at most."""
-        return self if self.moves.ends.size <= strokes or self.parent is None else self.parent.first(strokes)
+    def ancestor(self, strokes: int) -> "Swing":
+        """Return the swing so many strokes before, the first one at most."""
+        return self if strokes == 0 or self.parent is None else self.parent.ancestor(strokes - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,10 +159,8 @@ class SwingSearch:
         tries = list[_Try]()
         for _ in range(self.options.members if parents else 0):
             parent = parents[self.random.integers(len(parents))]
-            starts, k = parent.moves.starts(self.problem.limits), parent.moves.ends.size
-            made = int((starts < parent.t).sum()) if math.isfinite(parent.t) else k  # strokes before the strike
-            made = max(0, made - 1 - int(self.random.integers(self.options.back)))
-            swing = (parent.swing or self.begin[0]).first(made)
+            swing = (parent.swing or self.begin[0]).ancestor(int(self.random.integers(self.options.back)))
+            made, k = swing.moves.ends.size, parent.moves.ends.size
             size = self.options.spread * 10.0 ** -self.random.uniform(0.0, 1.5)
             change = size * self.random.standard_normal((3, k)) * (np.arange(k) >= made)
             moves = replace(
@@ -172,7 +170,7 @@ class SwingSearch:
                 speeds=(parent.moves.speeds + change[2]).clip(MIN_SPEED, 1.0),
             )
             until = parent.t if math.isfinite(parent.t) else parent.moves.stops(self.problem.limits)
-            whole = bool(parent.states) and bool(starts[-1] >= parent.t)
+            whole = bool(parent.states)
             tries.append(_Try(swing, moves, until + self.options.watched * self.problem.period, whole))
         return self._strikes(tries, budget, onward=False)[0]
 

@@ -78,7 +78,6 @@ class WindTask(Task):
         self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options)
         self.order = 1 + np.random.default_rng([options.seed, 1]).permutation(len(FINISHES) - 1)  # of the last moves
         self._again = list[Strike]()  # to be tried with other last moves
-        self._struck = list[Candidate]()  # the best strikes, by what their free flights tell
         self.scenarios: list[Scenario] = []
         if uncertainty is not None:
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
@@ -86,11 +85,7 @@ class WindTask(Task):
         self._start, self._samples = [one for one in start if one.side in self.sides], 0
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return swings that strike: those given, then by turns of the beam search and varied ones.
-
-        Those are near the rollouts that nearly wind; before there are any, near the strikes with the best scores of
-        their flights, which cost a hundredth of a run in contact.
-        """
+        """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
         new: Sequence[Candidate] = ()
         while not new:
             self.runs, self._flights = self.runs + self.search.runs - self._flights, self.search.runs
@@ -105,14 +100,12 @@ class WindTask(Task):
                 self._samples += 1
                 best = _distinct(found[: 4 * self.options.parents], self.options.parents)
                 nearly = bool(best) and best[0].score > self.options.nearly * self.problem.criteria.turns
-                best = best if nearly else self._struck
                 if self.options.members and self._samples % 2 == 0 and (best or self.search.passes):
                     new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
+                    if nearly:  # else they wait for better swings
+                        new = [replace(one, score=math.inf) for one in new]
                 else:
-                    new, nearly = self.search.extend(budget), False
-                self._struck = _distinct([*self._struck, *new], self.options.parents)
-                if nearly:  # else they wait for better swings
-                    new = [replace(one, score=math.inf) for one in new]
+                    new = self.search.extend(budget)
         self.runs, self._flights = self.runs + self.search.runs - self._flights, self.search.runs
         return list(new)
 
