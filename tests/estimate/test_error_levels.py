@@ -133,6 +133,7 @@ def test_the_correlation_time_is_that_of_an_autoregressive_series():
         series[k] = 0.8 * series[k - 1] + rng.normal(size=3)
     assert correlation_time(series) == pytest.approx(8.9, rel=0.15)
     assert correlation_time(rng.normal(size=(4000, 3))) == pytest.approx(1.0, abs=0.1)
+    assert correlation_time(np.zeros((100, 3))) == 1.0
 
 
 @pytest.mark.parametrize(

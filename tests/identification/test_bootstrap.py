@@ -1,6 +1,7 @@
 """Parametric bootstrap: it scatters as the covariance says, repeats by its seed, and keeps what is done."""
 
 import pickle
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -106,6 +107,17 @@ def test_coloured_residuals_are_drawn_coloured():
     assert lagged == pytest.approx(basis.information.memory[1], abs=0.02)  # of 300 x 150 draws
     assert lagged > 0.5
     assert (drawn**2).mean() == pytest.approx(basis.information.variance, rel=0.05)
+    assert (drawn[:, 0] ** 2).mean() == pytest.approx(basis.information.variance, rel=0.25)  # of 300 draws: 8 %
+
+
+def test_noise_of_a_long_window_takes_little_memory():
+    draws = Draws(fitted(waves(20_000), autoregressive(np.random.default_rng(1), (20_000, 1), 0.8)), 0)
+    tracemalloc.start()
+    noise = draws.coloured(np.random.default_rng(0).standard_normal((20_000, 1)))
+    assert draws.root.size < 100
+    assert tracemalloc.get_traced_memory()[1] < 10 * noise.nbytes
+    tracemalloc.stop()
+    assert (noise[1:] * noise[:-1]).mean() == pytest.approx(draws.basis.information.memory[1], abs=0.05)
 
 
 def test_robust_losses_draw_their_outliers_again():

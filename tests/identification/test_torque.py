@@ -374,6 +374,11 @@ def test_models_are_compared_with_the_torque():
     assert found.preferred == "arm with inertia"
 
 
+def test_noise_of_a_torque_that_drives_is_refused():
+    with pytest.raises(InvalidInput, match=r"that is fitted.*torque_std"):
+        RecordingSetup(torque=np.zeros(3), torque_noise=1e-3)
+
+
 def test_torque_that_cannot_be_used_is_refused():
     recording, torque = measured()
     bare = Recording(recording.t, recording.data)

@@ -1,12 +1,16 @@
 """Windows that do not tell the same: a clock that drifts, and estimates that scatter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
+from scipy.special import gammaincc
 
 import hyperflex as hf
 from hyperflex.identification import Kind
 from hyperflex.identification.declarations.held import DRIFT
+from hyperflex.identification.declarations.score_tests import Scores
 
 GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
@@ -67,6 +71,28 @@ def test_a_drift_that_hardly_moves_ratios_is_in_their_deviations():
     assert found.findings[0].values["drift"] == pytest.approx(0.0075, abs=5e-4)
     off = np.abs(found.ratios["J/p1"] - hf.identification.ratios(DOUBLE)["J/p1"])
     assert (off < 2.0 * found.ratio_std["J/p1"]).all()
+
+
+def test_windows_that_tell_less_and_less_disagree_by_chance_as_rarely_as_said():
+    """The statistic of parts of a motion that dies away, of two unknowns, by fits to white noise."""
+    rng, parts = np.random.default_rng(0), np.repeat(np.arange(6), 40)
+    size = np.sqrt(np.array([0.26, 0.31, 0.24, 0.13, 0.04, 0.01]))[parts]
+    slopes = size[:, None] * np.column_stack([np.sin(np.arange(240.0)), parts + np.cos(np.arange(240.0))])
+    each_part = [parts == k for k in range(6)]
+    noise = rng.standard_normal((20_000, 240))
+    left = noise - noise @ slopes @ np.linalg.pinv(slopes)
+    information = np.array([slopes[rows].T @ slopes[rows] for rows in each_part])
+    found = Scores(None, np.zeros(2), {}, [0, 1], np.ones(2), np.zeros((6, 2)), information, np.arange(6.0), 1.0)
+    slope, inverse = np.array([1.0, 0.3]), found.inverse([0, 1])
+    scores = np.stack([left[:, rows] @ slopes[rows] for rows in each_part], axis=1)
+    several = [replace(found, score=score).moves(slope, inverse) for score in scores]
+    _, expected, freedom = several[0]
+    squares = np.array([each @ each for each, _, _ in several]) / (slope @ inverse @ slope)
+    assert squares.mean() == pytest.approx(expected, rel=0.03)  # of 20 000 draws: 0.6 %
+    assert freedom < 4.0  # of 6 equal parts: 5
+    rare = gammaincc(0.5 * freedom, 0.5 * freedom * squares / expected)
+    assert (rare < 0.05).mean() == pytest.approx(0.05, abs=0.01)
+    assert (rare < 1e-3).mean() < 3e-3  # W - 1 degrees of freedom: 6e-3 and more
 
 
 @pytest.mark.parametrize("seed", range(2))

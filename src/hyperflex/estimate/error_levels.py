@@ -344,6 +344,8 @@ def correlation_time(residuals: Array) -> float:
     """
     known, there = np.nan_to_num(residuals), np.isfinite(residuals)
     variance, frames = (known**2).sum() / max(there.sum(), 1), 1.0
+    if variance == 0.0:
+        return frames
     for lag in range(1, len(known) // 2):
         pairs = max(int(np.count_nonzero(there[lag:] & there[:-lag])), 1)
         likeness = (known[lag:] * known[:-lag]).sum() / pairs / variance

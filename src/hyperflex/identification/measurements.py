@@ -1,5 +1,6 @@
 """Measurements to fit, checked against the rope and for motion, and the model that predicts them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -73,7 +74,8 @@ class Measurements:
 
     def step(self, length: float) -> int:
         """Return how many samples become one, so that a window of `length` (s) holds at most ``DENSEST``."""
-        return max(1, int(length / (float(np.median(np.diff(self.channels.t))) * DENSEST)))
+        count = length / float(np.median(np.diff(self.channels.t)))
+        return max(1, math.ceil(count / DENSEST - 1e-6))
 
     def merged(self, step: int) -> "Measurements":
         """Return the same with each `step` neighbouring samples as one value; see :func:`merged`."""

@@ -81,7 +81,7 @@ class Fitted:
 
 
 def joined_lengths(length: float, duration: float, rope: Rope) -> list[float]:
-    """Return lengths of windows, s, each of two or more of those before, from `length` to one of the whole `duration`.
+    """Return lengths of windows, s, from `length`: each about twice the one before at least, the last the `duration`.
 
     A rope of many links stands for a smooth one, which it is not for long: its windows are not joined.
     """
@@ -92,7 +92,11 @@ def joined_lengths(length: float, duration: float, rope: Rope) -> list[float]:
 
 
 def diverges(window: Window, linear: Linear) -> bool:
-    """Whether errors of a window's state grow exponentially: far more acts in its second half than in its first."""
+    """Whether errors of a window's state grow exponentially: far more acts in its second half than in its first.
+
+    It compares the largest derivative of all values by all states: in the first half it is not small, as at the
+    beginning the derivatives dq/dq0 are 1.
+    """
     size = np.abs(linear.state[: window.y.size].reshape(window.t.size, -1)).max(axis=1)
     half = window.t.size // 2
     return bool(size[half:].max(initial=0.0) > GROWTH * size[:half].max(initial=0.0))

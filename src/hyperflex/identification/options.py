@@ -74,6 +74,10 @@ class RecordingSetup:
         if self.motion is not None and (columns > 1 or self.torque_joints is not None):
             fix = "Give that torque alone, or make the arm the first link of the rope and omit motion"
             raise InvalidInput("with a motion the torque is that of the arm's motor", got=f"{columns} columns", fix=fix)
+        if self.drives and self.torque_noise is not None:
+            allowed = "with a motion and its arm alone; a torque that drives counts as exact"
+            fix = "Omit it; say the standard deviation of the torque's scale by FitOptions(torque_std=...)"
+            raise InvalidInput("torque_noise is of a torque that is fitted", allowed=allowed, fix=fix)
         joints = [checks.count("torque_joints", each, least=0) for each in self.joints]
         if len(joints) != columns or len(set(joints)) < columns:
             allowed = f"{columns} different joints, one for each column of torque"

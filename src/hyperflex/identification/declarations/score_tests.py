@@ -230,6 +230,27 @@ class Scores:
         result[part] = np.linalg.pinv(matrix[part], rcond=TESTING.tiny, hermitian=True)
         return result
 
+    def moves(self, slope: Array, inverse: Array) -> tuple[Array, float, float]:
+        """Return by how much each part moves a value (W,), the expected sum of squares, and its degrees of freedom.
+
+        slope (P,): derivative of the value by x. inverse (K, K): of all information. expected: by noise alone, over the
+        value's variance by noise.
+
+        Notes
+        -----
+        With noise of variance 1, I_w the information, H its sum's inverse and g_w the score of part w at the optimum,
+        cov(g_v, g_w) = I_w [v = w] - I_v H I_w. So the moves a^T H g_w have the covariance C = diag(h^T I_w h) -
+        (h^T I_v) H (I_w h), h = H a. Their sum of squares, times its freedom over tr C, is about chi-squared with
+        (tr C)^2 / tr C^2 degrees of freedom (Satterthwaite 1946, doi:10.2307/3002019): W - 1 of equal parts, fewer
+        where some tell more than others.
+        """
+        along = inverse[:, : slope.size] @ (slope / self.scale[: slope.size])
+        pulls = self.information @ along
+        covariance = np.diag(pulls @ along) - pulls @ inverse @ pulls.T
+        expected = float(np.trace(covariance))
+        freedom = expected**2 / max(float((covariance**2).sum()), 1e-300)
+        return self.score @ along, expected / max(float((pulls @ along).sum()), 1e-300), freedom
+
 
 def scores(basis: Basis, words: Sequence[str]) -> Scores | None:
     """Return the scores of a fit, at the cost of one round of it; None where they are not finite."""
@@ -549,9 +570,9 @@ def scatter_test(basis: Basis, found: Scores | None) -> tuple[tuple[Scatter, ...
     Notes
     -----
     Each window moves the estimate by its score through the inverse of all information; the sum of squares of these
-    moves is the cluster-robust covariance (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). Over the variance by
-    noise it is chi-squared with one degree of freedom less than there are windows, if these differ by noise alone. Told
-    is what is rarer than CHANCE, shared by all ratios.
+    moves is the cluster-robust covariance (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). If windows differ by
+    noise alone, that sum is about chi-squared, see :meth:`Scores.moves`. Told is what is rarer than CHANCE, shared by
+    all ratios.
     """
     count = basis.fit.x.size
     if found is None or len(found.score) < WINDOWED.least:
@@ -559,17 +580,21 @@ def scatter_test(basis: Basis, found: Scores | None) -> tuple[tuple[Scatter, ...
     from scipy.special import gammaincc
 
     windows = len(found.score)
-    moves = found.score @ found.inverse(found.free)[:, :count] / found.scale[:count]
+    inverse = found.inverse(found.free)
+    moves = found.score @ inverse[:, :count] / found.scale[:count]
     covariance = moves.T @ moves * windows / (windows - 1.0)
     parameters, information = basis.plant.parameters, basis.information
     stated, known = ratio_spread(parameters, information), ratios(parameters.rope(information.x), parameters.names)
     scattered, tested = [], sum(int((np.isfinite(each) & (each > 0.0)).sum()) for each in stated.values())
     for name, slopes in ratio_gradients(parameters, information.x).items():
-        shown = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, covariance, slopes), 0.0))
         for k in np.flatnonzero(np.isfinite(stated[name]) & (stated[name] > 0.0) & (known[name] != 0.0)):
-            times = float(shown[k] / stated[name][k])
-            if gammaincc(0.5 * (windows - 1.0), 0.5 * (windows - 1.0) * times**2) < CHANCE / tested:
-                scattered.append(Scatter(f"{name}[{k}]", times, float(shown[k] / abs(known[name][k]))))
+            each, expected, freedom = found.moves(slopes[k], inverse)
+            if expected <= TESTING.tiny:  # one window determines it alone
+                continue
+            shown = float(np.sqrt(each @ each / expected))
+            times = shown / float(stated[name][k])
+            if gammaincc(0.5 * freedom, 0.5 * freedom * times**2) < CHANCE / tested:
+                scattered.append(Scatter(f"{name}[{k}]", times, shown / float(abs(known[name][k]))))
     return tuple(sorted(scattered, key=lambda each: -each.times)), covariance
 
 

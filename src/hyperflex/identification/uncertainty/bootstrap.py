@@ -15,6 +15,7 @@ from hyperflex.identification.fit import Loss, Window, fit
 from hyperflex.identification.model import Parameters
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level, ratios
+from hyperflex.identification.uncertainty.noise import NOISE, ar_coefficients, partial_correlations
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.status import Status
 
@@ -173,10 +174,12 @@ class Draws:
         if len(self.clean) < len(seen):
             raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
         self.scale, memory = float(np.sqrt(information.variance)), information.memory
-        longest = max(window.t.size for window in windows)
-        self.root = np.linalg.cholesky(toeplitz(memory[:longest]))
-        parts = [r[w.weight.ravel() > 0.0] for r, w in zip(basis.fit.residuals, windows, strict=True)]
-        residuals = np.concatenate(parts)
+        parts = partial_correlations(memory[: NOISE.most_terms + 1])
+        self.filter = np.append(1.0, -ar_coefficients(parts))
+        self.innovation = float(np.sqrt(np.prod(1.0 - parts**2)))
+        self.root = np.linalg.cholesky(toeplitz(memory[: NOISE.most_terms]))  # of the first values
+        known = [r[w.weight.ravel() > 0.0] for r, w in zip(basis.fit.residuals, windows, strict=True)]
+        residuals = np.concatenate(known)
         unknowns = sum(w.unknowns for w in windows) + len(basis.plant.parameters)
         self.residuals = residuals * np.sqrt(residuals.size / max(1.0, residuals.size - unknowns))
 
@@ -189,14 +192,22 @@ class Draws:
         """Return the windows with noise like the residuals added to what is predicted."""
         windows = []
         for window, seen in zip(self.basis.windows, self.clean, strict=True):
-            known, m = window.weight > 0.0, seen.shape[0]
+            known = window.weight > 0.0
             if self.basis.fit.loss.name != "squares":
                 noise = random.choice(self.residuals, seen.shape)
             else:
-                noise = self.scale * (self.root[:m, :m] @ random.standard_normal(seen.shape))
+                noise = self.scale * self.coloured(random.standard_normal(seen.shape))
             y = np.where(known, seen + noise / np.where(known, window.weight, 1.0), 0.0)
             windows.append(replace(window, y=y))
         return windows
+
+    def coloured(self, white: Array) -> Array:
+        """Return noise of variance 1 (m, C), stationary from the first value on, made of white noise (m, C)."""
+        from scipy.signal import lfilter
+
+        first = self.root[: len(white), : len(white)] @ white[: len(self.root)]
+        driving = np.concatenate([lfilter(self.filter, [1.0], first, axis=0), self.innovation * white[len(first) :]])
+        return np.asarray(lfilter([1.0], self.filter, driving, axis=0))
 
     def _refitted(self, windows: list[Window]) -> Array | None:
         """Return x (P,) of the fit to other windows, from the optimum; None where it fails."""
