@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hyperflex as hf
-from hyperflex.identification.measurements import measure, merged
+from hyperflex.identification.measurements import DENSEST, Measurements, measure, merged
 from hyperflex.identification.uncertainty.noise import Piece, channel_correlation
 
 RATE, PERIOD = 500.0, 1.2  # samples/s, s
@@ -51,6 +51,13 @@ def test_frames_that_miss_do_not_join_what_lies_apart():
     assert not ((found.t > 3.01) & (found.t < 4.0)).any()
     assert np.abs(off(found)).max() < 1e-4
     assert share.min() < 1.0
+
+
+@pytest.mark.parametrize("length", [0.4, 0.6, 0.798, 0.8, 3.0])
+def test_no_window_holds_more_than_the_densest(length):
+    seen = hf.Recording(T, MOTION)
+    step = Measurements(seen, seen, np.zeros((0, 4))).step(length)
+    assert (step - 1) * DENSEST < round(length * RATE) <= step * DENSEST
 
 
 def test_all_samples_of_500_frames_a_second_count():

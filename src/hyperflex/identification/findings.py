@@ -316,8 +316,8 @@ class Kind(StrEnum):
     PREDICTION_OUTSIDE = (
         "prediction outside its band",
         """Only {part:%} of the held-out part lies where 95 % is expected: predictions err {factor:.2g} times as much as
-        stated. | The part of standard deviations and intervals that noise and model make is multiplied by that. The model omits an effect, or something is
-        not as declared. """
+        stated. | The part of standard deviations and intervals that noise and model make is multiplied by that. The
+        model omits an effect, or something is not as declared. """
         + COMPARE,
     )
     WINDOWS_DISAGREE = (
