@@ -63,9 +63,9 @@ def test_real_recordings_have_no_faults(data_dir, step):
     assert [each.decimate(step).check() for each in real] == [[]] * 6
 
 
-def lost(data, columns):
+def lost(data, columns, where=None):
     data = data.copy()
-    data[np.random.default_rng(2).random(len(data)) < 0.05, columns] = 0.0
+    data[np.random.default_rng(2).random(len(data)) < 0.05 if where is None else where, columns] = 0.0
     return data
 
 
@@ -82,6 +82,7 @@ SLOW = recorded(50.0, ([0.9, 0.6], [0.0, 0.0]), noise=5e-4)
 KEPT_SLOW = np.flatnonzero(np.arange(SLOW.t.size) % 25 > 0)
 AGAIN = np.arange(SLOW.t.size) - (np.arange(SLOW.t.size) % 50 == 0)
 AGAIN[0] = 0
+HALF_LOST = np.random.default_rng(3).random(600) < 0.55
 HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
 
 
@@ -90,6 +91,13 @@ HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
     [
         (spoiled(MARKERS, lost(MARKERS.data, slice(4, 6))), Kind.LOST, "Marker 2: exactly (0, 0) in"),
         (spoiled(ANGLES, lost(ANGLES.data, 1)), Kind.LOST, "Link 1: exactly 0 rad in"),
+        (
+            spoiled(MARKERS, lost(MARKERS.data, slice(4, 6), slice(-60, None))),
+            Kind.LOST,
+            "(0, 0) in up to 10 %",
+        ),
+        (spoiled(MARKERS, lost(MARKERS.data, slice(4, 6), slice(60))), Kind.LOST, "(0, 0) in up to 10 %"),
+        (spoiled(MARKERS, lost(MARKERS.data, slice(4, 6), HALF_LOST)), Kind.LOST, "Marker 2: exactly (0, 0) in"),
         (spoiled(MARKERS, np.repeat(MARKERS.data[::2], 2, axis=0)), Kind.REPEATED_FRAMES, "50 % of the frames"),
         (spoiled(MARKERS, np.repeat(MARKERS.data[::4], 4, axis=0)), Kind.REPEATED_FRAMES, "74 % of the frames"),
         (spoiled(ANGLES, np.repeat(ANGLES.data[::3], 3, axis=0)), Kind.REPEATED_FRAMES, "% of the frames repeat"),
@@ -117,6 +125,9 @@ HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
     ids=[
         "marker lost",
         "angle lost",
+        "lost to the end",
+        "lost from the beginning",
+        "half lost",
         "repeated",
         "held for four",
         "held for three",

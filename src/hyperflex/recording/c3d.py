@@ -36,9 +36,11 @@ def read(path: PathLike, selection: Selection) -> Content:
         name = labels[k] if k < len(labels) and labels[k] else f"marker{k}"
         markers[unused(name, markers)] = places[:, k, :3]
     declared = {"time_unit": "frame", "frame_rate": rate} | unit_of(about["UNITS"])
-    up = about["Y_SCREEN"][-1:].lower()
+    up = about["Y_SCREEN"].lower().removeprefix("+")  # "-z" is up along no axis: then the caller says it
     t = np.array([number for number, _ in rows], dtype=np.float64)
-    return content_of_markers(t, markers, str(path), declared=declared, usual={"up": up} if up and up in "xyz" else {})
+    return content_of_markers(
+        t, markers, str(path), declared=declared, usual={"up": up} if up in ("x", "y", "z") else {}
+    )
 
 
 def _text(reader: Any, name: str) -> str:

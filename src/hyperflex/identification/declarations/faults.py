@@ -56,9 +56,10 @@ BLOCK = 1 << 12  # windows whose samples are in memory at a time
 
 
 def lost(recording: Recording) -> Iterator[Finding]:
-    """Yield that a marker or an angle falls to exactly one place again and again, as programs write what they lost.
+    """Yield that a marker or an angle falls to exactly one place, as programs write what they lost.
 
-    Not where that place is near the samples before and after, as at the turn of a swing or for a marker at rest.
+    Not where that place is near the samples before and after, as at the turn of a swing or for a marker at rest. A
+    place other than 0 in half of the samples is the motion's own.
     """
     markers = recording.kind == "markers"
     found = {}
@@ -68,20 +69,21 @@ def lost(recording: Recording) -> Iterator[Finding]:
             continue
         places, which, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
         at = which.ravel() == np.argmax(count)
-        ends = np.diff(at.astype(int))
-        last, after = np.flatnonzero(ends == 1), np.flatnonzero(ends == -1) + 1  # before and after each fall
-        after = after[after > (last[0] if last.size else 0)]
-        last = last[: after.size]
-        if not last.size or not 1 < count.max() < 0.5 * at.size:
+        place_lost = places[np.argmax(count)]
+        most = 0.5 * at.size if place_lost.any() else at.size
+        if not 1 < count.max() < most:
             continue
+        first, end = np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2).T
+        before = np.where(first > 0, first - 1, end)  # a run at the beginning, or the end, has one neighbour
+        after = np.where(end < at.size, end, first - 1)
         off = np.linalg.norm(place[1:-1] - 0.5 * (place[:-2] + place[2:]), axis=1)
         other = ~(at[:-2] | at[1:-1] | at[2:])
         step = np.linalg.norm(np.diff(place, axis=0), axis=1)[~(at[:-1] | at[1:])]  # which a repeated frame is away
-        away = np.linalg.norm(0.5 * (place[last] + place[after]) - places[np.argmax(count)], axis=1)
+        away = np.linalg.norm(0.5 * (place[before] + place[after]) - place_lost, axis=1)
         if other.any() and np.median(away) > max(
             LIMITS.far * np.quantile(off[other], 0.9), np.quantile(step, 0.9), LIMITS.matters * np.ptp(place)
         ):
-            found[number] = places[np.argmax(count)].tolist(), float(at.mean())
+            found[number] = place_lost.tolist(), float(at.mean())
     for place, _ in {str(place): (place, part) for place, part in found.values()}.values():
         numbers = [number for number, each in found.items() if each[0] == place]
         part = max(found[number][1] for number in numbers)
