@@ -245,7 +245,7 @@ def test_the_commands_tell_how_far_they_are(tmp_path, monkeypatch):
     true = hf.Rope(length=[0.3], mass=[0.1], friction=2e-4)
     hf.Setup(true, duration=3.0, q0=[0.5]).to_toml(tmp_path / "setup.toml")
     assert run(["simulate", str(tmp_path / "setup.toml"), "-o", str(tmp_path / "run.nc"), "--json"]) == 0
-    assert heard[-1] == "simulating: 3 of 3 s"
+    assert "simulating: 3 of 3 s" in heard
     swing = hf.simulate(true, duration=3.0, q0=[0.5])
     hf.Recording(swing.t, swing.q).to_netcdf(tmp_path / "swing.nc")
     true.replace(friction=4e-4).to_toml(tmp_path / "guess.toml")

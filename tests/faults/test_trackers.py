@@ -106,7 +106,7 @@ FAULTS = {
     "header against note": ("# columns: t, th2\nt,th1\n0,1\n1,1\n", "header and the note 'columns' disagree"),
     "a row cut short": ("t,th1,th2\n0,1,2\n0.1,1", "line 3, does not have .*cut off"),
     "huge": ("t,th1\n0,1\n1,1e300\n", "line 3, column 'th1', is too large"),
-    "only gaps": ("t,th1,th2\n0,1,\n1,1,-\n", "swing.csv: channel 1 .* only gaps"),
+    "only gaps": ("t,th1,th2\n0,1,\n1,1,-\n", r"swing.csv: link 1 \(th2\) .* only gaps"),
 }
 
 

@@ -139,7 +139,10 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds, monkeypatch):
     for label, one in all_intervals(basis, "profile").items():
         alone, same = (profiled(Coordinate(basis, label), 0.95), profiled(Coordinate(plain, label), 0.95))
         assert (alone.low, alone.high) == (same.low, same.high)
-        assert one.high - one.low == pytest.approx(np.sqrt(6.0) * (alone.high - alone.low), rel=0.01)  # 1 + 1 + 2^2
+        # 1 + 1 + 2^2, of which 2^2 was declared: Welch and Satterthwaite's degrees of freedom are those over (2 / 6)^2
+        freedom = information.freedom
+        student = np.sqrt(quantile(0.95, 9.0 * freedom) / quantile(0.95, freedom))
+        assert one.high - one.low == pytest.approx(np.sqrt(6.0) * student * (alone.high - alone.low), rel=0.01)
         assert one.high - one.low == pytest.approx(by_std[label].high - by_std[label].low, rel=0.01)
 
 
@@ -249,7 +252,9 @@ def test_the_papers_inertia_ends_at_0_and_at_a_value_that_the_data_refuse(record
     held = swung(recording, PAPER.replace(inertia=one.high), ["friction:shared"], intervals=None)
     squares = [(r.residuals**2).sum() for r in (held, found)]
     freedom = recording.data.size - 10 - 2
-    rise = (squares[0] - squares[1]) / (squares[1] / freedom)
+    information = found.basis.information  # squares count by the noise's correlation between channels and instants
+    alike = information.plain[0, 0] / information.covariance[0, 0]
+    rise = alike * (squares[0] - squares[1]) / (squares[1] / freedom)
     assert rise == pytest.approx(
         np.interp(one.high, one.values, one.limit), rel=0.02
     )  # ends are found to CLOSE, 0.01 of 2 std

@@ -13,7 +13,7 @@ from hyperflex.cli.output import Rows
 from hyperflex.errors import listed
 
 if TYPE_CHECKING:
-    from hyperflex.recording.content import Content
+    from hyperflex.recording import Content
 
 
 def look(

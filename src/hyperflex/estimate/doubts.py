@@ -51,8 +51,8 @@ SET_UP = (
 ADVICE = {
     DoubtKind.SHAKE: "fix the camera, and switch its stabilisation off",
     DoubtKind.NOISE: "take more light, larger markers, or less compression",
-    DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point, or give the arm's motion (in Python "
-    "RopeFilter(motion=, arm=))",
+    DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point, give the arm's motion (in Python "
+    "RopeFilter(motion=, arm=)), or check the camera's scale: a wrong one looks so, too",
     DoubtKind.BASE_ELSEWHERE: "calibrate with the hook's pixel (--origin-pixel)",
 }
 

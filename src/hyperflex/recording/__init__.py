@@ -1,5 +1,6 @@
 """Measured data: link angles or marker positions with their times, gaps and noise, and readers for common files."""
 
+from hyperflex.recording.content import Content
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations
 from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
 from hyperflex.recording.proposal import propose, python_line
@@ -13,6 +14,7 @@ __all__ = [
     "MCAP_METADATA",
     "POSES_IN_FRAME",
     "UNIT",
+    "Content",
     "DeclarationFields",
     "Declarations",
     "Recording",

@@ -113,7 +113,7 @@ class Recording:
         return f"<Recording {name}{what}, {self.t.size} samples, {self.t[0]:g} to {self.t[-1]:g} s, {self.gaps} gaps>"
 
     def label(self, k: int) -> str:
-        """Return the name of a link or marker, counted from 0, with its columns in the file where these are known."""
+        """Return the name of link or marker `k`, counted from 0, with its columns in the file where these are known."""
         what, count = ("link", self.n_links) if self.kind == "angles" else ("marker", self.n_links + 1)
         return f"{what} {k} ({self.columns[k]})" if len(self.columns) == count else f"{what} {k}"
 

@@ -23,6 +23,7 @@ from hyperflex.identification.uncertainty.covariance import (
     End,
     Interval,
     checked_level,
+    freedom_with,
     interval,
     of_parameters,
     quantile,
@@ -422,9 +423,13 @@ def all_intervals(
 def _with_model_error(along: Coordinate, found: Profile) -> Interval:
     """Return the interval of a profile, made wider by the model's errors; it stays within the parameter's bound."""
     information, x, parameter = along.basis.information, along.at(along.basis.fit.x), along.parameters.all[along.which]
-    std = float(information.model_spread(along.slope[None] * parameter.derivative(x))[0])
-    model, value = std * float(np.sqrt(quantile(found.level, information.freedom))), along.value(x)
-    low, high = value - float(np.hypot(value - found.low, model)), value + float(np.hypot(found.high - value, model))
+    gradient, usual = along.slope[None] * parameter.derivative(x), quantile(found.level, information.freedom)
+    whole, declared = information.spread(gradient), information.declared.model_spread(gradient)
+    freedom = float(freedom_with(information.freedom, whole, declared)[0])
+    wider = float(np.sqrt(quantile(found.level, freedom) / usual))
+    model, value = float(information.model_spread(gradient)[0]) * float(np.sqrt(usual)), along.value(x)
+    low = value - wider * float(np.hypot(value - found.low, model))
+    high = value + wider * float(np.hypot(found.high - value, model))
     least = along.value(along.bound)
     ends: tuple[End, End] = ("bound" if low <= least else found.ends[0], found.ends[1])
     return Interval(max(low, least), high, "profile", ends, found.level)
