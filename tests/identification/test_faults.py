@@ -86,6 +86,12 @@ HALF_LOST = np.random.default_rng(3).random(600) < 0.55
 HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
 
 
+def test_a_hook_that_is_knocked_is_not_lost():
+    data = MARKERS.data.copy()
+    data[:, :2], data[200:230, 0] = 0.0, 0.005
+    assert Kind.LOST not in [each.kind for each in spoiled(MARKERS, data).check()]
+
+
 @pytest.mark.parametrize(
     ("recording", "kind", "said"),
     [

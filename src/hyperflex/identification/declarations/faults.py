@@ -59,7 +59,8 @@ def lost(recording: Recording) -> Iterator[Finding]:
     """Yield that a marker or an angle falls to exactly one place, as programs write what they lost.
 
     Not where that place is near the samples before and after, as at the turn of a swing or for a marker at rest. A
-    place other than 0 in half of the samples is the motion's own.
+    place other than 0 in half of the samples is the motion's own, and the first of several markers may be a hook that
+    stands at the origin.
     """
     markers = recording.kind == "markers"
     found = {}
@@ -70,7 +71,8 @@ def lost(recording: Recording) -> Iterator[Finding]:
         places, which, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
         at = which.ravel() == np.argmax(count)
         place_lost = places[np.argmax(count)]
-        most = 0.5 * at.size if place_lost.any() else at.size
+        hook = number == 0 and recording.data.shape[1] > 1 + markers
+        most = 0.5 * at.size if hook or place_lost.any() else at.size
         if not 1 < count.max() < most:
             continue
         first, end = np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2).T
