@@ -169,6 +169,21 @@ def test_the_axis_up_follows_from_a_c3d_file(tmp_path):
     assert propose(path).arguments["plane"] == "xz"
 
 
+def test_a_screen_axis_that_points_down_tells_no_axis_up(tmp_path):
+    sample = SAMPLES["c3d"]()
+    assert sample.content.count(b"+Z") == 1
+    path = tmp_path / "down.c3d"
+    path.write_bytes(sample.content.replace(b"+Z", b"-Z"))
+    refuses(r"Pass up=\.\.\.", read_recording, path, **sample.arguments | {"plane": "fit"})
+
+
+def test_tracks_of_different_units_are_not_mixed(tmp_path):
+    sample = SAMPLES["kva"]()
+    path = tmp_path / "mixed.kva"
+    path.write_bytes(sample.content.replace(b'UserUnitLength="mm"', b'UserUnitLength="px"', 1))
+    refuses("not give one unit to all columns", read_recording, path, **sample.arguments | {"unit": "mm"})
+
+
 def test_facts_come_back_from_netcdf(tmp_path):
     Recording([0.0, 1.0], [[0.1], [0.2]], epoch=1.7e9, out_of_plane=0.002).to_netcdf(tmp_path / "r.nc")
     back = read_recording(tmp_path / "r.nc")

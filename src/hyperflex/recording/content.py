@@ -297,7 +297,9 @@ def one_unit(content: Content, names: Sequence[str]) -> str | None:
     unit, *others = set(units.values())
     if others:
         raise InvalidInput(
-            f"{content.source} does not give one unit to all columns", got=units, fix="Give all the same"
+            f"{content.source} does not give one unit to all columns",
+            got=units,
+            fix="Choose some of one unit, or give all the same",
         )
     return unit
 

@@ -67,7 +67,7 @@ def read_kva(path: PathLike, selection: Selection) -> Content:
     root = _xml(path, "Kinovea file")
     per_frame = _float(path, root.findtext("AverageTimeStampsPerFrame"), "AverageTimeStampsPerFrame")
     tracks: dict[str, Track] = {}
-    units = set()
+    units: dict[str, str] = {}  # each track has its own: some may not be calibrated
     for track in root.iter("Track"):
         points = track.find("TrackPointList")
         label = track.find("MainLabel")
@@ -75,7 +75,8 @@ def read_kva(path: PathLike, selection: Selection) -> Content:
         name = unused(title.strip(), tracks)
         if points is None:
             continue
-        units.add(points.get("UserUnitLength", ""))
+        if unit := points.get("UserUnitLength"):
+            units |= {f"{name}_{axis}": unit for axis in "xy"}
         tracks[name] = {}
         for point in points.iter("TrackPoint"):
             stamp = (point.text or "").split(";")[-1]
@@ -84,10 +85,10 @@ def read_kva(path: PathLike, selection: Selection) -> Content:
                 for axis in "XY"
             )
             _add(tracks, name, _float(path, stamp, "TrackPoint") / per_frame, x, y, str(path))
-    declared = {"time_unit": "frame"} | unit_of(*units)
+    declared: dict[str, Any] = {"time_unit": "frame"}
     if rate := root.findtext("CaptureFramerate"):
         declared["frame_rate"] = _float(path, rate, "CaptureFramerate")
-    return _content(path, tracks, declared=declared, usual={"y_axis": "up"})
+    return _content(path, tracks, declared=declared, units=units, usual={"y_axis": "up"})
 
 
 def _add(tracks: dict[str, Track], name: str, time: float, x: float, y: float, where: str) -> None:
