@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.identification import Grade, Kind
-from hyperflex.identification.symptoms import _determined
+from hyperflex.identification.symptoms import _determined, _far
 from hyperflex.identification.uncertainty.covariance import ratios
 
 LENGTH, NOISE = 0.48, 2e-3  # m, rad
@@ -70,3 +70,11 @@ def test_few_degrees_of_freedom_count_when_a_value_is_poorly_determined() -> Non
     loose = replace(known, scaled=known.scaled * 100.0, freedom=np.inf)
     assert _determined(replace(basis, information=loose), rope)[0]
     assert not _determined(replace(basis, information=replace(loose, freedom=2.0)), rope)[0]
+
+
+def test_each_link_has_its_own_limit_of_where_its_mass_may_be():
+    """A point mass 80 % beyond the end of its string is named beside a rod whose mass seems farther, but may be."""
+    guess = hf.Rope(length=[0.6, 0.25], mass=[0.06, 0.04], com=[0.6, 0.125], inertia=[0.0, 2e-4], friction=1e-4)
+    rope = guess.replace(inertia=[0.029, 1.8e-3])
+    (found,) = _far(rope, guess, np.full(2, 1e-4))
+    assert found.values["link"] == 0

@@ -194,10 +194,11 @@ def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
     p, inertia = lumped(rope)
     span = np.where(p > 0.0, p, np.inf) * rope.length
     reach, spread = inertia / span, np.where(p > 0.0, std, 0.0) * p[0] / span
-    k = int(np.argmax(reach))
-    at_end = guess.com[k] > (1.0 - BEYOND) * guess.length[k]
-    point = at_end and guess.inertia[k] < BEYOND * guess.mass[k] * guess.length[k] ** 2
-    if reach[k] > max(1.0 + BEYOND if point else REACH, 1.0 + REPORTED.certain * spread[k]):
+    at_end = guess.com > (1.0 - BEYOND) * guess.length
+    point = at_end & (guess.inertia < BEYOND * guess.mass * guess.length**2)
+    limit = np.maximum(np.where(point, 1.0 + BEYOND, REACH), 1.0 + REPORTED.certain * spread)
+    k = int(np.argmax(reach / limit))
+    if reach[k] > limit[k]:
         values = {"link": k, "reach": float(reach[k]), "clock": float(reach[k] ** -0.5)}
         yield Finding(Kind.MASS_FAR, Severity.WRONG, values)
 
