@@ -91,6 +91,10 @@ class WorkerLost(HyperflexError, RuntimeError):
     """Workers of an executor died at a part of the work each time that it was run; the message names the part."""
 
 
+class DriveError(HyperflexError, RuntimeError):
+    """A drive cannot be reached, is in fault, or was asked for something that its guards refuse; its torque is off."""
+
+
 class EstimatorLost(HyperflexError, RuntimeError):
     """The process that estimates a rope's state has ended or stalled, or has seen nothing for too long."""
 

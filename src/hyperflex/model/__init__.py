@@ -6,6 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.model.arm import Arm
+    from hyperflex.model.motor_limits import MotorLimits
     from hyperflex.model.obstacles import (
         Ground,
         Obstacle,

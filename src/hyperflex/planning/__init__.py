@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.model.motor_limits import MotorLimits
     from hyperflex.planning.casting import plan_cast
     from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.moves import Moves
     from hyperflex.planning.options import (
         Conditions,
-        MotorLimits,
         SearchOptions,
         WindCriteria,
         checked_behind,

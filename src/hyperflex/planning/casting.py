@@ -12,7 +12,7 @@ from hyperflex.budget import Budget
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import Stop, interruptible, stoppable
-from hyperflex.model import Arm, Peg, Rope, Setup, cuts
+from hyperflex.model import Arm, MotorLimits, Peg, Rope, Setup, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
 from hyperflex.planning.ensemble import estimate_success_probability
@@ -23,7 +23,7 @@ from hyperflex.planning.feasibility import (
     nearest_feasible,
     search_time,
 )
-from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
+from hyperflex.planning.options import Conditions, SearchOptions, WindCriteria, refuse_behind
 from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.plan import CastPlan, FallbackTarget
 from hyperflex.planning.planner import Planner

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.model import MotorLimits
 from hyperflex.motion import Motion, arm_moves
-from hyperflex.planning.options import MotorLimits
 
 MIN_MOVE = 0.05  # rad: shorter moves are made so long, so that each has a direction
 MIN_REST = 1e-3  # s; there is always a rest, so that it can vary

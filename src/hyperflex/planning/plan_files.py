@@ -6,8 +6,7 @@ from typing import Any
 
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
-from hyperflex.model import PLAN
-from hyperflex.planning.options import MotorLimits
+from hyperflex.model import PLAN, MotorLimits
 from hyperflex.planning.plan import CastPlan, from_table
 from hyperflex.planning.tasks.insert import InsertPlan
 from hyperflex.planning.tasks.whip import WhipPlan

@@ -10,9 +10,9 @@ from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Obstacle, Peg, Rope, divided
+from hyperflex.model import Arm, MotorLimits, Obstacle, Peg, Rope, divided
 from hyperflex.planning.clearance import gap_of, named
-from hyperflex.planning.options import Conditions, MotorLimits, WindCriteria
+from hyperflex.planning.options import Conditions, WindCriteria
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s

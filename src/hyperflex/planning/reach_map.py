@@ -15,10 +15,10 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, Peg, Rope
+from hyperflex.model import Arm, MotorLimits, Peg, Rope
 from hyperflex.options import check, option
 from hyperflex.planning.casting import CastRequest, plan_each
-from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
+from hyperflex.planning.options import Conditions, SearchOptions, WindCriteria, refuse_behind
 from hyperflex.planning.plan import from_table, to_table
 from hyperflex.planning.problem import Problem
 from hyperflex.status import Status

@@ -12,7 +12,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Peg, Rope, Wall, recut
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, MotorLimits, Peg, Rope, Wall, recut
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -24,7 +24,7 @@ from hyperflex.planning.clearance import (
 )
 from hyperflex.planning.ensemble import STREAM, SuccessProbability, count_successes
 from hyperflex.planning.moves import Moves
-from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
+from hyperflex.planning.options import Conditions, SearchOptions
 from hyperflex.planning.outcome import excess_torque, run_figures
 from hyperflex.planning.planner import Candidate
 from hyperflex.planning.problem import Problem

@@ -20,11 +20,11 @@ from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
-from hyperflex.model import Arm, Obstacle, Rope, Setup, Wall
+from hyperflex.model import Arm, MotorLimits, Obstacle, Rope, Setup, Wall
 from hyperflex.planning.clearance import gap_of, named, obstacle_gaps, sampled_clearance
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
-from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
+from hyperflex.planning.options import Conditions, SearchOptions
 from hyperflex.planning.outcome import RunOutcome
 from hyperflex.planning.plan import Plan
 from hyperflex.planning.planner import Candidate, Planner, Task, Verified

@@ -1,0 +1,11 @@
+"""Hardware: drives that turn the arm, with one set of guards for all of them; a simulated motor."""
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import attach
+
+if TYPE_CHECKING:
+    from hyperflex.hardware.drive import Drive, DriveState, Goal, Link, Reading
+    from hyperflex.hardware.simulated import SAMPLE_TIME, SimulatedMotor
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
