@@ -1,0 +1,10 @@
+"""Execution: a planned cast carried out on a drive, and learned from."""
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import attach
+
+if TYPE_CHECKING:
+    from hyperflex.execution.stream import MotionStream, StreamLog
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,0 +1,58 @@
+"""A link to a motor that is where it was asked to be, for tests of what lies above a drive."""
+
+import time
+from pathlib import Path
+
+from hyperflex.hardware import Drive, Goal, Reading
+from hyperflex.hardware.drive import NoReply
+from hyperflex.model import MotorLimits
+
+
+class IdealLink:
+    """Reaches each goal at once; `silent_after` replies it falls silent. Each switch of the torque goes into a file."""
+
+    name, watchdog, takes = "ideal motor", 0.1, frozenset({"rate", "torque"})
+
+    def __init__(self, notes: Path, silent_after: int = 10**9, fault_after: int = 10**9) -> None:
+        self.notes, self.left, self.sound = notes, silent_after, fault_after
+        self.angle, self.on = 0.3, False
+
+    def open(self) -> None:
+        self.note("open")
+
+    def note(self, text: str) -> None:
+        with self.notes.open("a") as file:
+            file.write(f"{text}\n")
+
+    def read(self) -> Reading:
+        self.left -= 1
+        self.sound -= 1
+        if self.left < 0:
+            raise NoReply("silent")
+        now = time.monotonic()
+        fault = "" if self.sound >= 0 else "over-temperature (33)"
+        return Reading(self.angle, 0.0, 0.0, 24.0, 30.0, self.on, fault, now, now)
+
+    def enable(self, limits: MotorLimits) -> None:
+        self.on = True
+        self.note("on")
+
+    def send(self, goal: Goal) -> Reading:
+        self.angle = goal.angle
+        return self.read()
+
+    def disable(self) -> None:
+        if self.on:
+            self.note("off")
+        self.on = False
+
+    def clear(self) -> None:
+        self.sound = 10**9
+
+    def close(self) -> None:
+        self.note("closed")
+
+
+def ideal_drive(notes: Path, silent_after: int = 10**9, fault_after: int = 10**9) -> Drive:
+    """Return a drive over an ideal link."""
+    return Drive(IdealLink(notes, silent_after, fault_after), MotorLimits())

@@ -1,0 +1,138 @@
+"""A motion streamed to a drive by a process of its own: what is sent, and that the torque is off at every end."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperflex.errors import DriveError, InvalidInput
+from hyperflex.execution.stream import MotionStream
+from hyperflex.hardware import Goal
+from hyperflex.motion import hold_arm, move_arm
+from tests.execution.ideal_link import ideal_drive
+
+
+def lines(notes: Path) -> list[str]:
+    """Return what the drive has noted."""
+    return notes.read_text().split()
+
+
+def wait(stream: MotionStream) -> None:
+    """Wait for two seconds, or until the stream raises what ended it."""
+    for _ in range(100):
+        time.sleep(0.02)
+        stream.log()
+
+
+def test_goals_are_those_of_the_motion_at_the_time_of_sending(tmp_path: Path) -> None:
+    motion = move_arm(0.3, 0.8, duration=0.6)
+    torque = np.array([0.0, 0.2, 0.5]), np.array([0.0, 0.1, 0.0])
+    with MotionStream(partial(ideal_drive, tmp_path / "notes"), rate=200.0) as stream:
+        stream.enable()
+        stream.start_clock(time.monotonic() + 0.1)
+        stream.set_motion(motion, 0.0, torque)
+        time.sleep(1.0)
+        log = stream.log()
+        assert stream.angle(10.0) == pytest.approx(0.8)
+    sent = log.column("sent")
+    assert sent[0] < 0.0
+    late = sent >= 0.0
+    assert log.column("goal_angle")[late] == pytest.approx(motion.angle(sent[late]), abs=1e-12)
+    assert log.column("goal_rate")[late] == pytest.approx(motion.rate(sent[late]), abs=1e-12)
+    assert log.column("goal_torque")[late] == pytest.approx(np.interp(sent[late], *torque), abs=1e-12)
+    assert np.all(log.tracking_error[late] == 0.0)
+    assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
+
+
+def test_a_motion_that_replaces_another_begins_at_its_time(tmp_path: Path) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes"), rate=200.0) as stream:
+        stream.enable()
+        stream.start_clock(time.monotonic() + 0.1)
+        stream.set_motion(move_arm(0.3, 0.6, duration=0.4), 0.0)
+        stream.set_motion(move_arm(0.6, 0.4, duration=0.4).shifted(0.5), 0.45)
+        time.sleep(1.1)
+        log = stream.log()
+    sent, goal = log.column("sent"), log.column("goal_angle")
+    assert goal[np.searchsorted(sent, 0.45)] == pytest.approx(0.6)
+    assert goal[-1] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("how", ["fault_after", "silent_after"])
+def test_a_fault_and_a_lost_link_switch_the_torque_off_and_are_raised(tmp_path: Path, how: str) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes", **{how: 40})) as stream:
+        stream.enable()
+        with pytest.raises(DriveError, match=r"over-temperature|no valid reply|did not confirm"):
+            wait(stream)
+    assert "off" in lines(tmp_path / "notes")
+
+
+def test_a_goal_beyond_the_limits_ends_the_stream(tmp_path: Path) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
+        stream.enable()
+        stream.start_clock()
+        stream.set_motion(hold_arm(1.0), 0.0)
+        with pytest.raises(InvalidInput, match=r"far from the shaft|jumps"):
+            wait(stream)
+    assert lines(tmp_path / "notes")[-2:] == ["off", "closed"]
+
+
+PROGRAM = """
+import os, signal, sys, time
+from functools import partial
+from pathlib import Path
+from hyperflex.execution.stream import MotionStream
+from tests.execution.ideal_link import ideal_drive
+
+if __name__ == "__main__":
+    with MotionStream(partial(ideal_drive, Path(sys.argv[1]))) as stream:
+        stream.enable()
+        print(stream.pid, flush=True)
+        time.sleep(60.0)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_torque_is_off_when_the_program_ends_by_a_signal(tmp_path: Path, number: signal.Signals) -> None:
+    program, notes = tmp_path / "program.py", tmp_path / "notes"
+    program.write_text(PROGRAM)
+    root = Path(__file__).parents[2]
+    path = os.pathsep.join([str(root), *filter(None, sys.path)])
+    with subprocess.Popen(
+        [sys.executable, str(program), str(notes)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": path},
+    ) as run:
+        assert run.stdout is not None
+        run.stdout.readline()
+        run.send_signal(number)
+        run.wait(20.0)
+    until = time.monotonic() + 5.0
+    while lines(notes)[-1] != "closed" and time.monotonic() < until:
+        time.sleep(0.02)
+    assert lines(notes) == ["open", "on", "off", "closed"]
+
+
+def test_the_process_ended_by_sigterm_switches_the_torque_off(tmp_path: Path) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
+        stream.enable()
+        os.kill(stream.pid, signal.SIGTERM)
+        with pytest.raises(DriveError, match="ended by a signal"):
+            wait(stream)
+    assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
+
+
+def test_a_goal_between_two_breaks_is_the_polynomials() -> None:
+    from hyperflex.execution.stream import Path as Numbers
+
+    path = Numbers([0.0, 1.0, 2.0], [[0.0, 1.0, 0.0], [1.0, 0.0, -0.5]], [0.0], [0.0])
+    assert path.goal(-1.0) == Goal(0.0)
+    assert path.goal(0.5) == Goal(0.5, 1.0)
+    assert path.goal(1.5) == Goal(1.0 - 0.125, -0.5)
+    assert path.goal(3.0) == Goal(0.5)
