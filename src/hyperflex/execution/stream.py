@@ -142,7 +142,7 @@ class MotionStream:
 
     def enable(self) -> DriveState:
         """Switch the torque on; the arm holds where it is. Return the state."""
-        return self._ask("enable")
+        return checks.instance("answer", self._ask("enable"), DriveState)
 
     def off(self) -> None:
         """Switch the torque off."""
@@ -150,7 +150,7 @@ class MotionStream:
 
     def state(self) -> DriveState:
         """Return the newest state of the drive, with the torque on or off."""
-        return self._ask("state")
+        return checks.instance("answer", self._ask("state"), DriveState)
 
     def set_motion(self, motion: Motion, at: float, torque: tuple[npt.ArrayLike, npt.ArrayLike] | None = None) -> None:
         """Stream a motion from a time `at` (s) on; see :class:`hyperflex.interfaces.Motor`.
