@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hyperflex as hf
+from hyperflex.identification.fit import averaged
 from hyperflex.identification.measurements import DENSEST, Measurements, measure, merged
 from hyperflex.identification.uncertainty.noise import Piece, channel_correlation
 
@@ -13,19 +14,19 @@ T = np.arange(5000) / RATE
 MOTION = 0.6 * np.sin(2.0 * np.pi / PERIOD * T + 0.3)[:, None] * [1.0, 0.5]
 
 
-def off(recording: hf.Recording) -> np.ndarray:
-    """What values miss of the motion, but for the first and last, where derivatives are one-sided."""
+def off(recording: hf.Recording, spread: np.ndarray) -> np.ndarray:
+    """What values miss of the motion's means, but for the first and last, where derivatives are one-sided."""
     there = 0.6 * np.sin(2.0 * np.pi / PERIOD * recording.t + 0.3)[:, None] * [1.0, 0.5]
-    return (recording.data - there)[3:-3]
+    return (recording.data - averaged(there, recording.t, spread))[3:-3]
 
 
 @pytest.mark.parametrize("merging", ["mean", "median"])
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_values_are_those_of_the_motion_at_their_times(merging, missing):
-    """Plain means of four would be 20 microrad off, and 2 mrad where a sample misses; noise is a milliradian."""
+    """The motion at their times would be 40 microrad off, and 2 mrad where a sample misses; noise is a milliradian."""
     seen = np.where(np.random.default_rng(0).random(MOTION.shape) < missing, np.nan, MOTION)
-    found, share = merged(hf.Recording(T, seen), 4, merging)
-    assert np.nanmax(np.abs(off(found))) < (2e-4 if missing else 1e-5)
+    found, share, spread = merged(hf.Recording(T, seen), 4, merging)
+    assert np.nanmax(np.abs(off(found, spread))) < (2e-4 if missing else 1e-6)
     assert (share[~np.isnan(found.data)] >= 0.25).all()
 
 
@@ -33,23 +34,35 @@ def test_noise_falls_by_the_root_of_the_samples():
     noise = np.full(MOTION.shape, 1e-3)
     noise[::4] = 2e-3  # one of four is worse: it counts a quarter
     seen = MOTION + noise * np.random.default_rng(1).standard_normal(MOTION.shape)
-    found, _ = merged(hf.Recording(T, seen, noise=noise), 4)
+    found, _, spread = merged(hf.Recording(T, seen, noise=noise), 4)
     np.testing.assert_allclose(found.noise, 1e-3 / np.sqrt(3.25))
-    assert np.sqrt(np.mean(off(found) ** 2)) == pytest.approx(1e-3 / np.sqrt(3.25), rel=0.05)  # 2,500 values
+    assert np.sqrt(np.mean(off(found, spread) ** 2)) == pytest.approx(1e-3 / np.sqrt(3.25), rel=0.05)  # 2,500 values
+
+
+def test_white_noise_stays_white():
+    """Values corrected by their own curvature had autocorrelations of -0.02 two apart: long recordings show that."""
+    noise = np.random.default_rng(4).standard_normal((100_000, 4))
+    values = merged(hf.Recording(np.arange(100_000) / RATE, noise), 5)[0].data
+    for lag in (1, 2, 3):
+        shown = (values[lag:] * values[:-lag]).sum() / (values**2).sum()
+        assert abs(shown) < 0.011  # three deviations of 80,000 values
+    assert values.var() == pytest.approx(0.2, rel=0.015)  # three of theirs
 
 
 def test_outliers_do_not_reach_their_neighbours_with_a_robust_loss():
     seen = MOTION.copy()
     seen[::20] += 1.0
-    assert np.abs(off(merged(hf.Recording(T, seen), 4, "median")[0])).max() < 1e-3
-    assert np.abs(off(merged(hf.Recording(T, seen), 4)[0])).max() > 0.2
+    for merging, most in (("median", 1e-3), ("mean", np.inf)):
+        found, _, spread = merged(hf.Recording(T, seen), 4, merging)
+        assert np.abs(off(found, spread)).max() < most
+    assert np.abs(off(found, spread)).max() > 0.2
 
 
 def test_frames_that_miss_do_not_join_what_lies_apart():
     keep = (T < 3.003) | (T > 4.001)
-    found, share = merged(hf.Recording(T[keep], MOTION[keep]), 4)
+    found, share, spread = merged(hf.Recording(T[keep], MOTION[keep]), 4)
     assert not ((found.t > 3.01) & (found.t < 4.0)).any()
-    assert np.abs(off(found)).max() < 1e-4
+    assert np.abs(off(found, spread)).max() < 1e-4
     assert share.min() < 1.0
 
 

@@ -62,7 +62,7 @@ class Measurements:
 
     sides: other angles that would show as the same channels. merging: how neighbouring samples become one. precision:
     of the values (T, C), over that of the best, where their noise is not known: a marker that errs turns a short link
-    farther, and samples may miss in values that several have become.
+    farther, and samples may miss in values that several have become. spread (T,): of the times of these, see Window.
     """
 
     channels: Recording
@@ -71,6 +71,7 @@ class Measurements:
     sides: tuple[Recording, ...] = ()
     merging: Merging = "mean"
     precision: Array | float = 1.0
+    spread: Array | None = None
 
     def step(self, length: float) -> int:
         """Return how many samples become one, so that a window of `length` (s) holds at most ``DENSEST``."""
@@ -82,10 +83,10 @@ class Measurements:
         if step == 1 or self.channels.t.size < 3 * step:  # too short for differences between groups
             return self
         every = (self.channels, self.shape, *self.sides)
-        (channels, share), *angles = (merged(each, step, self.merging) for each in every)
-        shape, *sides = (each for each, _ in angles)
+        (channels, share, spread), *angles = (merged(each, step, self.merging) for each in every)
+        shape, *sides = (each for each, *_ in angles)
         precision = self.precision * (share if channels.noise is None else 1.0)
-        return replace(self, channels=channels, shape=shape, sides=tuple(sides), precision=precision)
+        return replace(self, channels=channels, shape=shape, sides=tuple(sides), precision=precision, spread=spread)
 
     def windows(self, length: float, step: int | None = None) -> tuple[list[Window], int]:
         """Cut the samples into windows [start, start + `length`), s; return them and the number left out.
@@ -108,7 +109,8 @@ class Measurements:
                 continue
             guess, *others = (first_state(own, each[rows]) for each in (angles, *sides))
             others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > ASIDE]
-            windows.append(Window(own, y[rows], weight[rows], guess, self.prior, tuple(others)))
+            spread = None if whole.spread is None else whole.spread[rows]
+            windows.append(Window(own, y[rows], weight[rows], guess, self.prior, tuple(others), spread))
         return windows, len(cuts) - len(windows)
 
     def between(self, start: float, end: float) -> "Measurements":
@@ -117,24 +119,26 @@ class Measurements:
         return replace(self, channels=channels, shape=shape, sides=tuple(sides))
 
 
-def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[Recording, Array]:
+def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[Recording, Array, Array | None]:
     """Return a recording with each `step` neighbouring samples as one, and the part of them (m, C) that is there.
 
     Its times (m,) are the means of theirs. Its values are the means, weighted by the noise, or the medians, of the
-    samples less the motion within the group: a line and a parabola, by differences between groups. So a sample that is
-    missing shifts no value, and the fit may compare values with predictions at one instant. Without the parabola means
-    would err by the second derivative times the square of the group's duration over 24. What may jump, as a torque does
-    where a motion switches, is not merged: the ``first`` sample stands for all.
+    samples less what moves within the group about its mean: a line and a parabola, by differences between groups. So a
+    sample that is missing shifts no value. A mean is off the motion at its time by the second derivative times half the
+    mean square of the samples' times about it, the third that is returned (m,), s^2. Values are not corrected by that:
+    differences of noisy values would make their noise coloured. What may jump, as a torque does where a motion
+    switches, is not merged: the ``first`` sample stands for all, and the third is None.
     """
     if merging == "first":
-        return recording.decimate(step), np.ones((-(-recording.t.size // step), recording.data.shape[1]))
+        return recording.decimate(step), np.ones((-(-recording.t.size // step), recording.data.shape[1])), None
     t, data = recording.t, recording.data
     group = np.floor((t - t[0]) / float(np.median(np.diff(t))) + 0.5) // step  # no longer than that where frames miss
     first = np.flatnonzero(np.diff(group, prepend=-1.0))
     size = np.diff(np.append(first, t.size))
     which = np.repeat(np.arange(first.size), size)
     time, known = np.add.reduceat(t, first) / size, ~np.isnan(data)
-    off, count = (t - time[which])[:, None], np.add.reduceat(known.astype(np.float64), first)
+    off, spread = (t - time[which])[:, None], 0.5 * np.add.reduceat((t - time[which]) ** 2, first) / size
+    count = np.add.reduceat(known.astype(np.float64), first)
     precision = known / (1.0 if recording.noise is None else recording.noise**2)
     total = np.add.reduceat(precision, first)
     laid = np.full((first.size, size.max(), data.shape[1]), np.nan)
@@ -151,10 +155,10 @@ def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[
             values = np.divide(values, total, out=np.full_like(values, np.nan), where=total > 0.0)
         smooth = np.column_stack([np.interp(time, time[~np.isnan(x)], x[~np.isnan(x)]) for x in values.T])
         slope = np.gradient(smooth, time, axis=0)
-        inside = off * slope[which] + 0.5 * off**2 * np.gradient(slope, time, axis=0)[which]
+        inside = off * slope[which] + (0.5 * off**2 - spread[which, None]) * np.gradient(slope, time, axis=0)[which]
     noise = None if recording.noise is None else np.where(total > 0.0, total, 1.0) ** -0.5
     whole = replace(recording, t=time, data=values, noise=noise, rates=None)
-    return whole, np.minimum(count / step, 1.0)
+    return whole, np.minimum(count / step, 1.0), spread
 
 
 def swing_period(rope: Rope) -> float:

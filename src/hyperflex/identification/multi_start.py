@@ -433,8 +433,7 @@ def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Lo
     """Return states (2n,) fitted to the first samples of a window, then to twice as many; those that end alike once."""
     size = window.t.size / FIRST
     while size < window.t.size:
-        rows, grown = slice(0, max(FEWEST_SAMPLES, int(size))), list[Array]()
-        seen = replace(window, t=window.t[rows], y=window.y[rows], weight=window.weight[rows])
+        seen, grown = window.first(max(FEWEST_SAMPLES, int(size))), list[Array]()
         for state in states:
             found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT, enough=HARDLY)
             end = state if found is None else found[0]

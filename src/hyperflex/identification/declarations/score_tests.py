@@ -24,7 +24,7 @@ from hyperflex.identification.declarations.held import (
     words_for_tests,
 )
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.fit import Fit, Window, fit, linearise
+from hyperflex.identification.fit import Fit, Window, averaged, fit, linearise
 from hyperflex.identification.model import Mask, Parameter, Plant, extended, scale_words
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
@@ -696,7 +696,7 @@ def _seen(rope: Rope, finer: Plant, window: Window, state: Array) -> Window:
         raise InvalidInput("the finer rope cannot be simulated")
     if isinstance(finer.sensor, Angles):
         y = _chords(y.reshape(y.shape[0], n, PIECES), fine.length.reshape(n, PIECES))
-    return replace(window, y=np.where(window.weight > 0.0, y, 0.0))
+    return replace(window, y=np.where(window.weight > 0.0, averaged(y, window.t, window.spread), 0.0))
 
 
 def _chords(q: Array, length: Array) -> Array:

@@ -169,7 +169,7 @@ class Draws:
 
     def __init__(self, basis: Basis, seed: int) -> None:
         self.basis, self.seed, windows, information = basis, seed, basis.windows, basis.information
-        seen = [basis.plant.predict(basis.fit.x, w.t, s) for w, s in zip(windows, basis.fit.states, strict=True)]
+        seen = [w.predicted(basis.plant, basis.fit.x, s) for w, s in zip(windows, basis.fit.states, strict=True)]
         self.clean = [y for y in seen if y is not None]
         if len(self.clean) < len(seen):
             raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
