@@ -1,0 +1,10 @@
+"""Emulated drives, for tests and for learning: a motor with a rope, and the devices that a host sees of it."""
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import attach
+
+if TYPE_CHECKING:
+    from hyperflex.hardware.emulate.plant import MotorModel, Plant
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,0 +1,114 @@
+"""The physics behind an emulated drive: motor, arm and rope."""
+
+import math
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.hardware import Goal
+from hyperflex.hardware.emulate import MotorModel, Plant
+
+ARM = hf.Arm(length=0.105, mass=0.05, com=0.05, inertia=1e-4)
+
+
+def rope(friction: float = 3e-4) -> hf.Rope:
+    return hf.Rope.uniform(length=0.6, mass=0.03, n_links=10, radius=0.0025, friction=friction)
+
+
+def test_a_goal_is_reached_and_held_against_the_weight_of_arm_and_rope() -> None:
+    model = MotorModel()
+    plant = Plant(model, rope(friction=5e-3), ARM)  # soon at rest
+    plant.set_enabled(True)
+    plant.set_goal(Goal(1.0))
+    plant.advance(10.0)
+    weight = 9.81 * (0.05 * 0.05 + 0.03 * 0.105) * math.sin(plant.angle)
+    assert abs(plant.rate) < 1e-3
+    assert math.isclose(plant.torque, weight, rel_tol=1e-2)
+    assert math.isclose(1.0 - plant.angle, weight / model.kp, rel_tol=1e-2)
+
+
+def test_without_torque_the_arm_falls_and_hangs() -> None:
+    plant = Plant(MotorModel(friction=5e-3), None, ARM, angle=1.0)
+    plant.advance(10.0)
+    assert abs(plant.angle) < 1e-3
+    assert plant.torque == 0.0
+
+
+def test_torque_and_speed_keep_to_controller_and_supply() -> None:
+    model = MotorModel(max_torque=0.5, max_speed=10.0, friction=0.0)
+    plant = Plant(model, None, hf.Arm(inertia=1e-3))
+    plant.set_enabled(True)
+    seen = []
+    for k in range(400):
+        plant.set_goal(Goal(100.0))
+        plant.advance(1e-3 * (k + 1))
+        seen.append((plant.rate, plant.torque))
+    rates, torques = np.array(seen).T
+    assert torques.max() == 0.5
+    assert rates[-1] == pytest.approx(10.0, rel=1e-3)
+    plant.impose(voltage=12.0)
+    plant.advance(2.0)
+    assert plant.rate == pytest.approx(5.0, rel=1e-3)
+
+
+def test_goals_act_after_the_latency_and_advance_with_their_rate_only_where_the_drive_does_so() -> None:
+    ends = []
+    for extrapolates in (False, True):
+        plant = Plant(MotorModel(latency=0.02, extrapolates=extrapolates), None, ARM)
+        plant.set_enabled(True)
+        plant.set_goal(Goal(0.0, rate=1.0))
+        plant.advance(0.02)
+        assert plant.angle == 0.0
+        plant.advance(0.52)
+        ends.append(plant.angle)
+    assert ends[0] < 0.05
+    assert ends[1] == pytest.approx(0.5, abs=0.01)
+
+
+def test_backlash_leaves_the_arm_free_between_the_teeth() -> None:
+    plant = Plant(MotorModel(backlash=0.05, kd=0.05), rope(friction=5e-3), ARM)
+    plant.set_enabled(True)
+    for aim in (0.5, -0.5):
+        plant.set_goal(Goal(aim))
+        plant.advance(plant.t + 8.0)
+        # the weight pulls the arm down to the tooth that holds it; teeth give way a little
+        assert plant.arm_angle == pytest.approx(plant.angle - math.copysign(0.025, aim), abs=5e-3)
+
+
+def test_a_hard_stop_holds_the_arm_and_the_motor_pushes_at_its_limit() -> None:
+    plant = Plant(MotorModel(max_torque=0.5), rope(), ARM)
+    plant.impose(stops=(-3.0, 0.8))
+    plant.set_enabled(True)
+    plant.set_goal(Goal(1.5))
+    plant.advance(1.0)
+    assert plant.arm_angle == pytest.approx(0.8, abs=0.02)
+    assert plant.torque == 0.5
+
+
+def test_a_jump_of_the_encoder_turns_the_motor_back_by_as_much() -> None:
+    plant = Plant(MotorModel(), None, ARM)
+    plant.set_enabled(True)
+    plant.set_goal(Goal(0.0))
+    plant.impose(encoder_turns=1.0)
+    assert plant.angle == pytest.approx(2.0 * math.pi)
+    plant.advance(2.0)
+    assert plant.arm_angle == pytest.approx(-2.0 * math.pi, abs=0.01)
+
+
+def test_the_motor_warms_with_the_square_of_its_torque_and_cools() -> None:
+    model = MotorModel(heating=10.0, cooling_time=1.0, max_torque=0.5)
+    plant = Plant(model, None, ARM)
+    plant.impose(stops=(-1.0, 0.0))
+    plant.set_enabled(True)
+    plant.set_goal(Goal(1.0))
+    plant.advance(8.0)
+    assert plant.temperature == pytest.approx(25.0 + 10.0 * 0.5**2, abs=0.01)
+    plant.set_enabled(False)
+    plant.advance(16.0)
+    assert plant.temperature == pytest.approx(25.0, abs=0.01)
+
+
+def test_a_loop_that_its_sampling_makes_unstable_is_refused() -> None:
+    with pytest.raises(hf.InvalidInput, match="position loop is unstable"):
+        Plant(MotorModel(kd=5.0), None, ARM)
