@@ -67,7 +67,7 @@ def test_goals_act_after_the_latency_and_advance_with_their_rate_only_where_the_
 
 
 def test_backlash_leaves_the_arm_free_between_the_teeth() -> None:
-    plant = Plant(MotorModel(backlash=0.05, kd=0.05), rope(friction=5e-3), ARM)
+    plant = Plant(MotorModel(backlash=0.05), rope(friction=5e-3), ARM)
     plant.set_enabled(True)
     for aim in (0.5, -0.5):
         plant.set_goal(Goal(aim))

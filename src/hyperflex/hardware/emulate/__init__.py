@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.hardware.emulate.faults import WireFaults
     from hyperflex.hardware.emulate.plant import MotorModel, Plant
+    from hyperflex.hardware.emulate.process import Emulator, EmulatorLog
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from hyperflex import checks, options
@@ -28,7 +28,7 @@ class MotorModel:
     Not validated against a real drive.
     """
 
-    inertia: float = option(1e-4, "inertia of the rotor", unit="kg m^2", sign="positive")
+    inertia: float = option(3e-4, "inertia of the rotor", unit="kg m^2", sign="positive")
     friction: float = option(1e-3, "viscous friction", unit="N m s/rad", sign="nonnegative")
     dry_friction: float = option(0.0, "Coulomb friction", unit="N m", sign="nonnegative")
     kp: float = option(20.0, "stiffness of the position loop", unit="N m/rad", sign="nonnegative")
@@ -114,6 +114,7 @@ class Plant:
         self._goals: deque[tuple[float, Goal]] = deque()  # with the time at which each takes effect
         self._goal: tuple[float, Goal] | None = None  # in effect, since when
         self.enabled = False
+        self.on_goal: Callable[[Goal], None] = lambda goal: None  # called with each goal, for a log
         self.torque, self.voltage, self.temperature = 0.0, model.voltage, model.ambient
 
     # ------------------------------------------------------------------ what a device does
@@ -121,6 +122,7 @@ class Plant:
     def set_goal(self, goal: Goal) -> None:
         """Give a raw goal now; it takes effect after the latency."""
         self._goals.append((self._now + self.model.latency, goal))
+        self.on_goal(goal)
 
     def set_enabled(self, on: bool) -> None:
         """Switch the torque on, with the present angle as the goal, or off: the shaft then coasts."""
@@ -168,6 +170,12 @@ class Plant:
     def rope_state(self) -> tuple[Array, Array]:
         """Return link angles q (n,), rad, and rates qd (n,), rad/s, at the last step."""
         return self._state.q, self._state.qd
+
+    def warm(self) -> None:
+        """Load all kernels, so that no later step waits for them; arm and rope stay where they are."""
+        setup = self._stepper.setup
+        for force in ((0.0, 0.0), (0.0, -1e-9)) if setup.pegs else ((0.0, 0.0),):  # a force: a step as in contact
+            Stepper(setup, command="torque", tip_force=force).step(self._state, 0.0, self.step)
 
     def impose(
         self,

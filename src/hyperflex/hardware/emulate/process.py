@@ -1,0 +1,323 @@
+"""An emulated drive as a process of its own, in real time, on a pseudo-terminal."""
+
+import gc
+import multiprocessing
+import os
+import select
+import signal
+import termios
+import time
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import DriveError, HyperflexError, InvalidInput
+from hyperflex.hardware.emulate.faults import FaultyWire, WireFaults
+from hyperflex.hardware.emulate.plant import STEP, MotorModel, Plant
+from hyperflex.model import Arm, Rope
+
+START = 120.0  # s that the process may take to start: imports, and kernels that are not compiled yet
+ANSWER = 5.0  # s within which it answers a request
+STATES = ("t", "arm_angle", "arm_rate", "angle", "rate", "torque", "voltage", "temperature", "enabled")
+GOALS = ("t", "angle", "rate", "torque")
+
+
+class Device(Protocol):
+    """The device's side of a wire, on the clock that :meth:`tick` gives it; 0 is when it was made."""
+
+    plant: Plant
+
+    def tick(self, t: float) -> bytes:
+        """Advance plant and device to time t, s; return what it sends unasked."""
+
+    def handle(self, data: bytes) -> bytes:
+        """Take bytes from the host, which may end in the middle of a message; return the answers."""
+
+
+@dataclass(frozen=True, eq=False)
+class EmulatorLog:
+    """What an emulated drive has received and done. Times are of :func:`time.monotonic`, s; angles are raw.
+
+    Attributes
+    ----------
+    goals : (G, 4) float64
+        Time, angle, rad, rate, rad/s, and torque, N m, of each goal that the motor was given.
+    states : (T, 9 + 2 n) float64
+        Columns as in STATES (true angle and rate of the arm, those of the encoder, torque, voltage, temperature,
+        whether the torque is on), then link angles q, rad, and rates qd, rad/s.
+    replies : dict of str to int
+        Number of replies that were good, lost, late, garbled and truncated.
+    """
+
+    goals: Array
+    states: Array
+    replies: dict[str, int]
+
+    def column(self, name: str) -> Array:
+        """Return a column (T,) of the states by its name, as in STATES."""
+        return self.states[:, STATES.index(checks.choice("column", name, STATES))]
+
+    @property
+    def rope(self) -> tuple[Array, Array]:
+        """Link angles q, rad, and rates qd, rad/s, each (T, n)."""
+        q, qd = np.split(self.states[:, len(STATES) :], 2, axis=1)
+        return q, qd
+
+
+class Rows:
+    """Rows of numbers in memory that processes share: one writes, others read; the newest are kept."""
+
+    def __init__(self, count: int, columns: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._data, self._written = context.RawArray("d", count * columns), context.RawValue("q", 0)
+        self._shape = count, columns
+
+    def write(self, *row: float | Array) -> None:
+        """Write a row of numbers and arrays."""
+        rows, at = np.frombuffer(self._data).reshape(self._shape), self._written.value % self._shape[0]
+        np.concatenate([np.atleast_1d(each) for each in row], out=rows[at])
+        self._written.value += 1
+
+    def read(self, newest: int | None = None) -> Array:
+        """Return the `newest` rows, or all."""
+        written, (count, _) = self._written.value, self._shape
+        first = max(0, written - count + 1)  # the oldest may be overwritten meanwhile
+        first = first if newest is None else max(first, written - newest)
+        return np.asarray(np.frombuffer(self._data).reshape(self._shape)[np.arange(first, written) % count])
+
+
+class Emulator:
+    """An emulated drive in a process of its own. Use it as a context manager; a host opens its `port`.
+
+    It ends with the block, and with this program, however that ends. It starts as a new interpreter, so a program needs
+    ``if __name__ == "__main__":``.
+
+    Parameters
+    ----------
+    device : callable
+        Makes the device from its plant: a class, or a ``functools.partial`` of one.
+    model, rope, arm, **plant
+        As of :class:`Plant`; without an `arm`, that of the paper.
+    baud : int
+        Rate, bit/s, at which the device listens; 0 for any.
+    sample : float
+        Time, s, between states in the log.
+    duration : float
+        Time, s, for which the log is kept; of a longer run the newest part is.
+
+    Attributes
+    ----------
+    port : str
+        Path of the serial port.
+
+    Notes
+    -----
+    A pseudo-terminal has neither a rate nor the latency of USB: times of replies are those of this machine alone.
+    """
+
+    def __init__(
+        self,
+        device: Callable[[Plant], Device],
+        model: MotorModel,
+        rope: Rope | None = None,
+        arm: Arm | None = None,
+        *,
+        baud: int = 0,
+        sample: float = 2e-3,
+        duration: float = 60.0,
+        **plant: Any,
+    ) -> None:
+        count = int(checks.number("duration", duration, sign="positive", unit="s") / sample)
+        links = 1 if rope is None else rope.n_links
+        self.states, self._goals = Rows(count, len(STATES) + 2 * links), Rows(count, len(GOALS))
+        self._arguments = device, {"model": model, "rope": rope, "arm": arm or Arm(), **plant}, baud, sample
+        self._process: Any = None
+        self.port = ""
+
+    def __enter__(self) -> Self:
+        context = multiprocessing.get_context("spawn")
+        self._link, theirs = context.Pipe()
+        shared = theirs, self.states, self._goals
+        self._process = context.Process(target=emulate, args=(*self._arguments, *shared), name="emulator", daemon=True)
+        self._process.start()
+        theirs.close()
+        try:
+            self.port = self._receive(START)
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    @property
+    def pid(self) -> int:
+        """Identifier of the process."""
+        return int(self._process.pid)
+
+    def log(self) -> EmulatorLog:
+        """Return what the device has received and done until now."""
+        return EmulatorLog(self._goals.read(), self.states.read(), self._ask("replies"))
+
+    def rope_state(self) -> tuple[float, float, Array, Array]:
+        """Return the newest true state: time, s, arm angle, rad, q (n,), rad, and qd (n,), rad/s."""
+        row = self.states.read(newest=1)[0]
+        q, qd = np.split(row[len(STATES) :], 2)
+        return float(row[0]), float(row[1]), q, qd
+
+    def inject(self, wire: WireFaults | None = None, *, disconnect: bool = False, **plant: Any) -> None:
+        """Inject faults from now on.
+
+        Parameters
+        ----------
+        wire : WireFaults, optional
+            Of replies, in place of those before.
+        disconnect : bool
+            Whether the port vanishes.
+        **plant
+            As of :meth:`Plant.impose`: voltage, temperature, stops, encoder_turns.
+        """
+        if wire is not None:
+            self._ask("wire", checks.instance("wire", wire, WireFaults))
+        if plant:
+            self._ask("impose", plant)
+        if disconnect:
+            self._ask("disconnect")
+
+    def _ask(self, *request: Any) -> Any:
+        if self._process is None:
+            raise InvalidInput("the emulator does not run", fix="Use it within its with block")
+        with suppress(OSError):  # why it has ended is received
+            self._link.send(request)
+        return self._receive(ANSWER)
+
+    def _receive(self, patience: float) -> Any:
+        if not self._link.poll(patience):
+            raise DriveError(f"The emulator has not answered for {patience:g} s.")
+        try:
+            answer = self._link.recv()
+        except (EOFError, OSError):
+            self._process.join(ANSWER)
+            raise DriveError(f"The emulator ended with code {self._process.exitcode}.") from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        self._link.close()  # which ends it
+        process.join(ANSWER)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def emulate(
+    make: Callable[[Plant], Device],
+    plant: dict[str, Any],
+    baud: int,
+    sample: float,
+    link: Connection,
+    states: Rows,
+    goals: Rows,
+) -> None:
+    """Run a device in real time until the parent ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, whose drive is to answer it
+    try:
+        motor = Plant(**plant)
+        motor.warm()
+        device = make(motor)
+        motor.on_goal = lambda goal: goals.write(time.monotonic(), goal.angle, goal.rate, goal.torque)
+        terminal = _Terminal(baud)
+        link.send(terminal.port)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        with suppress(OSError, AttributeError):  # only with the right to do so
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+        _serve(device, terminal, link, states, sample)
+    except HyperflexError as error:
+        with suppress(OSError):
+            link.send(error)
+
+
+def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows, sample: float) -> None:
+    wire, plant, began = FaultyWire(), device.plant, time.monotonic()
+    due = began  # of the next sample
+    while True:
+        listened: list[Any] = [*terminal.ends, link]
+        ready = select.select(listened, [], [], STEP)[0]
+        now = time.monotonic()
+        sent = device.tick(now - began)
+        if terminal.host in ready:
+            sent += device.handle(terminal.read())
+        if sent:
+            wire.send(sent, now)
+        terminal.write(wire.receive(now))
+        if now >= due:
+            measured = plant.angle, plant.rate, plant.torque, plant.voltage, plant.temperature, float(plant.enabled)
+            states.write(now, plant.arm_angle, plant.arm_rate, *measured, *plant.rope_state())
+            due = max(due + sample, now)
+        if link in ready and not _answer(link, plant, wire, terminal):
+            return
+
+
+def _answer(link: Connection, plant: Plant, wire: FaultyWire, terminal: "_Terminal") -> bool:
+    """Answer a request of the parent; return False if it has ended."""
+    try:
+        kind, *values = link.recv()
+    except (EOFError, OSError):
+        return False
+    answer: Any = None
+    try:
+        if kind == "replies":
+            answer = dict(wire.counts)
+        elif kind == "wire":
+            wire.set(*values)
+        elif kind == "impose":
+            plant.impose(**values[0])
+        elif kind == "disconnect":
+            terminal.close()
+    except (HyperflexError, TypeError) as error:
+        answer = error
+    with suppress(OSError):
+        link.send(answer)
+    return True
+
+
+class _Terminal:
+    """The device's end of a pseudo-terminal. What a host does not read is dropped, as on a serial line."""
+
+    def __init__(self, baud: int) -> None:
+        self.host, self._end = os.openpty()
+        tty.setraw(self._end)
+        os.set_blocking(self.host, False)
+        self.port, self._baud = os.ttyname(self._end), baud
+        self.ends = [self.host]
+
+    def read(self) -> bytes:
+        """Return what the host has sent; nothing if it sent at a rate at which the device does not listen."""
+        data = os.read(self.host, 4096)
+        if self._baud and termios.tcgetattr(self.host)[4] != getattr(termios, f"B{self._baud}"):
+            return b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        if data and self.ends:
+            with suppress(BlockingIOError):
+                os.write(self.host, data)
+
+    def close(self) -> None:
+        """Let the port vanish."""
+        if self.ends:
+            self.ends = []
+            os.close(self.host)
+            os.close(self._end)

@@ -1,0 +1,114 @@
+"""An emulated drive as a process, and the faults of its wire."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+import hyperflex as hf
+from hyperflex.hardware.emulate import Emulator, MotorModel, WireFaults
+from hyperflex.hardware.emulate.faults import FaultyWire
+from tests.hardware.echo import Echo
+
+ROPE = hf.Rope.uniform(length=0.6, mass=0.03, n_links=10, radius=0.0025, friction=5e-3)
+ARM = hf.Arm(length=0.105, mass=0.05, com=0.05, inertia=1e-4)
+
+
+def exchange(port: serial.Serial) -> bytes:
+    port.write(b"0.5\n")
+    return port.readline()
+
+
+def test_an_emulator_moves_logs_and_takes_faults() -> None:
+    with Emulator(Echo, MotorModel(), ROPE, ARM) as emulator, serial.Serial(emulator.port, timeout=2.0) as port:
+        sent = time.monotonic()
+        assert abs(float(exchange(port))) < 1e-3  # it answers before it has moved
+        time.sleep(1.0)
+        assert float(exchange(port)) == pytest.approx(0.5, abs=0.05)
+        log = emulator.log()
+        assert log.goals[:, 1].tolist() == [0.5, 0.5]
+        assert sent <= log.goals[0, 0] <= sent + 0.5  # both on the monotonic clock of this machine
+        assert log.column("enabled").tolist() == sorted(log.column("enabled").tolist())
+        assert log.rope[0].shape == (len(log.states), 10)
+        t, angle, q, _ = emulator.rope_state()
+        assert t >= log.column("t")[-1]
+        assert angle == pytest.approx(0.5, abs=0.05)
+        assert np.abs(q).max() < 1.0
+        emulator.inject(WireFaults(lost=1.0), voltage=7.0)
+        port.timeout = 0.1
+        assert exchange(port) == b""
+        log = emulator.log()
+        assert log.replies["lost"] == 1
+        assert log.column("voltage")[-1] == 7.0
+        emulator.inject(disconnect=True)
+        with pytest.raises(OSError, match=r"write failed|disconnected|Input/output"):
+            exchange(port)
+
+
+PARENT = """
+import time, hyperflex as hf
+from hyperflex.hardware.emulate import Emulator, MotorModel
+from tests.hardware.echo import Echo
+if __name__ == "__main__":
+    with Emulator(Echo, MotorModel()) as emulator:
+        print(emulator.pid, flush=True)
+        time.sleep(60.0)
+"""
+
+
+def test_an_emulator_ends_with_a_parent_that_is_killed(tmp_path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, env=environment) as parent:
+        number = int(parent.stdout.readline())
+        os.kill(number, 0)
+        parent.send_signal(signal.SIGKILL)
+    until = time.monotonic() + 20.0
+    while time.monotonic() < until:
+        try:
+            os.kill(number, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("the emulator outlives its parent")
+
+
+def test_a_device_that_cannot_be_made_is_reported_to_the_parent() -> None:
+    with pytest.raises(hf.InvalidInput, match="position loop is unstable"), Emulator(Echo, MotorModel(kd=9.0)):
+        pass
+
+
+def test_each_fault_of_the_wire_comes_as_often_as_asked_and_the_seed_repeats_it() -> None:
+    def run(seed: int) -> tuple[dict[str, int], list[bytes]]:
+        wire = FaultyWire(WireFaults(lost=0.1, late=0.2, garbled=0.15, truncated=0.05, delay=0.5, seed=seed))
+        come = []
+        for k in range(4000):
+            wire.send(b"%06d" % k, float(k))
+            come.append(wire.receive(float(k)))
+            come.append(wire.receive(k + 0.5))
+        return wire.counts, come
+
+    counts, come = run(seed=3)
+    # five standard deviations of a binomial count
+    for kind, part in {"lost": 0.1, "late": 0.2, "garbled": 0.15, "truncated": 0.05, "good": 0.5}.items():
+        assert abs(counts[kind] - 4000 * part) < 5.0 * (4000 * part * (1.0 - part)) ** 0.5, kind
+    now, later = come[::2], come[1::2]
+    whole = [b"%06d" % k for k in range(4000)]
+    assert sum(a == b for a, b in zip(now, whole, strict=True)) == counts["good"]
+    assert sum(a == b for a, b in zip(later, whole, strict=True)) == counts["late"]
+    changed = [(a, b) for a, b in zip(now, whole, strict=True) if len(a) == 6 and a != b]
+    assert len(changed) == counts["garbled"]
+    assert all(sum(x != y for x, y in zip(a, b, strict=True)) == 1 for a, b in changed)
+    assert run(seed=3)[1] == come != run(seed=4)[1]
+
+
+def test_probabilities_above_one_are_refused() -> None:
+    with pytest.raises(hf.InvalidInput, match="more than 1"):
+        WireFaults(lost=0.6, late=0.6)
