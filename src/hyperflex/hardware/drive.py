@@ -134,7 +134,7 @@ class Drive:
     Parameters
     ----------
     link : Link
-        The make's protocol, for example of :func:`hyperflex.hardware.open_link`.
+        The make's protocol.
     limits : MotorLimits
         What is never exceeded: angle, speed, acceleration and torque.
     zero : float

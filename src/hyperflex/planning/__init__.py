@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.model.motor_limits import MotorLimits
+    from hyperflex.model import MotorLimits
     from hyperflex.planning.casting import plan_cast
     from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
