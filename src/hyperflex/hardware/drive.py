@@ -9,21 +9,24 @@ import atexit
 import math
 import signal
 import threading
-import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Any, Protocol, Self
 
+import numpy as np
+
 from hyperflex import checks
+from hyperflex.core.chain.drive import TORQUE, X, Y
 from hyperflex.errors import DriveError, InvalidInput
 from hyperflex.model import MotorLimits
+from hyperflex.motion import Motion
 
-FIRST_STEP = 0.05  # rad; a first goal farther from the shaft than this would be a jerk (a stripped gear)
+STEP = 0.05  # rad; a goal that jumps by more, or a first one farther from the shaft, would be a jerk (a stripped gear)
 SILENCE = 0.05  # s without a valid reply after which the link counts as lost: half of a watchdog of 100 ms
 SLACK = 1.02  # of a limit: goals are sampled from polynomials that reach the limit exactly, and rounded on the wire
-CONFIRM = 0.2  # s for which a drive is asked again to switch its torque off, until it confirms
+CONFIRM = 0.2  # s for which a request that must be answered (torque off, first reading) is repeated
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,8 @@ class NoReply(DriveError):
 class Link(Protocol):
     """A make's protocol. Angles are raw: radians of the shaft from the device's own zero, many turns if it counts them.
 
-    Every call returns within `patience`, s, apart from `open`. Nothing moves before `enable`.
+    Every call but `open` returns within some milliseconds, with a reply or with NoReply. A reply that comes later never
+    counts as the answer to a later request. Nothing moves before `enable`.
 
     Attributes
     ----------
@@ -100,11 +104,14 @@ class Link(Protocol):
         Time, s, after which the device itself goes passive without a request.
     takes : frozenset of {"rate", "torque"}
         What it takes with an angle.
+    clock : callable
+        Monotonic time, s, of the readings' stamps and of the guards; :func:`time.monotonic` but in tests.
     """
 
     name: str
     watchdog: float
     takes: frozenset[str]
+    clock: Callable[[], float]
 
     def open(self) -> None:
         """Open the port and identify the device; DriveError says what is wrong (port, permission, rate, device)."""
@@ -113,7 +120,10 @@ class Link(Protocol):
         """Return the state; NoReply without a valid reply."""
 
     def enable(self, limits: MotorLimits) -> None:
-        """Arm the device's watchdog and limits, and switch the torque on with the present angle as goal."""
+        """Arm the device's watchdog and limits, and switch the torque on with the present angle as goal.
+
+        NoReply without a valid reply; it may be repeated then.
+        """
 
     def send(self, goal: Goal) -> Reading:
         """Send a raw goal and return the state that answers it; NoReply without a valid reply."""
@@ -122,10 +132,25 @@ class Link(Protocol):
         """Switch the torque off; NoReply without a reply."""
 
     def clear(self) -> None:
-        """Clear the device's fault; the torque stays off."""
+        """Clear the device's fault; the torque stays off. NoReply without a reply."""
 
     def close(self) -> None:
         """Close the port. Never raises."""
+
+
+class _Pace:
+    """How fast a value may change: by `limit` per second, and at most `spare` ahead of that (jitter of the host)."""
+
+    def __init__(self, limit: float, spare: float) -> None:
+        self.limit, self.spare, self.left = SLACK * limit, spare, spare
+
+    def allowed(self, dt: float) -> float:
+        """Return the greatest change after a time `dt`, s."""
+        return self.left + self.limit * dt
+
+    def spend(self, change: float, dt: float) -> None:
+        """Count a change that was made."""
+        self.left = min(self.spare, self.allowed(dt) - change)
 
 
 class Drive:
@@ -143,8 +168,9 @@ class Drive:
         -1 if the raw angle grows clockwise, seen with +x to the right and up upwards.
     max_temperature : float
         Temperature, degrees Celsius, at which the torque is switched off.
-    clock : callable
-        Monotonic time, s.
+    max_deviation : float
+        Angle, rad, between the last goal and the shaft at which the torque is switched off: a stop was hit, or the
+        motor is too weak. It must exceed the drive's lag times the speed.
 
     Raises
     ------
@@ -158,10 +184,14 @@ class Drive:
     Notes
     -----
     Guards, in the order in which they act: the device must be free of faults on connection; when its torque is switched
-    on, its angle must lie within the limits (a counter that wrapped is named); a goal must lie within all limits, and
-    near the shaft if it is the first; each reply is checked for faults, temperature, torque, an angle outside the
-    limits and jumps; the device's own watchdog stops it when the host falls silent. SIGTERM and SIGHUP end the program
-    through the same exit.
+    on, its angle must lie within the limits (a counter that wrapped is named, if the limits span less than a turn); a
+    goal must lie within all limits, leave room to brake before those of the angle, and lie near the shaft if it is the
+    first; each reply is checked for faults, temperature, torque, an angle outside the limits, deviation and jumps; the
+    device's own watchdog stops it when the host falls silent.
+
+    While it is connected, SIGTERM and SIGHUP end the program through the same exit as an exception, and no signal, so
+    no Ctrl-C, interrupts an exchange with the device or the switching off of its torque: it is raised right after.
+    Another thread may call :meth:`off` at any time.
     """
 
     def __init__(
@@ -172,7 +202,7 @@ class Drive:
         zero: float = 0.0,
         direction: int = 1,
         max_temperature: float = 70.0,
-        clock: Callable[[], float] = time.monotonic,
+        max_deviation: float = 0.5,
     ) -> None:
         self.link, self.limits = link, checks.instance("limits", limits, MotorLimits)
         self.zero = checks.number("zero", zero, unit="rad")
@@ -180,60 +210,71 @@ class Drive:
             raise InvalidInput("direction of a drive", got=direction, allowed="1 or -1")
         self.direction = direction
         self.max_temperature = checks.number("max_temperature", max_temperature, sign="positive", unit="C")
-        self._clock = clock
+        self.max_deviation = checks.number("max_deviation", max_deviation, sign="positive", unit="rad")
         self._state: DriveState | None = None
         self._fault = ""  # latched
-        self._connected = self._enabled = False
-        self._goal: tuple[float, Goal] | None = None  # when, and what was sent last
-        self._signals: dict[int, Any] = {}
+        self._connected = self._enabled = False  # enabled: the torque may be on
+        self._silent: float | None = None  # since when requests have not been answered
+        self._goal = Goal(0.0)  # the last one, sent at _sent; None: the present angle at which the torque came on
+        self._sent: float | None = None
+        self._lock = threading.RLock()
+        self._signals: dict[int, Any] = {}  # handlers of before
+        self._whole_blocks = self._pending = 0
 
     # ------------------------------------------------------------------ connection
 
     def connect(self, *, clear: bool = False) -> DriveState:
         """Open the link and read the state. Nothing moves; torque that was left on is switched off.
 
-        A device that is in fault is refused, unless `clear` acknowledges its fault.
+        A device that is in fault is refused, and nothing is sent to it, unless `clear` acknowledges its fault.
         """
         if self._connected:
             raise DriveError(f"{self.link.name} is connected already.")
-        self.link.open()
-        self._connected = True
-        atexit.register(self.close)
         self._catch_signals()
+        atexit.register(self.close)
+        self._connected = True
         try:
-            state = self._first_reading()
-            if state.enabled:
-                self.off()
-            if clear:
-                self.acknowledge()
-            elif state.fault:
-                self._latch(f"the device reports {state.fault}")
+            with self._whole():
+                self.link.open()
+                state = self._first_reading()
+                self._enabled = state.enabled
+                if self._enabled:
+                    self.off()
+                if clear:
+                    self.acknowledge()
+                elif state.fault:
+                    fix = "Remove the cause, then connect with clear=True"
+                    raise DriveError(f"{self.link.name}: the device reports {state.fault}. {fix}.")
+                return self._first_reading()
         except BaseException:
             self.close()
             raise
-        return state
 
     def close(self) -> None:
         """Switch the torque off and close the link; does nothing a second time."""
-        if not self._connected:
-            return
-        atexit.unregister(self.close)
-        try:
-            self.off()
-        finally:
-            self._connected = False
-            self.link.close()
-            for number, handler in self._signals.items():
-                signal.signal(number, handler)
-            self._signals = {}
+        with self._whole():
+            if not self._connected:
+                return
+            try:
+                if self._enabled:
+                    self.off()
+            finally:
+                self._connected = False
+                self.link.close()
+                atexit.unregister(self.close)
+                self._release_signals()
 
     def __enter__(self) -> Self:
         if not self._connected:
             self.connect()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        try:
+            self.close()
+        except DriveError:  # not confirmed off; an error of the drive that is on its way says so already
+            if not isinstance(error, DriveError):
+                raise
 
     # ------------------------------------------------------------------ state
 
@@ -249,56 +290,79 @@ class Drive:
 
     def read(self) -> DriveState:
         """Return the state; stale, with the time of its reply, if the device did not answer this request."""
-        self._require_connection()
-        return self._exchange(self.link.read)
+        with self._whole():
+            self._require_connection()
+            return self._exchange(self.link.read)
 
     def set_zero(self, angle: float) -> float:
         """Declare the arm's present angle, rad, with the torque off; return the raw angle of the zero to be kept."""
-        if self._enabled:
-            raise DriveError("The zero of a drive is set with its torque off.")
-        now = self._first_reading()
-        raw = self.zero + self.direction * now.angle
-        self.zero = raw - self.direction * checks.number("angle", angle, unit="rad")
-        return self.zero
+        angle = checks.number("angle", angle, unit="rad")
+        with self._whole():
+            self._require_connection()
+            if self._enabled:
+                raise DriveError("The zero of a drive is set with its torque off.")
+            now = self._first_reading()
+            self.zero += self.direction * (now.angle - angle)
+            self._state = replace(now, angle=angle)
+            return self.zero
 
     def acknowledge(self) -> None:
-        """Clear a latched fault, in the device as well; the torque stays off."""
-        self._require_connection()
-        self.link.clear()
-        self._fault = ""
-        state = self._first_reading()
-        if state.fault:
-            self._latch(f"the device still reports {state.fault}")
+        """Clear a latched fault, in the device as well; the torque is off."""
+        with self._whole():
+            self._require_connection()
+            if self._enabled:
+                self.off()
+            self._insist(self.link.clear)
+            state = self._first_reading()
+            self._fault = ""
+            if state.fault:
+                self._latch(f"the device still reports {state.fault}")
 
     # ------------------------------------------------------------------ motion
 
     def enable(self) -> DriveState:
         """Switch the torque on; the arm holds where it is."""
-        self._require_connection()
-        if self._fault:
-            raise DriveError(f"{self.link.name}: {self._fault}. Remove the cause, then acknowledge the fault.")
-        state = self._first_reading()
-        self._check_turn(state)
-        self._goal = None
-        self._enabled = True  # before it is: an interrupt here must switch it off
-        self._guarded(lambda: self.link.enable(self.limits))
-        return state
+        with self._whole():
+            self._require_connection()
+            if self._fault:
+                raise DriveError(f"{self.link.name}: {self._fault}. Remove the cause, then acknowledge the fault.")
+            before = self._first_reading()
+            if before.fault:
+                self._latch(f"the device reports {before.fault}")
+            self._check_turn(before)
+            self._goal, self._sent = Goal(before.angle), None
+            limits = self.limits
+            self._angle_pace = _Pace(limits.speed, STEP)
+            self._rate_pace = _Pace(limits.acceleration, STEP * limits.acceleration / limits.speed)
+            self._enabled = True  # before it is: whatever happens now must switch it off
+            try:
+                self._insist(lambda: self.link.enable(limits))
+                state = self._first_reading()
+                self._check_state(state, before)
+            except BaseException:
+                if self._enabled:
+                    self.off()
+                raise
+            return state
 
     def command(self, goal: Goal) -> DriveState:
         """Check a goal against all limits, send it, and return the state that answers it.
 
         The first goal after :meth:`enable` must lie within 0.05 rad of the shaft. Later ones may differ from the one
-        before by what the limits of speed and acceleration allow in the time since then.
+        before by what the limits of speed and acceleration allow in the time since then (of which 50 ms count at most);
+        together they may be ahead of that by 0.05 rad.
         """
-        self._require_connection()
-        if not self._enabled or self._fault:
-            why = self._fault or "its torque is off. Enable it first"
-            raise DriveError(f"{self.link.name}: {why}.")
-        now = self._clock()
-        self._check_goal(goal, now)
-        raw = Goal(self.zero + self.direction * goal.angle, self.direction * goal.rate, self.direction * goal.torque)
-        self._goal = (now, goal)
-        return self._exchange(lambda: self.link.send(raw))
+        with self._whole():
+            self._require_connection()
+            if not self._enabled or self._fault:
+                why = self._fault or "its torque is off. Enable it first"
+                raise DriveError(f"{self.link.name}: {why}.")
+            now = self.link.clock()
+            self._check_goal(goal, now)
+            sign = self.direction
+            raw = Goal(self.zero + sign * goal.angle, sign * goal.rate, sign * goal.torque)
+            self._goal, self._sent = goal, now
+            return self._exchange(lambda: self.link.send(raw))
 
     def off(self) -> None:
         """Switch the torque off, and ask again until the device confirms.
@@ -308,22 +372,70 @@ class Drive:
         DriveError
             If it does not confirm within 0.2 s: then only its own watchdog stops it.
         """
-        if not self._connected:
-            return
-        until = self._clock() + CONFIRM
-        while True:
-            with suppress(NoReply, OSError):
-                self.link.disable()
-                state = self.link.read()
-                self._enabled = state.enabled
-                if not state.enabled:
-                    return
-            if self._clock() > until:
-                break
-        watch = f"its watchdog stops it {self.link.watchdog:g} s after the last command"
+        with self._whole():
+            if not self._connected:
+                return
+            until = self.link.clock() + CONFIRM
+            while True:
+                try:
+                    self.link.disable()
+                    state = self._placed(self.link.read())
+                except Exception:  # noqa: BLE001 whatever it is, what counts is to ask again
+                    pass
+                else:
+                    self._enabled = state.enabled
+                    if not state.enabled:
+                        return
+                if self.link.clock() > until:
+                    break
+        watch = f"its watchdog stops it {self.link.watchdog:g} s after the last goal"
         raise DriveError(f"{self.link.name} did not confirm that its torque is off; {watch}. Cut its power to be sure.")
 
     # ------------------------------------------------------------------ guards
+
+    def check_motion(self, motion: Motion) -> None:
+        """Check a whole motion against the limits of angle, speed and acceleration, before it is run.
+
+        The extrema of its polynomials are exact. Feed-forward torques are checked when they are sent.
+
+        Raises
+        ------
+        InvalidInput
+            For a motion beyond a limit, with the time and the value; for one whose angle or rate jumps, that moves the
+            pivot, or that prescribes torques.
+        """
+        checks.instance("motion", motion, Motion)
+        if motion.coef[:, [X, Y], 1:].any() or motion.coef[:, TORQUE:].any():
+            raise InvalidInput(
+                "a drive cannot carry out this motion",
+                got=motion,
+                allowed="a motion of the arm's angle, without a moving pivot and without torques",
+            )
+        limits = self.limits
+        bounds = {
+            "angle": (limits.angles, "rad"),
+            "rate": ((-SLACK * limits.speed, SLACK * limits.speed), "rad/s"),
+            "acceleration": ((-SLACK * limits.acceleration, SLACK * limits.acceleration), "rad/s^2"),
+        }
+        for derivative, (name, ((least, greatest), unit)) in enumerate(bounds.items()):
+            times, values = motion.extrema(derivative)
+            excess = np.maximum(values - greatest, least - values)
+            worst = int(excess.argmax())
+            if excess[worst] > 1e-9:  # rad: rounding of the polynomials
+                raise InvalidInput(
+                    f"the motion's {name} at t = {times[worst]:.3f} s is beyond the limits of the motor",
+                    got=round(float(values[worst]), 4),
+                    allowed=f"{least:.4g} to {greatest:.4g} {unit}",
+                )
+        for derivative, name in enumerate(("angle", "rate")):
+            times, jumps = motion.jumps(derivative)
+            worst = int(np.abs(jumps).argmax())
+            if abs(jumps[worst]) > 1e-6:  # rad, rad/s: rounding of a file's digits
+                raise InvalidInput(
+                    f"the motion's {name} jumps at t = {times[worst]:.3f} s",
+                    got=round(float(jumps[worst]), 6),
+                    allowed="a motion that starts and ends at rest, without jumps",
+                )
 
     def _check_goal(self, goal: Goal, now: float) -> None:
         limits = self.limits
@@ -338,130 +450,177 @@ class Drive:
             raise InvalidInput("goal is too fast", got=goal.rate, allowed=f"up to {limits.speed:.4g} rad/s")
         if abs(goal.torque) > SLACK * limits.torque:
             raise InvalidInput("goal's torque is too large", got=goal.torque, allowed=f"up to {limits.torque:.4g} N m")
-        if self._goal is None:
-            state = self._state
-            if state is None or state.stale or now - state.received > SILENCE:
-                raise InvalidInput("first goal without a fresh reading", allowed=f"a reading of the last {SILENCE:g} s")
-            if abs(goal.angle - state.angle) > FIRST_STEP:
-                fix = f"The shaft is at {state.angle:.4f} rad: bring the arm there slowly first"
-                raise InvalidInput(
-                    "first goal is far from the shaft", got=goal.angle, allowed=f"within {FIRST_STEP} rad", fix=fix
-                )
-            return
-        then, last = self._goal
-        dt = now - then
-        farthest = SLACK * limits.speed * dt + 1e-3
-        if abs(goal.angle - last.angle) > farthest:
+        stop = goal.angle + 0.5 * goal.rate * abs(goal.rate) / limits.acceleration
+        if not least - STEP <= stop <= greatest + STEP:
+            allowed = f"a rate that can be braked within {least:.4g} to {greatest:.4g} rad"
+            raise InvalidInput(f"goal at {goal.angle:.4g} rad leaves no room to brake", got=goal.rate, allowed=allowed)
+        dt, since = 0.0, "in a first goal"
+        if self._sent is None:
+            self._check_first(goal, now)
+        else:
+            dt = min(now - self._sent, SILENCE)
+            since = f"from a goal {1e3 * (now - self._sent):.1f} ms before"
+        way, change = abs(goal.angle - self._goal.angle), abs(goal.rate - self._goal.rate)
+        for name, moved, pace, unit in (
+            ("jumps", way, self._angle_pace, "rad"),
+            ("changes its rate too fast", change, self._rate_pace, "rad/s"),
+        ):
+            if moved > pace.allowed(dt):
+                allowed = f"by up to {pace.allowed(dt):.3g} {unit}"
+                raise InvalidInput(f"goal {name} {since}", got=round(moved, 4), allowed=allowed)
+        self._angle_pace.spend(way, dt)
+        self._rate_pace.spend(change, dt)
+
+    def _check_first(self, goal: Goal, now: float) -> None:
+        """Refuse a first goal that is not where the shaft is now; what follows is counted from the shaft."""
+        state = self._state
+        if state is None or state.stale or now - state.received > SILENCE:
+            raise InvalidInput("first goal without a fresh reading", allowed=f"a reading of the last {SILENCE:g} s")
+        if not abs(goal.angle - state.angle) <= STEP:
             raise InvalidInput(
-                "goal jumps", got=goal.angle, allowed=f"within {farthest:.3g} rad of the one {1e3 * dt:.1f} ms before"
+                "first goal is far from the shaft",
+                got=goal.angle,
+                allowed=f"within {STEP} rad",
+                fix=f"The shaft is at {state.angle:.4f} rad: bring the arm there slowly first",
             )
-        change = SLACK * limits.acceleration * dt + 1e-3 * limits.speed
-        if abs(goal.rate - last.rate) > change:
-            raise InvalidInput(
-                "goal accelerates too fast",
-                got=goal.rate,
-                allowed=f"within {change:.3g} rad/s of the one {1e3 * dt:.1f} ms before",
-            )
+        self._goal = Goal(state.angle)
 
     def _exchange(self, request: Callable[[], Reading]) -> DriveState:
         """Make a request; return its reply or, stale, the last one. Latch what the reply shows."""
+        begun, before = self.link.clock(), self._state
         try:
-            reading = self._guarded(request)
+            state = self._placed(self._guarded(request))
         except NoReply:
-            last = self._state
-            if last is None:
+            if before is None:
                 raise
-            self._state = replace(last, stale=True, lost=last.lost + 1)
-            if self._clock() - last.received > SILENCE:
-                self._latch(f"no valid reply for {1e3 * (self._clock() - last.received):.0f} ms")
+            self._silent = begun if self._silent is None else self._silent
+            self._state = replace(before, stale=True, lost=before.lost + 1)
+            silence = self.link.clock() - self._silent
+            if silence > SILENCE:
+                self._latch(f"no valid reply for {1e3 * silence:.0f} ms")
             return self._state
-        state = self._placed(reading)
-        before, self._state = self._state, state
         self._check_state(state, before)
         return state
 
     def _check_state(self, state: DriveState, before: DriveState | None) -> None:
         if not self._enabled:
             return
-        limits, far = self.limits, ""
+        limits, wrong = self.limits, ""
         least, greatest = limits.angles
         if state.fault:
-            far = f"the device reports {state.fault}"
+            wrong = f"the device reports {state.fault}"
         elif not state.enabled:
-            far = "the device switched its torque off (its watchdog or a limit of its own)"
+            wrong = "the device switched its torque off (its watchdog or a limit of its own)"
         elif state.temperature > self.max_temperature:
-            far = f"temperature {state.temperature:.0f} C is above {self.max_temperature:g} C"
+            wrong = f"temperature {state.temperature:.0f} C is above {self.max_temperature:g} C"
         elif abs(state.torque) > 1.2 * limits.torque:  # measured torque is rough: a fifth is not yet a fault
-            far = f"torque {state.torque:.3g} N m is above the limit of {limits.torque:.3g} N m"
-        elif not least - FIRST_STEP <= state.angle <= greatest + FIRST_STEP:
-            far = f"the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
+            wrong = f"torque {state.torque:.3g} N m is above the limit of {limits.torque:.3g} N m"
+        elif not least - STEP <= state.angle <= greatest + STEP:
+            wrong = f"the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
         elif before is not None and self._jumped(state, before):
-            far = f"the shaft's angle jumped from {before.angle:.3f} to {state.angle:.3f} rad"
-        if far:
-            self._latch(far)
+            wrong = f"the shaft's angle jumped from {before.angle:.3f} to {state.angle:.3f} rad"
+        elif abs(state.angle - self._goal.angle) > self.max_deviation:
+            wrong = f"the shaft is at {state.angle:.3f} rad, the goal at {self._goal.angle:.3f} rad: it does not follow"
+        if wrong:
+            self._latch(wrong)
 
     def _jumped(self, state: DriveState, before: DriveState) -> bool:
-        return abs(state.angle - before.angle) > 2.0 * self.limits.speed * (state.received - before.sent) + FIRST_STEP
+        return abs(state.angle - before.angle) > 2.0 * self.limits.speed * (state.received - before.sent) + STEP
 
     def _check_turn(self, state: DriveState) -> None:
         """Refuse a shaft outside the limits: its counter has wrapped by turns, or the zero is wrong."""
         least, greatest = self.limits.angles
-        if least - FIRST_STEP <= state.angle <= greatest + FIRST_STEP:
+        if least - STEP <= state.angle <= greatest + STEP:
             return
-        turns = round((state.angle - 0.5 * (least + greatest)) / math.tau)
         what = f"{self.link.name}: the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
+        away = (state.angle - 0.5 * (least + greatest)) / math.tau
+        turns = round(away) if math.isfinite(away) else 0
         if turns:
             what += f", {abs(turns)} turn{'s' * (abs(turns) > 1)} away: its counter may have wrapped"
         raise DriveError(f"{what}. Let the arm hang and set the zero again.")
 
     def _latch(self, why: str) -> None:
         """Latch a fault, switch the torque off, and raise."""
-        self._fault = why
+        self._fault = self._fault or why
         unsure = ""
-        try:
-            self.off()
-        except DriveError as error:
-            unsure = f" {error}"
-        raise DriveError(f"{self.link.name}: {why}. Torque is off; acknowledge the fault to go on.{unsure}")
+        if self._enabled:
+            try:
+                self.off()
+            except DriveError as error:
+                unsure = f" {error}"
+        off = "" if unsure else " Torque is off; acknowledge the fault to go on."
+        raise DriveError(f"{self.link.name}: {why}.{off}{unsure}")
 
     def _guarded(self, request: Callable[[], Any]) -> Any:
-        """Make a request; a link that broke (unplugged, closed) is a lost link."""
+        """Make a request; a link that broke (unplugged, closed, an error of its library) is a lost link."""
         try:
             return request()
         except NoReply:
             raise
-        except (DriveError, OSError) as error:
+        except Exception as error:  # noqa: BLE001 whatever it is, the torque must be off first
             self._latch(f"the link broke ({error})")
 
-    def _first_reading(self) -> DriveState:
-        """Return a reading that answers now; a single lost reply is asked for again."""
-        self._require_connection()
-        until = self._clock() + CONFIRM
+    def _insist(self, request: Callable[[], Any]) -> Any:
+        """Make a request that must be answered, and repeat it for a while."""
+        until = self.link.clock() + CONFIRM
         while True:
             try:
-                self._state = self._placed(self.link.read())
-                return self._state
+                return self._guarded(request)
             except NoReply as error:
-                if self._clock() > until:
+                if self.link.clock() > until:
                     raise DriveError(f"{self.link.name} does not answer: {error}") from None
 
+    def _first_reading(self) -> DriveState:
+        """Return a reading that answers now."""
+        return self._placed(self._insist(self.link.read))
+
     def _placed(self, reading: Reading) -> DriveState:
-        """Return a reading in the arm's angle."""
-        values = {**vars(reading), "angle": self.direction * (reading.angle - self.zero)}
-        return DriveState(**values | {"rate": self.direction * reading.rate, "torque": self.direction * reading.torque})
+        """Return a reading in the arm's angle, which is the state from now on."""
+        sign = self.direction
+        values = {**vars(reading), "angle": sign * (reading.angle - self.zero)}
+        self._state = DriveState(**values | {"rate": sign * reading.rate, "torque": sign * reading.torque})
+        self._silent = None
+        return self._state
 
     def _require_connection(self) -> None:
         if not self._connected:
             raise DriveError(f"{self.link.name} is not connected. Use `with Drive(...) as drive:`.")
 
+    # ------------------------------------------------------------------ signals
+
     def _catch_signals(self) -> None:
-        """End the program on SIGTERM and SIGHUP by SystemExit, so that exits switch the torque off."""
         if threading.current_thread() is not threading.main_thread():
             return
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                self._signals[number] = signal.signal(number, _end)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            before = signal.getsignal(number)
+            if before not in (None, signal.SIG_IGN, self._on_signal):
+                self._signals[number] = before
+                signal.signal(number, self._on_signal)
 
+    def _release_signals(self) -> None:
+        if threading.current_thread() is threading.main_thread():
+            for number, before in self._signals.items():
+                if signal.getsignal(number) == self._on_signal:
+                    signal.signal(number, before)
 
-def _end(number: int, _: FrameType | None) -> None:
-    raise SystemExit(128 + number)
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._whole_blocks:
+            self._pending = self._pending or number
+        elif callable(self._signals[number]):
+            self._signals[number](number, frame)
+        else:
+            raise SystemExit(128 + number)
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """Run a block whole: other threads wait, and signals are handled at its end."""
+        main = threading.current_thread() is threading.main_thread()
+        with self._lock:
+            self._whole_blocks += main
+            try:
+                yield
+            finally:
+                self._whole_blocks -= main
+                if main and self._pending and not self._whole_blocks:
+                    number, self._pending = self._pending, 0
+                    self._on_signal(number, None)

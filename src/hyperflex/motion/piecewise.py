@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
 
 from hyperflex import checks
@@ -113,6 +114,30 @@ class Motion:
     def torque(self, t: npt.ArrayLike, joint: int = 0) -> Array:
         """Torque of the motor in a `joint`, by default the first, at times t (T,), N m."""
         return self._evaluate(t, TORQUE + checks.count("joint", joint, least=0, most=self.joints - 1), 0)
+
+    def extrema(self, derivative: int = 0) -> tuple[Array, Array]:
+        """Return times (m,), s, and values (m,) among which the arm's exact extreme angles lie, of each piece.
+
+        `derivative` 1 and 2 are for the rate, rad/s, and the acceleration, rad/s^2.
+        """
+        times, values = [], []
+        for begin, end, coef in zip(self.breaks[:-1], self.breaks[1:], self.coef[:, ANGLE], strict=True):
+            piece = Polynomial(coef).deriv(derivative)
+            s = np.append(piece.deriv().roots().real.clip(0.0, end - begin), [0.0, end - begin])
+            times.append(begin + s)
+            values.append(piece(s))
+        return np.concatenate(times), np.concatenate(values)
+
+    def jumps(self, derivative: int = 0) -> tuple[Array, Array]:
+        """Return the breaks (k + 1,), s, and the jumps (k + 1,) of the arm's angle, rad, or of its rate, rad/s, there.
+
+        At the last break of a motion that repeats it is the jump to the piece that follows.
+        """
+        coef = self.coef[:, ANGLE] @ np.linalg.matrix_power(DERIVATIVE, derivative).T
+        ends = polyval(np.diff(self.breaks), coef.T, tensor=False)
+        still = [0.0] if derivative else self.coef[:1, ANGLE, 0]
+        after = coef[self.loop, :1] if self.loop >= 0 else [0.0] if derivative else ends[-1:]
+        return self.breaks, np.concatenate([coef[:, 0], after]) - np.concatenate([still, ends])
 
     def _evaluate(self, t: npt.ArrayLike, channel: int, derivative: int) -> Array:
         time = checks.array("t", t, None, unit="s", infinite=True)

@@ -1,0 +1,493 @@
+"""The guards of a drive, one by one, on a motor in memory under a clock of the test's own."""
+
+import atexit
+import dataclasses
+import math
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+from hyperflex.errors import DriveError, InvalidInput
+from hyperflex.hardware import Drive, Goal
+from hyperflex.model import MotorLimits
+from hyperflex.motion import hold_arm, move_arm, moving_pivot, sampled_motion, torque_profile
+from tests.hardware.fake import REQUEST, FakeLink, silent
+from tests.refusals import refuses
+
+LIMITS = MotorLimits(speed=10.0, acceleration=40.0, torque=1.0, angles=(-3.0, 3.0))
+
+
+def ready(link, **options):
+    """A drive with its torque on."""
+    drive = Drive(link, LIMITS, **options)
+    drive.connect()
+    drive.enable()
+    return drive
+
+
+def stream(drive, goals):
+    """Send goals, 5 ms apart."""
+    for goal in goals:
+        drive.link.now += 0.005 - REQUEST
+        drive.command(goal)
+
+
+def run(link):
+    with Drive(link, LIMITS) as drive:
+        drive.enable()
+        drive.command(Goal(0.0))
+        drive.read()
+
+
+@pytest.fixture
+def link():
+    return FakeLink()
+
+
+@pytest.fixture
+def drive(link):
+    with ready(link) as made:
+        yield made
+
+
+# ---------------------------------------------------------------------- connection
+
+
+def test_to_connect_moves_nothing(link):
+    with Drive(link, LIMITS) as drive:
+        assert [name for name, *_ in link.log] == ["open", "read", "read"]
+        assert not drive.enabled
+    assert not link.opened
+
+
+def test_torque_that_was_left_on_is_switched_off(link):
+    link.state["enabled"] = True
+    with Drive(link, LIMITS) as drive:
+        assert not link.state["enabled"]
+        assert not drive.read().enabled
+
+
+def test_a_device_in_fault_is_refused_and_nothing_is_sent_to_it(link):
+    link.state["fault"] = "over temperature (38)"
+    with pytest.raises(DriveError, match=r"over temperature \(38\).*clear=True"):
+        Drive(link, LIMITS).connect()
+    assert [name for name, *_ in link.log] == ["open", "read"]
+    assert not link.opened
+    drive = Drive(link, LIMITS)
+    assert drive.connect(clear=True).fault == ""
+    drive.close()
+
+
+def test_a_device_that_does_not_answer_is_refused_within_a_moment(link):
+    link.fails = [None, *silent(1000)]
+    with pytest.raises(DriveError, match="does not answer"):
+        Drive(link, LIMITS).connect()
+    assert link.now < 0.3
+    assert not link.opened
+
+
+def test_a_port_that_does_not_open_leaves_nothing_behind(link):
+    before = signal.getsignal(signal.SIGTERM)
+    link.fails = [DriveError("no such port")]
+    with pytest.raises(DriveError, match="no such port"):
+        Drive(link, LIMITS).connect()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+# ---------------------------------------------------------------------- limits
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        (Goal(3.2), "outside the motor's angles"),
+        (Goal(0.0, 10.5), "too fast"),
+        (Goal(0.0, 0.0, 1.1), "torque is too large"),
+        (Goal(0.1), "far from the shaft"),
+        (Goal(0.0, 5.0), "changes its rate too fast"),
+        (Goal(math.nan), "goal angle"),
+        (Goal(0.0, math.inf), "goal rate"),
+        (Goal(0.0, 0.0, math.nan), "goal torque"),
+    ],
+)
+def test_a_goal_beyond_a_limit_is_not_sent(drive, link, goal, words):
+    refuses(words, drive.command, goal)
+    assert link.goals() == []
+
+
+def test_a_goal_that_cannot_be_braked_before_the_limit_is_not_sent(link):
+    link.state["angle"] = 2.9  # 0.15 rad with the step that is allowed: braked from sqrt(2 40 0.15) = 3.5 rad/s
+    with ready(link) as drive:
+        drive.command(Goal(2.9))
+        for rate in (0.1, 0.2, 0.3):
+            drive.command(Goal(2.9, rate))
+        drive._rate_pace.left = 10.0
+        refuses("no room to brake", drive.command, Goal(2.9, 3.6))
+
+
+def test_a_first_goal_needs_a_reading_of_just_now(drive, link):
+    link.now += 0.06
+    refuses("fresh reading", drive.command, Goal(0.0))
+    drive.read()
+    drive.command(Goal(0.04))
+    assert link.goals() == [[0.04, 0.0, 0.0]]
+
+
+def test_goals_keep_to_the_speed_on_average_and_may_be_early(drive, link):
+    drive.command(Goal(0.0))
+    late = 0.004
+    link.now += 0.005 - 0.001 + late
+    drive.command(Goal(0.05))
+    link.now += 0.005 - 0.001 - late  # 1 ms after: the host has caught up
+    drive.command(Goal(0.1))
+    # a fifth faster than is allowed, each within the step
+    refuses("goal jumps from a goal .* before", stream, drive, [Goal(0.1 + 0.06 * k) for k in range(1, 20)])
+    assert link.goals()[-1][0] <= 0.1 + 1.02 * 10.0 * (link.now + 0.001 - 0.0) + 0.05
+
+
+def test_a_pause_does_not_save_up_for_a_leap(drive, link):
+    drive.command(Goal(0.0))
+    link.now += 5.0
+    refuses("goal jumps", drive.command, Goal(1.0))
+    assert len(link.goals()) == 1
+
+
+def test_a_goal_without_torque_is_refused(link):
+    with Drive(link, LIMITS) as drive:
+        with pytest.raises(DriveError, match="torque is off"):
+            drive.command(Goal(0.0))
+        drive.enable()
+        drive.off()
+        with pytest.raises(DriveError, match="torque is off"):
+            drive.command(Goal(0.0))
+    assert link.goals() == []
+
+
+def test_angles_and_signs_are_those_of_the_arm(link):
+    link.state["angle"] = 7.0
+    with ready(link, zero=8.0, direction=-1) as drive:
+        drive.command(Goal(0.99, -0.1, 0.2))
+        (sent,) = link.goals()
+        assert sent == pytest.approx([7.01, 0.1, -0.2])
+        state = drive.read()
+        assert (state.angle, state.rate, state.torque) == pytest.approx((0.99, -0.1, 0.2))
+
+
+# ---------------------------------------------------------------------- homing
+
+
+def test_the_zero_is_set_where_the_arm_is_said_to_be(link):
+    link.state["angle"] = 40.0
+    with Drive(link, LIMITS, direction=-1) as drive:
+        assert drive.set_zero(0.5) == pytest.approx(40.5)
+        assert drive.read().angle == pytest.approx(0.5)
+        drive.enable()
+        with pytest.raises(DriveError, match="torque off"):
+            drive.set_zero(0.0)
+
+
+@pytest.mark.parametrize("turns", [1, -2])
+def test_a_counter_that_wrapped_is_named(link, turns):
+    link.state["angle"] = 0.3 + math.tau * turns
+    with Drive(link, LIMITS) as drive, pytest.raises(DriveError, match=rf"{abs(turns)} turns? away.*zero again"):
+        drive.enable()
+    assert ("enable",) not in link.log
+
+
+def test_a_shaft_without_an_angle_is_refused(link):
+    link.state["angle"] = math.nan
+    with Drive(link, LIMITS) as drive, pytest.raises(DriveError, match="nan"):
+        drive.enable()
+    assert ("enable",) not in link.log
+
+
+# ---------------------------------------------------------------------- faults
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ({"fault": "under voltage (40)"}, "under voltage"),
+        ({"temperature": 71.0}, "temperature 71 C"),
+        ({"torque": -1.3}, "torque -1.3 N m"),
+        ({"angle": 3.1}, "outside"),
+        ({"angle": math.nan}, "nan"),
+        ({"angle": 0.4}, "jumped"),
+        ({"enabled": False}, "switched its torque off"),
+    ],
+)
+def test_what_a_reply_shows_is_latched_until_it_is_acknowledged(drive, link, state, words):
+    drive.command(Goal(0.0))
+    link.stuck = True
+    link.state |= state
+    with pytest.raises(DriveError, match=words):
+        drive.command(Goal(0.001))
+    assert not link.state["enabled"]
+    assert not drive.enabled
+    assert words.split()[0] in drive.fault
+    link.state |= {"fault": "", "temperature": 30.0, "torque": 0.0, "angle": 0.0}
+    for refused in (drive.enable, lambda: drive.command(Goal(0.0))):
+        with pytest.raises(DriveError, match=words.split()[0]):
+            refused()
+    drive.acknowledge()
+    drive.enable()
+    drive.command(Goal(0.0))
+
+
+def test_a_fault_that_lasts_cannot_be_acknowledged(drive, link):
+    link.clear = lambda: None
+    link.state["fault"] = "over voltage (34)"
+    for call in (drive.read, drive.acknowledge):
+        with pytest.raises(DriveError, match="over voltage"):
+            call()
+    assert drive.fault
+
+
+def test_an_arm_that_hit_a_stop_is_switched_off(drive, link):
+    link.stuck = True
+    with pytest.raises(DriveError, match="does not follow"):
+        stream(drive, [Goal(0.005 * k, 1.0 if k > 10 else 0.1 * k) for k in range(200)])
+    assert not link.state["enabled"]
+    assert link.goals()[-1][0] <= 0.51
+
+
+def test_a_fault_that_the_device_had_before_its_torque_is_on(link):
+    with Drive(link, LIMITS) as drive:
+        link.state["fault"] = "encoder (35)"
+        with pytest.raises(DriveError, match="encoder"):
+            drive.enable()
+    assert ("enable",) not in link.log
+
+
+# ---------------------------------------------------------------------- lost replies
+
+
+def test_a_state_that_is_not_of_now_says_so(drive, link):
+    drive.command(Goal(0.0))
+    link.fails = silent(2)
+    link.state["angle"] = 0.01
+    for lost in (1, 2):
+        state = drive.command(Goal(0.002))
+        assert (state.stale, state.lost, state.angle) == (True, lost, 0.0)
+        assert state.received < link.now - 0.5 * REQUEST
+    state = drive.command(Goal(0.003))
+    assert (state.stale, state.lost) == (False, 0)
+
+
+def test_a_lost_link_switches_off(drive, link):
+    drive.command(Goal(0.0))
+    link.fails = silent(60)
+    with pytest.raises(DriveError, match="no valid reply for"):
+        stream(drive, 60 * [Goal(0.0)])
+    assert not link.state["enabled"]
+
+
+def test_one_lost_reply_after_a_pause_is_no_lost_link(link):
+    with Drive(link, LIMITS) as drive:
+        link.now += 10.0
+        link.fails = silent(1)
+        assert drive.read().stale
+        assert not drive.read().stale
+
+
+@pytest.mark.parametrize("error", [OSError("unplugged"), DriveError("gone"), RuntimeError("a bug"), IndexError()])
+def test_a_link_that_breaks_is_a_fault(drive, link, error):
+    link.fails = [error]
+    with pytest.raises(DriveError, match="link broke"):
+        drive.command(Goal(0.0))
+    assert not link.state["enabled"]
+
+
+def test_torque_off_is_repeated_until_it_is_confirmed(drive, link):
+    link.fails = [*silent(5), OSError("hiccup"), IndexError("bug"), *silent(3)]
+    drive.off()
+    assert not link.state["enabled"]
+    assert not drive.enabled
+
+
+def test_torque_that_does_not_go_off_is_said(drive, link):
+    link.obstinate = True
+    with pytest.raises(DriveError, match=r"did not confirm.*0.1 s.*Cut its power"):
+        drive.off()
+    assert drive.enabled
+    link.obstinate = False
+
+
+def test_an_error_of_the_drive_is_not_hidden_by_that_of_its_end(link):
+
+    def lose():
+        with ready(link) as drive:
+            link.fails = silent(10_000)
+            stream(drive, 100 * [Goal(0.0)])
+
+    with pytest.raises(DriveError, match=r"no valid reply.*did not confirm"):
+        lose()
+    assert not link.opened
+
+
+# ---------------------------------------------------------------------- exits
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, ValueError, InvalidInput("no")])
+def test_any_exception_switches_off(link, error):
+
+    def fail():
+        with ready(link) as drive:
+            drive.command(Goal(0.0))
+            raise error
+
+    with pytest.raises(error if isinstance(error, type) else type(error)):
+        fail()
+    assert not link.state["enabled"]
+    assert not link.opened
+
+
+@pytest.mark.parametrize("request_", ["enable", "send", "disable", "read"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_in_the_middle_of_a_request_waits_for_its_end(link, request_, number):
+    """Each request is struck by a signal once; it still arrives, and the torque is off at the end."""
+    struck = []
+
+    def during(name):
+        if name == request_ and link.state["enabled"] | (name == "enable") and not struck:
+            struck.append(len(link.log))
+            signal.raise_signal(number)
+
+    link.during = during
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit):
+        run(link)
+    assert link.log[struck[0]][0] == request_  # it was not torn
+    assert not link.state["enabled"]
+    assert not link.opened
+    assert signal.getsignal(number) is before
+
+
+def test_a_second_signal_does_not_stop_the_switching_off(link):
+
+    def run_and_interrupt():
+        with ready(link) as drive:
+            drive.command(Goal(0.0))
+            link.during = lambda name: signal.raise_signal(signal.SIGINT)
+            link.fails = silent(5)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_and_interrupt()
+    assert not link.state["enabled"]
+    assert not link.opened
+
+
+def test_an_error_in_the_middle_of_enable_switches_off(link):
+    class Torn(Exception):
+        pass
+
+    read, reads = link.read, []
+
+    def torn():
+        reads.append(1)
+        if link.state["enabled"] and len(reads) < 5:
+            raise BaseExceptionGroup("torn", [KeyboardInterrupt()])
+        return read()
+
+    link.read = torn
+    with Drive(link, LIMITS) as drive:
+        with pytest.raises(BaseExceptionGroup):
+            drive.enable()
+        assert not link.state["enabled"]
+
+
+def test_a_drive_without_a_context_is_switched_off_at_exit(link):
+    drive = ready(link)
+    atexit._run_exitfuncs()
+    assert not link.state["enabled"]
+    assert not link.opened
+    drive.close()
+
+
+def test_another_thread_stops_it_and_signals_stay_with_the_main_thread(drive, link):
+    drive.command(Goal(0.0))
+    thread = threading.Thread(target=drive.off)
+    thread.start()
+    thread.join()
+    assert not link.state["enabled"]
+    with pytest.raises(DriveError, match="torque is off"):
+        drive.command(Goal(0.0))
+
+
+def test_drives_may_be_closed_in_any_order():
+    before = signal.getsignal(signal.SIGTERM)
+    links = FakeLink(), FakeLink()
+    first, second = (ready(each) for each in links)
+    first.close()
+    with pytest.raises(SystemExit):
+        signal.raise_signal(signal.SIGTERM)
+    second.close()
+    first.connect()
+    first.close()
+    assert not any(each.state["enabled"] for each in links)
+    signal.signal(signal.SIGTERM, before)
+
+
+# ---------------------------------------------------------------------- whole motions
+
+# 2 rad in 0.6 s, bang-bang: it reaches 2 2/0.6 = 6.67 rad/s and 4 2/0.36 = 22.2 rad/s^2
+SWING = move_arm(-1.0, 1.0, duration=0.6)
+
+
+def limited(**limits):
+    return Drive(FakeLink(), MotorLimits(**{"speed": 100.0, "acceleration": 1000.0} | limits))
+
+
+def test_a_motion_within_all_limits_is_accepted():
+    limited(speed=6.67, acceleration=22.3, angles=(-1.0, 1.0)).check_motion(SWING)
+    limited().check_motion(hold_arm(1.0))
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"angles": (-1.0, 0.99)}, r"angle at t = 0.600 s .* got 1.0"),
+        ({"angles": (-0.99, 1.0)}, r"angle at t = 0.000 s .* got -1.0"),
+        ({"speed": 6.5}, r"rate at t = 0.300 s .* got 6.6667"),
+        ({"acceleration": 21.0}, r"acceleration at t = .* got -?22.2222"),
+    ],
+)
+def test_a_motion_beyond_a_limit_is_refused_with_time_and_value(limits, words):
+    refuses(words, limited(**limits).check_motion, SWING)
+
+
+def test_extrema_between_samples_are_found():
+    """A spline through sparse samples overshoots them: its extreme angle is none of the samples."""
+    motion = sampled_motion([0.0, 0.1, 0.2, 0.3, 0.4], [0.0, 0.0, 1.0, 1.0, 1.0])
+    dense = motion.angle(np.linspace(0.0, 0.4, 100_001))
+    most = float(dense.max())
+    assert most > 1.01
+    limited(angles=(-3.0, most + 1e-6)).check_motion(motion)
+    refuses("angle at t = 0.2", limited(angles=(-3.0, most - 1e-6)).check_motion, motion)
+
+
+def test_a_motion_that_jumps_is_refused():
+    limited().check_motion(SWING.then(SWING, at=0.3))
+    refuses("rate jumps at t = 0.300", limited().check_motion, SWING.then(hold_arm(0.0), at=0.3))
+    refuses("angle jumps", limited().check_motion, dataclasses.replace(SWING, coef=SWING.coef + JUMP))
+
+
+JUMP = np.zeros_like(SWING.coef)
+JUMP[1, 0, 0] = 0.1
+
+
+def test_a_motion_that_repeats_must_meet_its_beginning():
+    back = move_arm(1.0, -1.0, duration=0.6).shifted(0.6)
+    there = SWING.then(back, at=0.6)
+    limited().check_motion(dataclasses.replace(there, loop=0))
+    refuses("angle jumps at t = 0.600", limited().check_motion, dataclasses.replace(SWING, loop=0))
+
+
+def test_what_no_drive_of_a_shaft_can_carry_out_is_refused():
+    t = [0.0, 0.5, 1.0]
+    for motion in (moving_pivot(t, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]), torque_profile(t, [0.0, 0.1, 0.0])):
+        refuses("cannot carry out", limited().check_motion, motion)
+    refuses("no Motion", limited().check_motion, [0.0, 1.0])
