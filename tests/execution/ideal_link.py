@@ -12,6 +12,7 @@ class IdealLink:
     """Reaches each goal at once; `silent_after` replies it falls silent. Each switch of the torque goes into a file."""
 
     name, watchdog, takes = "ideal motor", 0.1, frozenset({"rate", "torque"})
+    clock = staticmethod(time.monotonic)
 
     def __init__(self, notes: Path, silent_after: int = 10**9, fault_after: int = 10**9) -> None:
         self.notes, self.left, self.sound = notes, silent_after, fault_after

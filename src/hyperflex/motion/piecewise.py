@@ -129,8 +129,9 @@ class Motion:
         return np.concatenate(times), np.concatenate(values)
 
     def jumps(self, derivative: int = 0) -> tuple[Array, Array]:
-        """Return the breaks (k + 1,), s, and the jumps (k + 1,) of the arm's angle, rad, or of its rate, rad/s, there.
+        """Return the breaks (k + 1,), s, and the jumps (k + 1,) of the arm's angle there, rad.
 
+        `derivative` 1 is for those of the rate, rad/s.
         At the last break of a motion that repeats it is the jump to the piece that follows.
         """
         coef = self.coef[:, ANGLE] @ np.linalg.matrix_power(DERIVATIVE, derivative).T
