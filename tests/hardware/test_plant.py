@@ -8,6 +8,9 @@ import pytest
 import hyperflex as hf
 from hyperflex.hardware import Goal
 from hyperflex.hardware.emulate import MotorModel, Plant
+from hyperflex.model import unit_along
+from hyperflex.motion import Motion
+from tests.planning.known import CABLE, PEG, WINDS, problem
 
 ARM = hf.Arm(length=0.105, mass=0.05, com=0.05, inertia=1e-4)
 
@@ -112,3 +115,47 @@ def test_the_motor_warms_with_the_square_of_its_torque_and_cools() -> None:
 def test_a_loop_that_its_sampling_makes_unstable_is_refused() -> None:
     with pytest.raises(hf.InvalidInput, match="position loop is unstable"):
         Plant(MotorModel(kd=5.0), None, ARM)
+
+
+@pytest.mark.parametrize("step", [pytest.param(1e-3, marks=pytest.mark.nightly), 2e-3])
+def test_a_cast_agrees_with_simulate_to_a_millimetre_whatever_the_step(step: float) -> None:
+    """Until 1.5 s after the strike: `simulate` is given the arm angle that the plant recorded."""
+    cast = problem()
+    planned, duration = WINDS.motion(cast.limits), round(WINDS.stops(cast.limits) + 1.5, 2)
+    plant = Plant(MotorModel(kp=40.0), CABLE, cast.arm, [PEG], float(planned.angle(0.0)), step=step)
+    plant.set_enabled(True)
+    t = np.linspace(0.0, duration, round(duration / step) + 1)
+    angles, rates, links = [plant.arm_angle], [0.0], [plant.rope_state()[0]]
+    for now, goal, rate in zip(t[1:], planned.angle(t), planned.rate(t), strict=False):
+        plant.set_goal(Goal(goal, rate))
+        plant.advance(now)
+        angles.append(plant.arm_angle)
+        rates.append(plant.arm_rate)
+        links.append(plant.rope_state()[0])
+    seen = slice(None, None, round(0.01 / step))
+    arm, q = np.array(angles), np.array(links)
+    steps = CABLE.length[:, None] * unit_along(q[seen])
+    joints = cast.arm.tip(arm[seen])[:, None] + np.cumsum(np.concatenate([0.0 * steps[:, :1], steps], axis=1), axis=1)
+    run = hf.simulate(
+        CABLE,
+        through(t, arm, np.array(rates)),
+        arm=cast.arm,
+        pegs=[PEG],
+        duration=duration,
+        t_eval=t[seen],
+        refine=False,
+    )
+    gap = np.linalg.norm(joints - [PEG.x, PEG.y], axis=2).min(axis=1) - PEG.radius - CABLE.radius
+    strike = t[seen][np.argmax(gap < 1e-3)]
+    assert 7.0 < strike < duration - 1.5
+    assert np.abs(joints - run.joints).max() < 1e-3
+
+
+def through(t: np.ndarray, angle: np.ndarray, rate: np.ndarray) -> Motion:
+    """Return the motion of cubics with given angles and rates at their ends."""
+    h, coef = np.diff(t), np.zeros((t.size - 1, 4, 6))
+    mean = np.diff(angle) / h
+    coef[:, 0, 0], coef[:, 0, 1] = angle[:-1], rate[:-1]
+    coef[:, 0, 2] = (3.0 * mean - 2.0 * rate[:-1] - rate[1:]) / h
+    coef[:, 0, 3] = (rate[:-1] + rate[1:] - 2.0 * mean) / h**2
+    return Motion(t, coef, np.ones(t.size, dtype=np.bool_))

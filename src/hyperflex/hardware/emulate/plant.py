@@ -13,9 +13,7 @@ from hyperflex.model import Arm, Obstacle, Rope
 from hyperflex.options import option
 from hyperflex.simulation import Stepper
 
-STEP = 1e-3  # s; period of the position loop, as in the firmware of common servos
 GEAR = 0.1, 0.6  # stiffness and damping of gear teeth and stops, in parts of inertia / step^2 and inertia / step
-NO_ROPE = Rope.uniform(length=0.01, mass=1e-6, n_links=1, friction=1e-3)  # too light to be felt
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Plant:
     angle : float
         Of the arm at t = 0, rad, at rest; the rope hangs straight down.
     step : float
-        Period of the position loop, s.
+        Period of the position loop, s; by default that of common servos.
     tol : float, optional
         As in :class:`hyperflex.Setup`, m.
 
@@ -85,7 +83,7 @@ class Plant:
         obstacles: Sequence[Obstacle] = (),
         angle: float = 0.0,
         *,
-        step: float = STEP,
+        step: float = 1e-3,
         tol: float | None = None,
     ) -> None:
         self.model = checks.instance("model", model, MotorModel)
@@ -103,9 +101,8 @@ class Plant:
         if not least <= model.kd < most:
             allowed = f"kp step / 2 = {least:.3g} to 2 inertia / step = {most:.3g} N m s/rad"
             raise InvalidInput("the sampled position loop is unstable: kd", got=model.kd, allowed=allowed)
-        self._stepper = Stepper(
-            rope or NO_ROPE, command="torque", refine=False, arm=driven, pegs=tuple(obstacles), tol=tol
-        )
+        rope = rope or Rope.uniform(length=0.01, mass=1e-6, n_links=1, friction=1e-3)  # too light to be felt
+        self._stepper = Stepper(rope, command="torque", refine=False, arm=driven, pegs=tuple(obstacles), tol=tol)
         self._state = self._stepper.start(arm_angle=angle)
         self._ticks, self._now = 0, 0.0
         self._rotor = angle, 0.0  # angle and rate, apart from the arm's if there is backlash

@@ -20,11 +20,10 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import DriveError, HyperflexError, InvalidInput
 from hyperflex.hardware.emulate.faults import FaultyWire, WireFaults
-from hyperflex.hardware.emulate.plant import STEP, MotorModel, Plant
+from hyperflex.hardware.emulate.plant import MotorModel, Plant
 from hyperflex.model import Arm, Rope
 
-START = 120.0  # s that the process may take to start: imports, and kernels that are not compiled yet
-ANSWER = 5.0  # s within which it answers a request
+PATIENCE = 120.0  # s within which the process answers; it may have to compile its kernels first
 STATES = ("t", "arm_angle", "arm_rate", "angle", "rate", "torque", "voltage", "temperature", "enabled")
 GOALS = ("t", "angle", "rate", "torque")
 
@@ -149,7 +148,7 @@ class Emulator:
         self._process.start()
         theirs.close()
         try:
-            self.port = self._receive(START)
+            self.port = self._receive()
         except BaseException:
             self._end()
             raise
@@ -197,15 +196,15 @@ class Emulator:
             raise InvalidInput("the emulator does not run", fix="Use it within its with block")
         with suppress(OSError):  # why it has ended is received
             self._link.send(request)
-        return self._receive(ANSWER)
+        return self._receive()
 
-    def _receive(self, patience: float) -> Any:
-        if not self._link.poll(patience):
-            raise DriveError(f"The emulator has not answered for {patience:g} s.")
+    def _receive(self) -> Any:
+        if not self._link.poll(PATIENCE):
+            raise DriveError(f"The emulator has not answered for {PATIENCE:g} s.")
         try:
             answer = self._link.recv()
         except (EOFError, OSError):
-            self._process.join(ANSWER)
+            self._process.join()
             raise DriveError(f"The emulator ended with code {self._process.exitcode}.") from None
         if isinstance(answer, Exception):
             raise answer
@@ -213,11 +212,9 @@ class Emulator:
 
     def _end(self) -> None:
         process, self._process = self._process, None
-        self._link.close()  # which ends it
-        process.join(ANSWER)
-        if process.is_alive():
-            process.kill()
-            process.join()
+        process.kill()
+        process.join()
+        self._link.close()
 
 
 def emulate(
@@ -254,7 +251,7 @@ def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows
     due = began  # of the next sample
     while True:
         listened: list[Any] = [*terminal.ends, link]
-        ready = select.select(listened, [], [], STEP)[0]
+        ready = select.select(listened, [], [], plant.step)[0]
         now = time.monotonic()
         sent = device.tick(now - began)
         if terminal.host in ready:
