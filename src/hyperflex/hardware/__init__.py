@@ -6,6 +6,8 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.hardware.drive import Drive, DriveState, Goal, Link, Reading
+    from hyperflex.hardware.dynamixel import DynamixelLink
+    from hyperflex.hardware.odrive import ODriveLink
     from hyperflex.hardware.simulated import SAMPLE_TIME, SimulatedMotor
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

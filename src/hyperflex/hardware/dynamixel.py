@@ -1,0 +1,376 @@
+"""Dynamixel servos of the X series (protocol 2.0) through the vendor's SDK. Tried with an emulator only.
+
+Sources: the control tables and data sheets of the e-Manual, dynamixel-sdk 4.1.
+"""
+
+import math
+import select
+import struct
+import termios
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hyperflex import extras
+from hyperflex.errors import DriveError
+from hyperflex.hardware.drive import CONFIRM, SILENCE, Goal, NoReply, Reading
+from hyperflex.hardware.serial_port import open_problem
+from hyperflex.model import MotorLimits
+
+PATIENCE = 4e-3  # s for a reply beyond its transmission; servos answer within 0.5 ms, so five ms make a cycle
+PATIENCE_OPENING = 0.04  # s for a reply while nothing is streamed: adapters may hold it back for 16 ms
+BAUD_RATES = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)  # the factory's first
+COUNTS = 4096  # of a turn
+RATE_UNIT = 0.229 * math.tau / 60.0  # rad/s
+LATENCY_FILE = "/sys/class/tty/{}/device/latency_timer"  # of FTDI adapters, ms
+
+HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "motor encoder", 4: "electrical shock", 5: "overload"}
+
+# Registers that one read brings, through indirect addresses: torque enable, hardware error, bus watchdog; present
+# current, velocity, position; voltage, temperature. Three more (realtime tick, moving) make reads of four lengths.
+STATE = (64, 70, 98, *range(126, 136), 144, 145, 146)
+STATE_LAYOUT = struct.Struct("<BBBhiiHB")
+FILLER = (120, 121, 122)
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A model: name, current of one count, A (0: not measured), stall torque, N m, and current, A, where data begin."""
+
+    name: str
+    current: float = 0.0
+    stall: tuple[float, float] = (0.0, 1.0)
+    indirect: int = 224
+
+    @property
+    def torque(self) -> float:
+        """Torque of one count of current, N m: rough, as if torque grew in proportion to the current up to stall."""
+        return self.current * self.stall[0] / self.stall[1]
+
+
+# By model number. Stall torque and current at the recommended voltage (data sheets of the e-Manual).
+SERVOS = {
+    1000: Servo("XH430-W350", 2.69e-3, (3.4, 1.3)),
+    1010: Servo("XH430-W210", 2.69e-3, (2.5, 1.3)),
+    1020: Servo("XM430-W350", 2.69e-3, (4.1, 2.3)),
+    1030: Servo("XM430-W210", 2.69e-3, (3.0, 2.3)),
+    1040: Servo("XH430-V350", 1.34e-3, (3.3, 0.7)),
+    1050: Servo("XH430-V210", 1.34e-3, (2.6, 0.7)),
+    1060: Servo("XL430-W250"),
+    1070: Servo("XC430-W150"),
+    1080: Servo("XC430-W240"),
+    1090: Servo("2XL430-W250"),
+    1100: Servo("XH540-W270", 2.69e-3, (9.9, 4.9)),
+    1110: Servo("XH540-W150", 2.69e-3, (7.1, 4.9)),
+    1120: Servo("XM540-W270", 2.69e-3, (10.6, 4.4)),
+    1130: Servo("XM540-W150", 2.69e-3, (7.3, 4.4)),
+    1140: Servo("XH540-V270", 2.69e-3, (9.2, 2.4)),
+    1150: Servo("XH540-V150", 2.69e-3, (6.4, 2.4)),
+    1160: Servo("2XC430-W250"),
+    1170: Servo("XW540-T260", 2.69e-3, (9.5, 4.9)),
+    1180: Servo("XW540-T140", 2.69e-3, (6.9, 4.9)),
+    1190: Servo("XL330-M077", 1e-3, (0.215, 1.47), 208),
+    1200: Servo("XL330-M288", 1e-3, (0.52, 1.47), 208),
+    1210: Servo("XC330-T181", 1e-3, (0.76, 0.80), 208),
+    1220: Servo("XC330-T288", 1e-3, (0.92, 0.80), 208),
+    1230: Servo("XC330-M181", 1e-3, (0.60, 1.80), 208),
+    1240: Servo("XC330-M288", 1e-3, (0.93, 1.80), 208),
+}
+
+
+class DynamixelLink:
+    """A servo of the X series on a serial port; see :class:`hyperflex.hardware.Link`.
+
+    Parameters
+    ----------
+    port : str
+        Serial port of the adapter, for example "/dev/ttyUSB0".
+    number : int
+        ID of the servo, 0 to 252.
+    baud : int
+        Rate of the bus, bit/s. Servos leave the factory at 57,600, which allows 60 goals a second.
+
+    Notes
+    -----
+    It follows positions only: rate and torque of a goal are ignored. With a torque limit, and on models that measure
+    their current, it runs in current-based position mode, which holds the limit in the servo; else in extended
+    position mode. Torque is current times stall torque over stall current: rough, within about 30 %, and worse near
+    zero because of the gear's friction. Models without a current sensor (XL430, XC430) report NaN.
+
+    The bus watchdog does not switch the torque off: the servo stops and holds where it is, and refuses goals until its
+    torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it counts its turns
+    from zero again. Each exchange is a write without reply and a read. Reads take four lengths by turns, so that a
+    late reply cannot pass for the answer to a later request.
+    """
+
+    takes: frozenset[str] = frozenset()
+
+    def __init__(self, port: str, number: int = 1, baud: int = 1_000_000, watchdog: float = 0.1) -> None:
+        self.port, self.number, self.baud = port, number, baud
+        self.name = f"dynamixel {number} on {port}"
+        self.clock = time.monotonic
+        self.watchdog = 0.02 * max(1, min(127, round(watchdog / 0.02)))  # s; the device counts in 20 ms
+        self.servo = Servo("unknown")
+        self._requests = 0
+        self._bus: Any = None
+
+    # ------------------------------------------------------------------ connection
+
+    def open(self) -> None:
+        """Open the port, find the servo, and prepare it; its torque stays as it is."""
+        extras.require(("dynamixel_sdk",), "dynamixel", "Dynamixel servos")
+        from dynamixel_sdk import PacketHandler
+
+        self._packets: Any = PacketHandler(2.0)
+        self._bus = _Bus(self.port, self.baud)
+        try:
+            self._identify()
+            self._prepare()
+            self._bus.patience = PATIENCE + self._bus.latency
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._bus is not None:
+            with suppress(OSError, termios.error):
+                self._bus.serial.close()
+
+    def _identify(self) -> None:
+        answer = self._ping()
+        if not answer:
+            raise DriveError(f"{self.name} {self._elsewhere()}")
+        model, firmware = struct.unpack("<HB", answer)
+        if model not in SERVOS:
+            raise DriveError(f"{self.name}: model number {model} is no servo of the X series known here.")
+        self.servo = SERVOS[model]
+        self.name = f"dynamixel {self.number} ({self.servo.name}) on {self.port}"
+        if firmware < 38 and self.servo.indirect == 224:  # the X330 have had one from the beginning
+            raise DriveError(
+                f"{self.name}: firmware {firmware} has no bus watchdog. Update it with Dynamixel Wizard (38 or later)."
+            )
+
+    def _ping(self) -> bytes:
+        """Return model number and firmware as the servo sends them, nothing if three pings get no reply."""
+        for _ in range(3):
+            with suppress(NoReply):
+                return self._request(1, b"", 3)
+        return b""
+
+    def _elsewhere(self) -> str:
+        """Return what is wrong with a servo that does not answer: its rate or its ID, or neither is known."""
+        for baud in BAUD_RATES:
+            with suppress(ValueError, OSError):  # a rate that the adapter does not have
+                self._bus.serial.baudrate = baud
+            if baud != self.baud and self._ping():
+                return f"answers at {baud} baud, not at {self.baud}. Give that rate, or set it with Dynamixel Wizard."
+        self._bus.serial.baudrate = self.baud
+        self._bus.is_using = False
+        others = sorted(self._packets.broadcastPing(self._bus)[0])
+        if others:
+            return f"does not answer. Servos on this bus: {', '.join(map(str, others))}."
+        rates = ", ".join(str(baud) for baud in BAUD_RATES if baud != self.baud)
+        return f"does not answer at {self.baud} baud, nor at {rates}. Check its power, its wiring and the port."
+
+    def _prepare(self) -> None:
+        """Make the servo answer reads only, and gather its state in one block. Both last until it loses power."""
+        self._put(68, b"\x01")  # unasked: at level 0 it would not say what it is
+        self._set(68, b"\x01")
+        self._set(168, struct.pack("<19H", *STATE, *FILLER))
+
+    # ------------------------------------------------------------------ link
+
+    def read(self) -> Reading:
+        """Return the state."""
+        sent = time.monotonic()
+        self._requests += 1
+        length = len(STATE) + self._requests % (len(FILLER) + 1)
+        data = self._request(2, struct.pack("<HH", self.servo.indirect, length), length)
+        received = time.monotonic()
+        on, error, watchdog, current, rate, position, voltage, temperature = STATE_LAYOUT.unpack_from(data)
+        return Reading(
+            angle=position * math.tau / COUNTS,
+            rate=rate * RATE_UNIT,
+            torque=current * self.servo.torque if self.servo.current else math.nan,
+            voltage=0.1 * voltage,
+            temperature=temperature,
+            enabled=bool(on),
+            fault=_fault(error, watchdog),
+            sent=sent,
+            received=received,
+        )
+
+    def enable(self, limits: MotorLimits) -> None:
+        """Arm watchdog and torque limit, and switch the torque on where the shaft is."""
+        self._bus.patience = PATIENCE_OPENING
+        limited = bool(self.servo.current) and math.isfinite(limits.torque)
+        self._set(9, b"\x00")  # no delay of replies
+        self._set(10, bytes([self._get(10, 1)[0] & 1]))  # no profile by time, no torque on by a goal; direction stays
+        self._set(11, b"\x05" if limited else b"\x04")
+        if limited:
+            most = int.from_bytes(self._get(38, 2), "little")
+            self._set(102, min(most, int(limits.torque / self.servo.torque)).to_bytes(2, "little"))
+        self._set(108, bytes(8))  # no profile: goals are streamed
+        self._set(98, b"\x00")
+        self._set(98, bytes([round(self.watchdog / 0.02)]))
+        self._hold()
+        self._set(64, b"\x01")
+        self._bus.patience = PATIENCE + self._bus.latency
+
+    def send(self, goal: Goal) -> Reading:
+        """Send a raw goal and return the state after it."""
+        self._put(116, struct.pack("<i", round(goal.angle * COUNTS / math.tau)))
+        return self.read()
+
+    def disable(self) -> None:
+        """Switch the torque off; the state tells whether it is."""
+        self._put(64, b"\x00")
+
+    def clear(self) -> None:
+        """Clear the watchdog's fault; after a hardware error reboot the servo."""
+        self._bus.patience = PATIENCE_OPENING
+        self._set(98, b"\x00")
+        if self._get(70, 1)[0]:
+            with suppress(NoReply):
+                self._request(8, b"", 0)
+            until = time.monotonic() + 2.0
+            while not self._ping():
+                if time.monotonic() > until:
+                    raise DriveError(f"{self.name} does not answer after its reboot.")
+            self._prepare()
+        self._bus.patience = PATIENCE + self._bus.latency
+
+    # ------------------------------------------------------------------ registers
+
+    def _get(self, address: int, length: int) -> bytes:
+        """Read registers; a lost reply is asked for again."""
+        until = time.monotonic() + CONFIRM
+        while True:
+            try:
+                return self._request(2, struct.pack("<HH", address, length), length)
+            except NoReply:
+                if time.monotonic() > until:
+                    raise
+
+    def _put(self, address: int, value: bytes) -> None:
+        """Write registers; there is no reply."""
+        self._bus.is_using = False
+        with _as_os_error():
+            self._packets.writeTxOnly(self._bus, self.number, address, len(value), list(value))
+
+    def _set(self, address: int, value: bytes) -> None:
+        """Write registers unless they hold the value, and read them back until they do."""
+        until = time.monotonic() + CONFIRM
+        while time.monotonic() < until:
+            if self._get(address, len(value)) == value:
+                return
+            self._put(address, value)
+        raise DriveError(f"{self.name} does not accept {list(value)} at address {address}.")
+
+    def _hold(self) -> None:
+        """Make the present position the goal, so that the torque comes on without a jerk."""
+        until = time.monotonic() + CONFIRM
+        while time.monotonic() < until:
+            block = self._get(116, 20)
+            goal, position = struct.unpack("<i12xi", block)
+            if abs(goal - position) <= COUNTS // 256:  # 1.4 degrees: the arm may swing meanwhile
+                return
+            self._put(116, block[16:])
+        raise DriveError(f"{self.name} does not accept its present position as goal.")
+
+    def _request(self, instruction: int, parameters: bytes, length: int) -> bytes:
+        """Send an instruction, and return the parameters of the reply that has this servo's ID and that length."""
+        packet = [0, 0, 0, 0, self.number, *struct.pack("<H", len(parameters) + 3), instruction, *parameters, 0, 0]
+        with _as_os_error():
+            self._bus.is_using = False  # an interrupt may have left it set
+            self._packets.txPacket(self._bus, packet)
+            self._bus.setPacketTimeout(length + 11)
+            while not self._bus.isPacketTimeout():
+                status, result = self._packets.rxPacket(self._bus, False)
+                if result == 0 and status[4] == self.number and status[5] + 256 * status[6] == length + 4:
+                    return bytes(status[9 : 9 + length])
+        raise NoReply(f"{self.name}: no valid reply")
+
+
+class _Bus:
+    """A serial port as the SDK's packet handler uses one, with a patience of our own.
+
+    The SDK's own port waits at least 34 ms for a reply, by the wall clock, and spins meanwhile.
+    """
+
+    def __init__(self, port: str, baud: int) -> None:
+        import serial
+
+        try:
+            self.serial: Any = serial.Serial(port, baud, timeout=0, write_timeout=SILENCE, exclusive=True)
+        except (OSError, ValueError) as error:
+            raise open_problem(port, error) from None
+        self.is_using = False
+        self.patience = PATIENCE_OPENING
+        self.latency = self._lower_latency(port)
+        self._until = 0.0
+        self._sent = 0  # bytes that may still be in transmission
+
+    def _lower_latency(self, port: str) -> float:
+        """Ask the adapter to hand replies on at once; return how long it still holds them back, s."""
+        with suppress(NotImplementedError, ValueError, OSError):
+            self.serial.set_low_latency_mode(True)
+            return 1e-3
+        file = Path(LATENCY_FILE.format(Path(port).resolve().name))
+        try:
+            latency = 1e-3 * int(file.read_text("utf-8"))
+        except (OSError, ValueError):
+            return 0.0  # not an FTDI adapter
+        if latency > PATIENCE:
+            rate = 1.0 / (latency + PATIENCE)
+            text = f"{port}: the adapter holds replies back for {1e3 * latency:.0f} ms, so at most {rate:.0f} goals a "
+            warnings.warn(f"{text}second are possible. Mend it: echo 1 | sudo tee {file}", UserWarning, stacklevel=5)
+        return latency
+
+    def clearPort(self) -> None:
+        self.serial.reset_input_buffer()
+
+    def getBaudRate(self) -> int:
+        return int(self.serial.baudrate)
+
+    def writePort(self, packet: list[int]) -> int:
+        self._sent += len(packet)
+        return int(self.serial.write(bytes(packet)))
+
+    def readPort(self, length: int) -> bytes:
+        select.select([self.serial], [], [], max(0.0, self._until - time.monotonic()))
+        return bytes(self.serial.read(length))
+
+    def setPacketTimeout(self, length: int) -> None:
+        transmission = 10.0 * (length + self._sent) / self.serial.baudrate  # ten bits a byte
+        self._until, self._sent = time.monotonic() + self.patience + transmission, 0
+
+    def setPacketTimeoutMillis(self, milliseconds: float) -> None:
+        self._until, self._sent = time.monotonic() + 1e-3 * milliseconds, 0
+
+    def isPacketTimeout(self) -> bool:
+        return time.monotonic() > self._until
+
+
+def _fault(error: int, watchdog: int) -> str:
+    """Return the servo's fault in words, empty for none; bits of the hardware error, and 255 in the watchdog."""
+    names = [name for bit, name in HARDWARE_ERRORS.items() if error >> bit & 1]
+    if error and not names:
+        names = ["unknown"]
+    if names:
+        return f"{' and '.join(names)} (hardware error {error})"
+    return "bus watchdog expired (register 98 is 255)" if watchdog == 255 else ""
+
+
+@contextmanager
+def _as_os_error() -> Iterator[None]:
+    """Make a broken terminal an OSError like all other broken links."""
+    try:
+        yield
+    except termios.error as error:
+        raise OSError(*error.args) from None

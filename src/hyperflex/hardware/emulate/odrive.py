@@ -1,0 +1,188 @@
+"""The device's side of an ODrive: CANSimple frames, and the slcan adapter through which a host sends them."""
+
+import math
+import struct
+
+from hyperflex.hardware.drive import Goal
+from hyperflex.hardware.emulate.plant import Plant
+from hyperflex.hardware.odrive import (
+    AXIS_STATE,
+    CLEAR,
+    CLOSED_LOOP,
+    ENCODER,
+    ERROR,
+    HEARTBEAT,
+    IDLE,
+    INPUT_POS,
+    LIMITS,
+    MODE,
+    TEMPERATURE,
+    TORQUES,
+    VERSION,
+    VOLTAGE,
+    WATCHDOG_EXPIRED,
+)
+
+Frame = tuple[int, bytes]  # identifier and data
+UNDER_VOLTAGE, OVER_TEMPERATURE, TOO_FAST = 1 << 9, 1 << 13, 1 << 15  # errors
+LENGTHS = {AXIS_STATE: 4, MODE: 8, INPUT_POS: 8, LIMITS: 8, CLEAR: 0}  # least bytes of the messages that it takes
+
+
+class ODriveDevice:
+    """An axis of an ODrive on a CAN bus: frames in, frames out; or bytes, behind an slcan adapter.
+
+    Parameters
+    ----------
+    plant : Plant
+        Motor, arm and rope.
+    number : int
+        Node ID.
+    watchdog : float
+        Its timeout, s; 0 if it is not armed.
+    heartbeat : float
+        Period of the heartbeat, s.
+    firmware : (int, int, int)
+        Its version.
+    hottest : float
+        Temperature of the motor, degrees Celsius, at which it disarms.
+
+    Notes
+    -----
+    Only messages to the device feed the watchdog, requests do not. It runs while the axis is armed. Gains and the
+    current limit are those of the plant.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        number: int = 0,
+        *,
+        watchdog: float = 0.1,
+        heartbeat: float = 0.1,
+        firmware: tuple[int, int, int] = (0, 6, 11),
+        hottest: float = 100.0,
+    ) -> None:
+        self.plant, self.number, self.watchdog, self.heartbeat = plant, number, watchdog, heartbeat
+        self.firmware, self.hottest = firmware, hottest
+        self.t = 0.0  # s
+        self._fed = 0.0  # when the watchdog was fed last, s
+        self._beat = 0.0  # when the last heartbeat went out, s
+        self._state, self._reason = IDLE, 0  # of the axis; why it was disarmed
+        self._mode = 0, 0
+        self._speed = math.inf  # limit, rad/s
+        self._goal = Goal(0.0)
+        self._buffer = b""
+        self._listening = False  # whether the host has opened the adapter's channel
+
+    # ------------------------------------------------------------------ the bus
+
+    def advance(self, t: float) -> list[Frame]:
+        """Advance to time t, s; return the frames that are sent unasked."""
+        self.plant.advance(t)
+        self.t = t
+        active = self._active()
+        if self._state == CLOSED_LOOP:
+            if self.watchdog and t - self._fed > self.watchdog:
+                active |= WATCHDOG_EXPIRED
+            if abs(self.plant.rate) > 1.2 * self._speed:
+                active |= TOO_FAST
+            if active:
+                self._disarm(active)
+        if t - self._beat < self.heartbeat:
+            return []
+        self._beat = t
+        return [self._frame(HEARTBEAT, struct.pack("<IBBBB", self._active() | self._reason, self._state, 0, 0, 0))]
+
+    def answer(self, identifier: int, data: bytes, remote: bool) -> list[Frame]:
+        """Take a frame from the bus; return those that answer it."""
+        node, command = identifier >> 5, identifier & 31
+        if node != self.number:
+            return []
+        if remote:
+            reply = self._measured(command)
+            return [self._frame(command, reply)] if reply else []
+        if len(data) >= LENGTHS.get(command, 9):
+            self._fed = self.t
+            self._take(command, data)
+        return []
+
+    def _frame(self, command: int, data: bytes) -> Frame:
+        return self.number << 5 | command, data
+
+    def _measured(self, command: int) -> bytes:
+        plant = self.plant
+        if command == VERSION:
+            return bytes([2, 4, 4, 58, *self.firmware, 0])
+        if command == ERROR:
+            return struct.pack("<II", self._active(), self._reason)
+        values = {
+            ENCODER: (plant.angle / math.tau, plant.rate / math.tau),
+            TORQUES: (self._goal.torque, plant.torque),
+            VOLTAGE: (plant.voltage, 0.0),
+            TEMPERATURE: (plant.temperature, plant.temperature),
+        }
+        return struct.pack("<ff", *values[command]) if command in values else b""
+
+    def _take(self, command: int, data: bytes) -> None:
+        if command == INPUT_POS:
+            turns, rate, torque = struct.unpack("<fhh", data)
+            self._goal = Goal(turns * math.tau, 1e-3 * rate * math.tau, 1e-3 * torque)
+            if self._state == CLOSED_LOOP:
+                self.plant.set_goal(self._goal)
+        elif command == AXIS_STATE:
+            self._request(struct.unpack("<I", data[:4])[0])
+        elif command == MODE:
+            self._mode = struct.unpack("<II", data)
+        elif command == LIMITS:
+            self._speed = struct.unpack("<ff", data)[0] * math.tau
+        elif command == CLEAR:
+            self._reason = 0
+
+    def _request(self, state: int) -> None:
+        if state == CLOSED_LOOP and self._mode == (3, 1) and not self._active():
+            self._state, self._reason = CLOSED_LOOP, 0
+            self.plant.set_enabled(True)
+            self.plant.set_goal(self._goal)
+        elif state == IDLE:
+            self._disarm(0)
+
+    def _disarm(self, reason: int) -> None:
+        self._state, self._reason = IDLE, self._reason | reason
+        self.plant.set_enabled(False)
+
+    def _active(self) -> int:
+        """Return the errors that last."""
+        plant = self.plant
+        low = UNDER_VOLTAGE * (plant.voltage < 0.75 * plant.model.voltage)
+        return low | OVER_TEMPERATURE * (plant.temperature > self.hottest)
+
+    # ------------------------------------------------------------------ the slcan adapter
+
+    def tick(self, t: float) -> bytes:
+        """Advance to time t, s; return what the adapter sends to the host unasked."""
+        frames = self.advance(t)
+        return b"".join(map(_line, frames)) if self._listening else b""
+
+    def handle(self, data: bytes) -> bytes:
+        """Take bytes from the host, and return the adapter's answers and those of the axis."""
+        *lines, self._buffer = (self._buffer + data).split(b"\r")
+        return b"".join(map(self._obey, lines))
+
+    def _obey(self, line: bytes) -> bytes:
+        letter, rest = line[:1], line[1:]
+        if letter in (b"O", b"C"):
+            self._listening = letter == b"O"
+            return b"\r"
+        if letter not in (b"t", b"r"):
+            return b"\r"  # rates and what else adapters know
+        try:
+            identifier, length, content = int(rest[:3], 16), int(rest[3:4]), bytes.fromhex(rest[4:].decode("ascii"))
+        except ValueError:
+            return b"\a"
+        if letter == b"t" and len(content) != length:
+            return b"\a"
+        return b"z\r" + b"".join(map(_line, self.answer(identifier, content, letter == b"r")))
+
+
+def _line(frame: Frame) -> bytes:
+    return f"t{frame[0]:03X}{len(frame[1])}{frame[1].hex().upper()}\r".encode("ascii")

@@ -1,0 +1,268 @@
+"""Dynamixel: the emulated servo speaks protocol 2.0 as the vendor's SDK does, and the link keeps its promises."""
+
+import errno
+import math
+import struct
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from hyperflex.errors import DriveError, MissingPackage
+from hyperflex.hardware import DynamixelLink, Goal, dynamixel, serial_port
+from hyperflex.hardware.drive import NoReply
+from hyperflex.hardware.emulate import DynamixelDevice, MotorModel, Plant
+from hyperflex.model import Arm, MotorLimits
+from tests.hardware.wire import Wire
+
+LIMITS = MotorLimits(torque=1.5)
+COUNT = math.tau / 4096
+
+
+def servo(**options) -> DynamixelDevice:
+    plant = Plant(MotorModel(voltage=12.0), None, Arm(length=0.2, inertia=1e-3))
+    return DynamixelDevice(plant, **options)
+
+
+@contextmanager
+def link_to(wire: Wire, **options):
+    link = DynamixelLink(wire.port, **{"watchdog": 2.0} | options)
+    link.open()
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Wait longer than a busy machine may take: what is tested here is order and content, not speed."""
+    monkeypatch.setattr(dynamixel, "PATIENCE", 0.3)
+    monkeypatch.setattr(dynamixel, "PATIENCE_OPENING", 0.3)
+    monkeypatch.setattr(dynamixel, "CONFIRM", 5.0)
+
+
+def settled(link: DynamixelLink, angle: float):
+    """The state as soon as the shaft is there."""
+    until = time.monotonic() + 10.0
+    state = link.read()
+    while abs(state.angle - angle) > 2 * COUNT and time.monotonic() < until:
+        state = link.read()
+    return state
+
+
+# ---------------------------------------------------------------------- the device
+
+
+def test_ping_and_its_answer_are_those_of_the_manual():
+    # The example of the e-Manual: XM430-W210 with ID 1 and firmware 38.
+    answer = servo(firmware=38).handle(bytes.fromhex("FF FF FD 00 01 03 00 01 19 4E"))
+    assert answer == bytes.fromhex("FF FF FD 00 01 07 00 55 00 06 04 26 65 5D")
+
+
+def test_a_value_that_looks_like_a_header_is_stuffed_on_the_way_there_and_back():
+    with Wire(servo()) as wire, link_to(wire) as link:
+        header = struct.pack("<I", 0x00FDFFFF)
+        link._set(116, header)
+        assert link._get(116, 4) == header
+
+
+def test_the_device_ignores_noise_damaged_packets_and_other_ids():
+    device = servo()
+    ping = bytes.fromhex("FF FF FD 00 01 03 00 01 19 4E")
+    assert device.handle(b"\xff\xff\x00noise" + ping[:4]) == b""
+    assert device.handle(ping[4:])[4:8] == b"\x01\x07\x00\x55"
+    device._table[68] = 1
+    assert device.handle(ping[:-1] + b"\x4f") == b""
+    assert device.handle(ping[:4] + b"\x02" + ping[5:]) == b""
+    assert device.handle(ping[:5] + b"\x00\x02" + ping[7:]) == b""  # the rest of a longer packet never comes
+    device.tick(0.01)
+    assert device.handle(ping) != b""
+
+
+# ---------------------------------------------------------------------- the link
+
+
+def test_it_moves_where_it_is_told_and_tells_where_it_is():
+    device = servo()
+    with Wire(device) as wire, link_to(wire) as link:
+        assert link.name == f"dynamixel 1 (XM430-W210) on {wire.port}"
+        before = link.read()
+        assert (before.angle, before.enabled, before.fault) == (0.0, False, "")
+        assert (before.voltage, before.temperature) == (12.0, 25)
+        link.send(Goal(0.5))  # its torque is off
+        assert link.read().angle == 0.0
+        link.enable(LIMITS)
+        assert link.read().enabled
+        assert device.plant.angle == pytest.approx(0.0, abs=1e-6)
+        begun = time.monotonic()
+        sent = link.send(Goal(-0.5))
+        assert begun <= sent.sent <= sent.received <= time.monotonic()
+        assert settled(link, -0.5).angle == pytest.approx(-0.5, abs=2 * COUNT)
+        link.disable()
+        assert not link.read().enabled
+        assert not device.plant.enabled
+
+
+def test_the_torque_limit_is_held_by_the_servo_where_it_measures_its_current():
+    for model, limits, mode in ((1030, LIMITS, 5), (1030, MotorLimits(), 4), (1060, LIMITS, 4)):
+        device = servo(model=model)
+        with Wire(device) as wire, link_to(wire) as link:
+            link.enable(limits)
+            assert device._table[11] == mode
+            if mode == 5:
+                most = int.from_bytes(device._table[102:104], "little") * 2.69e-3 * 3.0 / 2.3
+                assert most == pytest.approx(1.5, abs=4e-3)  # a count
+            assert math.isnan(link.read().torque) == (model == 1060)
+
+
+def test_silence_stops_the_servo_and_locks_its_goals_until_the_fault_is_cleared():
+    device = servo()
+    with Wire(device) as wire, link_to(wire, watchdog=0.1) as link:
+        link.enable(LIMITS)
+        until = time.monotonic() + 5.0
+        while device._table[98] != 255 and time.monotonic() < until:
+            time.sleep(0.01)
+        state = link.send(Goal(1.0))
+        assert state.fault == "bus watchdog expired (register 98 is 255)"
+        assert state.enabled  # it holds: the honest difference to other makes
+        assert abs(link.read().angle) < 0.05
+        link.disable()
+        link.clear()
+        state = link.read()
+        assert (state.fault, state.enabled) == ("", False)
+
+
+def test_a_hardware_error_switches_the_torque_off_and_needs_a_reboot():
+    device = servo()
+    with Wire(device) as wire, link_to(wire) as link:
+        link.enable(LIMITS)
+        device.plant.impose(temperature=95.0)
+        until = time.monotonic() + 5.0
+        while not (state := link.read()).fault and time.monotonic() < until:
+            pass
+        assert state.fault == "overheating (hardware error 4)"
+        assert not state.enabled
+        link.clear()
+        assert link.read().fault.startswith("overheating")  # it is still hot
+        device.plant.impose(temperature=30.0)
+        link.clear()
+        assert link.read().fault == ""
+        link.enable(LIMITS)
+
+
+@pytest.mark.parametrize(
+    "spoiled",
+    [
+        lambda reply: [],
+        lambda reply: [reply[:-3]],
+        lambda reply: [reply[:12] + bytes([reply[12] ^ 0x10]) + reply[13:]],
+        lambda reply: [reply[:5] + b"\x01" + reply[6:]],
+        lambda reply: [b"\xff\xff\xfd\x00\x01"],
+    ],
+    ids=["lost", "truncated", "garbled", "wrong length", "header only"],
+)
+def test_a_spoiled_reply_is_no_reply_and_the_next_one_counts(spoiled):
+    device = servo()
+    with Wire(device) as wire, link_to(wire) as link:
+        link._bus.patience = 0.05
+        wire.spoil = spoiled
+        with pytest.raises(NoReply):
+            link.read()
+        wire.spoil = lambda reply: [reply]
+        link._bus.patience = 1.0
+        assert link.read().angle == 0.0
+
+
+def test_a_late_reply_is_not_taken_for_the_answer_to_a_later_request():
+    device = servo()
+    with Wire(device) as wire, link_to(wire) as link:
+        held = []
+        wire.spoil = lambda reply: held.append(reply) or []
+        link._bus.patience = 0.02
+        with pytest.raises(NoReply):
+            link.read()
+        device.plant.impose(encoder_turns=1.0)  # what the late reply tells is no longer true
+        wire.spoil = lambda reply: [held[0], reply]
+        link._bus.patience = 1.0
+        assert link.read().angle == pytest.approx(math.tau)
+
+
+def test_it_is_enabled_in_spite_of_lost_packets_and_never_with_an_old_goal(monkeypatch):
+    monkeypatch.setattr(dynamixel, "PATIENCE_OPENING", 0.02)
+    device = servo()
+    with Wire(device) as wire, link_to(wire) as link:
+        device.plant.impose(encoder_turns=0.25)
+        count = iter(range(10**6))
+        wire.spoil = lambda reply: [reply] if next(count) % 3 else []
+        link.enable(LIMITS)
+        wire.spoil = lambda reply: [reply]
+        state = link.read()
+        assert state.enabled
+        assert state.angle == pytest.approx(math.tau / 4, abs=2 * COUNT)
+        assert device.plant.arm_angle == pytest.approx(0.0, abs=1e-3)
+
+
+# ---------------------------------------------------------------------- what can be wrong
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr(dynamixel, "PATIENCE_OPENING", 0.05)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize(
+    ("device", "bus", "said"),
+    [
+        ({}, {"baud": 57600}, "answers at 57600 baud, not at 1000000. Give that rate"),
+        ({"number": 7}, {}, "does not answer. Servos on this bus: 7"),
+        ({"firmware": 37}, {}, "firmware 37 has no bus watchdog. Update it"),
+    ],
+    ids=["baud", "id", "firmware"],
+)
+def test_a_wrong_setting_is_named(device, bus, said):
+    with Wire(servo(**device), **bus) as wire, pytest.raises(DriveError, match=said):
+        DynamixelLink(wire.port).open()
+
+
+@pytest.mark.usefixtures("quick")
+def test_other_devices_and_silence_are_named():
+    device = servo()
+    with Wire(device) as wire:
+        device._store(0, 2, 350)
+        with pytest.raises(DriveError, match=r"model number 350 is no servo of the X series"):
+            DynamixelLink(wire.port).open()
+        wire.mute = True
+        with pytest.raises(DriveError, match=r"does not answer at 1000000 baud, nor at 57600, .*Check its power"):
+            DynamixelLink(wire.port).open()
+
+
+def test_ports_that_cannot_be_opened():
+    with pytest.raises(DriveError, match=r"/dev/ttyNONE: there is no such port. Ports of this machine: "):
+        DynamixelLink("/dev/ttyNONE").open()
+    with Wire(servo()) as wire, link_to(wire) as link:
+        assert not link.read().enabled
+        with pytest.raises(DriveError, match=r"another program uses the port"):
+            DynamixelLink(wire.port).open()
+    text = str(serial_port.open_problem("/dev/ttyUSB0", PermissionError(errno.EACCES, "Permission denied")))
+    assert text.startswith("/dev/ttyUSB0: no permission. Join the group")
+    assert "it cannot be opened (odd)" in str(serial_port.open_problem("/dev/ttyUSB0", ValueError("odd")))
+
+
+def test_an_adapter_that_holds_replies_back_is_named(tmp_path, monkeypatch):
+    (tmp_path / "latency").write_text("16\n", "utf-8")
+    monkeypatch.setattr(dynamixel, "LATENCY_FILE", str(tmp_path / "latency"))
+    with Wire(servo()) as wire:
+        link = DynamixelLink(wire.port)
+        monkeypatch.setattr(dynamixel, "PATIENCE", 4e-3)
+        with pytest.warns(UserWarning, match=r"holds replies back for 16 ms, so at most 50 goals a second"):
+            link.open()
+        link.close()
+
+
+def test_a_missing_package_is_named_with_its_command(monkeypatch):
+    monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
+    with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[dynamixel\]'"):
+        DynamixelLink("/dev/ttyUSB0").open()

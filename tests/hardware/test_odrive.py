@@ -1,0 +1,229 @@
+"""ODrive: the emulated axis speaks CANSimple through python-can, and the link keeps its promises."""
+
+import math
+import struct
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import can
+import pytest
+
+from hyperflex.errors import DriveError, MissingPackage
+from hyperflex.hardware import Goal, ODriveLink, odrive
+from hyperflex.hardware.drive import NoReply
+from hyperflex.hardware.emulate import MotorModel, ODriveDevice, Plant
+from hyperflex.model import Arm, MotorLimits
+from tests.hardware.wire import Wire
+
+LIMITS = MotorLimits(torque=1.5)
+
+
+def axis(**options) -> ODriveDevice:
+    plant = Plant(MotorModel(), None, Arm(length=0.2, inertia=1e-3))
+    return ODriveDevice(plant, **{"heartbeat": 0.02} | options)
+
+
+@contextmanager
+def link_to(wire: Wire, **options):
+    link = ODriveLink(wire.port, **options)
+    link.open()
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Wait longer than a busy machine may take: what is tested here is order and content, not speed."""
+    monkeypatch.setattr(odrive, "PATIENCE", 0.3)
+    monkeypatch.setattr(odrive, "OLDEST_HEARTBEAT", 2.0)
+    monkeypatch.setattr(odrive, "CONFIRM", 5.0)
+
+
+def wait_for(condition) -> None:
+    until = time.monotonic() + 10.0
+    while not condition() and time.monotonic() < until:
+        time.sleep(1e-3)
+    assert condition()
+
+
+# ---------------------------------------------------------------------- the device
+
+
+def test_frames_are_those_of_the_protocol():
+    device = axis(number=1)
+    # Set_Input_Pos to axis 1 is frame 0x2C: a turn back, 0.5 turns/s, -0.25 N m.
+    device.answer(0x2C, bytes.fromhex("000080BF F401 06FF"), False)
+    assert device._goal == Goal(-math.tau, 0.5 * math.tau, -0.25)
+    assert odrive._input(device._goal) == bytes.fromhex("000080BFF40106FF")
+    (identifier, data), *_ = device.answer(1 << 5 | 0x09, b"", True)
+    assert (identifier, struct.unpack("<ff", data)) == (0x29, (0.0, 0.0))
+    assert device.answer(0x0C, bytes(8), False) == []  # another node
+    assert device.answer(0x29, bytes(8), False) == []
+    ((identifier, data),) = device.advance(0.02)
+    assert (identifier, data) == (0x21, bytes([0, 0, 0, 0, 1, 0, 0, 0]))
+
+
+def test_the_adapter_speaks_slcan():
+    device = axis()
+    assert device.handle(b"C\rS5\rO") == b"\r\r"
+    assert device.handle(b"\rr0000\r") == b"\rz\rt00080204043A00060B00\r"
+    assert device.handle(b"t00C7000000\rtXYZ0\r") == b"\a\a"
+    assert device.tick(0.02) == b"t00180000000001000000\r"
+    device.handle(b"C\r")
+    assert device.tick(0.04) == b""
+
+
+# ---------------------------------------------------------------------- the link
+
+
+def test_it_moves_where_it_is_told_and_tells_where_it_is():
+    device = axis()
+    with Wire(device) as wire, link_to(wire) as link:
+        before = link.read()
+        assert (before.angle, before.enabled, before.fault) == (0.0, False, "")
+        link.send(Goal(0.5))  # its torque is off
+        assert device.plant.angle == 0.0
+        device.watchdog = 0.05  # shorter than promised, so that the trial passes on a busy machine
+        link.enable(LIMITS)
+        device.watchdog = 5.0
+        assert link.read().enabled
+        assert device.plant.angle == pytest.approx(0.0, abs=1e-6)
+        begun = time.monotonic()
+        sent = link.send(Goal(-0.5, -1.0, -0.1))
+        assert begun <= sent.sent <= sent.received <= time.monotonic()
+        assert device._goal.rate == pytest.approx(-1.0, abs=4e-3)  # a thousandth of a turn/s
+        assert device._goal.torque == pytest.approx(-0.1)
+        link.send(Goal(-0.5))
+        wait_for(lambda: abs(device.plant.angle + 0.5) < 1e-3 and abs(device.plant.rate) < 0.01)
+        state = link.read()
+        assert state.angle == pytest.approx(-0.5, abs=5e-3)
+        assert (state.voltage, round(state.temperature)) == (24.0, 25)
+        link.disable()
+        wait_for(lambda: not link.read().enabled)
+        assert not device.plant.enabled
+
+
+def test_the_same_over_the_virtual_bus_of_python_can():
+    device, end = axis(number=3, watchdog=0.05), threading.Event()
+    device.advance(0.01)
+    bus = can.Bus(channel="arm", interface="virtual")
+
+    def run() -> None:
+        began = time.monotonic()
+        while not end.is_set():
+            message = bus.recv(1e-3)
+            frames = device.advance(0.01 + time.monotonic() - began)
+            if message is not None:
+                frames += device.answer(message.arbitration_id, bytes(message.data), message.is_remote_frame)
+            for identifier, data in frames:
+                bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    link = ODriveLink("arm", 3, interface="virtual", torque_constant=0.05)
+    link.open()
+    link.enable(LIMITS)
+    assert device._speed == pytest.approx(1.02 * LIMITS.speed)
+    wait_for(lambda: link.read().fault)  # nobody feeds the watchdog
+    assert link.read().fault == "watchdog expired (error 0x1000000)"
+    assert not device.plant.enabled
+    link.clear()
+    assert link.read().fault == ""
+    link.close()
+    end.set()
+    thread.join()
+    bus.shutdown()
+
+
+def test_an_axis_whose_watchdog_is_not_armed_is_refused():
+    device = axis(watchdog=0.0)
+    with Wire(device) as wire, link_to(wire) as link:
+        with pytest.raises(DriveError, match=r"its watchdog did not stop it within 0.1 s. Set axis0.config.watchdog_"):
+            link.enable(LIMITS)
+        wait_for(lambda: not device.plant.enabled)
+
+
+def test_an_axis_in_fault_does_not_switch_its_torque_on():
+    device = axis()
+    with Wire(device) as wire, link_to(wire) as link:
+        device.plant.impose(voltage=10.0)
+        with pytest.raises(DriveError, match=r"does not switch its torque on \(DC bus under voltage \(error 0x200\)\)"):
+            link.enable(LIMITS)
+        assert not device.plant.enabled
+
+
+@pytest.mark.parametrize(
+    "spoiled",
+    [
+        lambda reply: [],
+        lambda reply: [reply[:-3]],
+        lambda reply: [reply.replace(b"t009", b"tXY9")],
+        lambda reply: [reply.replace(b"t009", b"t\xff\xfe9")],
+        lambda reply: [reply.replace(b"t0098", b"t0094")],
+    ],
+    ids=["lost", "truncated", "no number", "no text", "wrong length"],
+)
+def test_a_spoiled_reply_is_no_reply_and_the_next_one_counts(spoiled, monkeypatch):
+    with Wire(axis()) as wire, link_to(wire) as link:
+        monkeypatch.setattr(odrive, "PATIENCE", 0.05)
+        wire.spoil = spoiled
+        with pytest.raises(NoReply):
+            link.read()
+        wire.spoil = lambda reply: [reply]
+        monkeypatch.setattr(odrive, "PATIENCE", 1.0)
+        assert link.read().angle == 0.0
+
+
+def test_a_late_reply_is_not_taken_for_the_answer_to_a_later_request(monkeypatch):
+    device = axis()
+    with Wire(device) as wire, link_to(wire) as link:
+        held = []
+        wire.spoil = lambda reply: held.append(reply) or []
+        monkeypatch.setattr(odrive, "PATIENCE", 0.02)
+        with pytest.raises(NoReply):
+            link.read()
+        device.plant.impose(encoder_turns=1.0)  # what the late reply tells is no longer true
+        late = [b"".join(held)]
+        wire.spoil = lambda reply: [late.pop(), reply] if late else [reply]
+        monkeypatch.setattr(odrive, "PATIENCE", 1.0)
+        assert link.read().angle == pytest.approx(math.tau)
+
+
+def test_without_heartbeat_nobody_knows_whether_it_is_armed(monkeypatch):
+    device = axis()
+    with Wire(device) as wire, link_to(wire) as link:
+        device.heartbeat = math.inf
+        monkeypatch.setattr(odrive, "OLDEST_HEARTBEAT", 0.05)
+        link.read()  # takes what was sent before from the queue
+        time.sleep(0.1)
+        with pytest.raises(NoReply, match=r"no heartbeat for"):
+            link.read()
+
+
+# ---------------------------------------------------------------------- what can be wrong
+
+
+def test_wrong_node_old_firmware_and_silence_are_named(monkeypatch):
+    monkeypatch.setattr(odrive, "FIRST_HEARTBEAT", 0.2)
+    with Wire(axis(number=5)) as wire, pytest.raises(DriveError, match=r"no heartbeat. Nodes on this bus: 5"):
+        ODriveLink(wire.port).open()
+    with Wire(axis(firmware=(0, 5, 6))) as wire, pytest.raises(DriveError, match=r"firmware 0.5.6 speaks another"):
+        ODriveLink(wire.port).open()
+    with Wire(axis()) as wire:
+        wire.mute = True
+        with pytest.raises(DriveError, match=r"nothing is heard on the bus. Check power, .* runs at 250000 bit/s"):
+            ODriveLink(wire.port).open()
+
+
+def test_interfaces_that_cannot_be_opened(monkeypatch):
+    with pytest.raises(DriveError, match=r"/dev/ttyNONE: there is no such port"):
+        ODriveLink("/dev/ttyNONE").open()
+    with pytest.raises(DriveError, match=r"can77: no CAN interface of that name is ready .* sudo ip link set can77 up"):
+        ODriveLink("can77").open()
+    monkeypatch.setitem(sys.modules, "can", None)
+    with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[odrive\]'"):
+        ODriveLink("can0").open()
