@@ -186,7 +186,9 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_a_later_request():
         device.plant.impose(encoder_turns=1.0)  # what the late reply tells is no longer true
         wire.spoil = lambda reply: [held[0], reply]
         link._bus.patience = 1.0
-        assert link.read().angle == pytest.approx(math.tau)
+        for _ in range(6):  # reads have three lengths: at every third one only the device's clock tells
+            time.sleep(5e-3)
+            assert link.read().angle == pytest.approx(math.tau)
 
 
 def test_it_is_enabled_in_spite_of_lost_packets_and_never_with_an_old_goal(monkeypatch):

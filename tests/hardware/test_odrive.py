@@ -1,6 +1,7 @@
 """ODrive: the emulated axis speaks CANSimple through python-can, and the link keeps its promises."""
 
 import math
+import re
 import struct
 import sys
 import threading
@@ -109,14 +110,14 @@ def test_it_moves_where_it_is_told_and_tells_where_it_is():
 
 def test_the_same_over_the_virtual_bus_of_python_can():
     device, end = axis(number=3, watchdog=0.05), threading.Event()
-    device.advance(0.01)
+    device.plant.warm()
     bus = can.Bus(channel="arm", interface="virtual")
 
     def run() -> None:
         began = time.monotonic()
         while not end.is_set():
             message = bus.recv(1e-3)
-            frames = device.advance(0.01 + time.monotonic() - began)
+            frames = device.advance(time.monotonic() - began)
             if message is not None:
                 frames += device.answer(message.arbitration_id, bytes(message.data), message.is_remote_frame)
             for identifier, data in frames:
@@ -191,6 +192,13 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_a_later_request(monkeypatch
         wire.spoil = lambda reply: [late.pop(), reply] if late else [reply]
         monkeypatch.setattr(odrive, "PATIENCE", 1.0)
         assert link.read().angle == pytest.approx(math.tau)
+
+
+def test_a_frame_that_comes_twice_is_late():
+    with Wire(axis()) as wire, link_to(wire) as link:
+        wire.spoil = lambda reply: [re.sub(rb"(t009.{17}\r)", rb"\1\1", reply)]
+        with pytest.raises(NoReply, match="came late"):
+            link.read()
 
 
 def test_without_heartbeat_nobody_knows_whether_it_is_armed(monkeypatch):

@@ -21,7 +21,7 @@ class Wire:
         self._host, end = os.openpty()
         tty.setraw(end)
         self.port, self._device_end = os.ttyname(end), end
-        self.device.tick(0.01)  # kernels are loaded before the host waits for a reply
+        self.device.plant.warm()  # kernels are loaded before the host waits for a reply
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
         return self
@@ -33,7 +33,7 @@ class Wire:
         os.close(self._device_end)
 
     def _run(self) -> None:
-        began = time.monotonic() - 0.01
+        began = time.monotonic()
         while not self._end.is_set():
             ready = select.select([self._host], [], [], 1e-3)[0]
             reply = self.device.tick(time.monotonic() - began)

@@ -9,7 +9,7 @@ import struct
 import termios
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,10 +31,11 @@ LATENCY_FILE = "/sys/class/tty/{}/device/latency_timer"  # of FTDI adapters, ms
 HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "motor encoder", 4: "electrical shock", 5: "overload"}
 
 # Registers that one read brings, through indirect addresses: torque enable, hardware error, bus watchdog; present
-# current, velocity, position; voltage, temperature. Three more (realtime tick, moving) make reads of four lengths.
-STATE = (64, 70, 98, *range(126, 136), 144, 145, 146)
-STATE_LAYOUT = struct.Struct("<BBBhiiHB")
-FILLER = (120, 121, 122)
+# current, velocity, position; voltage, temperature; the device's clock. Two more make reads of three lengths.
+STATE = (64, 70, 98, *range(126, 136), 144, 145, 146, 120, 121)
+STATE_LAYOUT = struct.Struct("<BBBhiiHBH")
+FILLER = (122, 123)
+CLOCK_WRAPS = 32.768  # s after which the device's clock, in ms, begins again
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,8 @@ class DynamixelLink:
 
     The bus watchdog does not switch the torque off: the servo stops and holds where it is, and refuses goals until its
     torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it counts its turns
-    from zero again. Each exchange is a write without reply and a read. Reads take four lengths by turns, so that a
-    late reply cannot pass for the answer to a later request.
+    from zero again. Each exchange is a write without reply and a read. Reads take three lengths by turns, and
+    bring the device's clock, so that a late reply cannot pass for the answer to a later request.
     """
 
     takes: frozenset[str] = frozenset()
@@ -116,6 +117,7 @@ class DynamixelLink:
         self.watchdog = 0.02 * max(1, min(127, round(watchdog / 0.02)))  # s; the device counts in 20 ms
         self.servo = Servo("unknown")
         self._requests = 0
+        self._last: tuple[float, float] | None = None  # when the last state came, by the host's and the device's clock
         self._bus: Any = None
 
     # ------------------------------------------------------------------ connection
@@ -179,20 +181,23 @@ class DynamixelLink:
 
     def _prepare(self) -> None:
         """Make the servo answer reads only, and gather its state in one block. Both last until it loses power."""
+        self._last = None
         self._put(68, b"\x01")  # unasked: at level 0 it would not say what it is
         self._set(68, b"\x01")
-        self._set(168, struct.pack("<19H", *STATE, *FILLER))
+        self._set(168, struct.pack("<20H", *STATE, *FILLER))
 
     # ------------------------------------------------------------------ link
 
     def read(self) -> Reading:
         """Return the state."""
-        sent = time.monotonic()
+        sent = self.clock()
         self._requests += 1
         length = len(STATE) + self._requests % (len(FILLER) + 1)
-        data = self._request(2, struct.pack("<HH", self.servo.indirect, length), length)
-        received = time.monotonic()
-        on, error, watchdog, current, rate, position, voltage, temperature = STATE_LAYOUT.unpack_from(data)
+        where = struct.pack("<HH", self.servo.indirect, length)
+        data = self._request(2, where, length, lambda data: self._measured_since(sent, data))
+        received = self.clock()
+        on, error, watchdog, current, rate, position, voltage, temperature, tick = STATE_LAYOUT.unpack_from(data)
+        self._last = received, 1e-3 * tick
         return Reading(
             angle=position * math.tau / COUNTS,
             rate=rate * RATE_UNIT,
@@ -204,6 +209,15 @@ class DynamixelLink:
             sent=sent,
             received=received,
         )
+
+    def _measured_since(self, sent: float, data: bytes) -> bool:
+        """Return whether a state was measured after its request, by the device's clock since the last state."""
+        if self._last is None:
+            return True
+        received, then = self._last
+        ahead = 1e-3 * STATE_LAYOUT.unpack_from(data)[-1] - then - (sent - received)
+        half = 0.5 * CLOCK_WRAPS
+        return (ahead + half) % CLOCK_WRAPS - half > -2e-3  # s: two steps of that clock
 
     def enable(self, limits: MotorLimits) -> None:
         """Arm watchdog and torque limit, and switch the torque on where the shaft is."""
@@ -283,8 +297,10 @@ class DynamixelLink:
             self._put(116, block[16:])
         raise DriveError(f"{self.name} does not accept its present position as goal.")
 
-    def _request(self, instruction: int, parameters: bytes, length: int) -> bytes:
-        """Send an instruction, and return the parameters of the reply that has this servo's ID and that length."""
+    def _request(
+        self, instruction: int, parameters: bytes, length: int, valid: Callable[[bytes], bool] = lambda data: True
+    ) -> bytes:
+        """Send an instruction, and return the parameters of the first valid reply of this servo with that length."""
         packet = [0, 0, 0, 0, self.number, *struct.pack("<H", len(parameters) + 3), instruction, *parameters, 0, 0]
         with _as_os_error():
             self._bus.is_using = False  # an interrupt may have left it set
@@ -293,7 +309,9 @@ class DynamixelLink:
             while not self._bus.isPacketTimeout():
                 status, result = self._packets.rxPacket(self._bus, False)
                 if result == 0 and status[4] == self.number and status[5] + 256 * status[6] == length + 4:
-                    return bytes(status[9 : 9 + length])
+                    data = bytes(status[9 : 9 + length])
+                    if valid(data):
+                        return data
         raise NoReply(f"{self.name}: no valid reply")
 
 

@@ -21,9 +21,10 @@ FIRST_HEARTBEAT = 1.0  # s for the first one after the bus was opened; the defau
 OLDEST_HEARTBEAT = 0.25  # s; without a newer one nobody knows whether the axis is armed
 
 VERSION, HEARTBEAT, ERROR, AXIS_STATE, ENCODER = 0x00, 0x01, 0x03, 0x07, 0x09
-MODE, INPUT_POS, LIMITS, TEMPERATURE, VOLTAGE, CLEAR, TORQUES = 0x0B, 0x0C, 0x0F, 0x15, 0x17, 0x18, 0x1C
+MODE, INPUT_POS, LIMITS, CURRENTS, TEMPERATURE, VOLTAGE = 0x0B, 0x0C, 0x0F, 0x14, 0x15, 0x17
+CLEAR, TORQUES, POWERS = 0x18, 0x1C, 0x1D
 IDLE, CLOSED_LOOP = 1, 8  # states of an axis
-MARKERS = (VOLTAGE, TEMPERATURE, VERSION)  # one a cycle, by turns: replies that come before another one are late
+MARKERS = (VOLTAGE, TEMPERATURE, VERSION, CURRENTS, POWERS)  # one a cycle: what comes before another one is late
 WATCHDOG_EXPIRED = 1 << 24
 
 ERRORS = {
@@ -77,11 +78,16 @@ class ODriveLink:
         odrv0.axis0.config.watchdog_timeout = 0.1
         odrv0.axis0.config.enable_watchdog = True
         odrv0.axis0.config.can.heartbeat_msg_rate_ms = 10
+        odrv0.axis0.config.can.encoder_msg_rate_ms = 0
         odrv0.save_configuration()
 
     Nor does any message tell whether it is armed. Therefore the first :meth:`enable` tries it: with the torque on and
     the arm at rest, it sends nothing for a little longer than the watchdog's time. An axis that is not disarmed by then
-    is refused. Cyclic messages other than heartbeat and encoder estimates should be off.
+    is refused. Other cyclic messages than the heartbeat must be off.
+
+    Frames of CANSimple bear no number. One message in each cycle, of five that take turns, tells to which cycle the
+    others belong. A single frame that an adapter delays for some cycles can still pass for a newer one of its kind, if
+    that one is lost.
 
     State and torque are those of the motor's shaft: a gear between it and the arm is not known here. The axis must be
     calibrated.
@@ -156,8 +162,11 @@ class ODriveLink:
         while (rest := until - time.monotonic()) > 0.0:
             if frame := self._receive(rest):
                 node, command, _ = frame
-                if command == HEARTBEAT and node == self.number:
+                if (node, command) == (self.number, HEARTBEAT):
                     return
+                if (node, command) == (self.number, ENCODER):
+                    fix = "Set axis0.config.can.encoder_msg_rate_ms = 0 with odrivetool"
+                    raise DriveError(f"{self.name} sends its encoder's estimates unasked. {fix}.")
                 others.add(node)
         if others:
             raise DriveError(
@@ -263,6 +272,8 @@ class ODriveLink:
                 if rest <= 0.0:
                     raise NoReply(f"{self.name}: no valid reply")
                 node, command, data = self._receive(rest) or (-1, -1, b"")
+                if node == self.number and command in replies:
+                    raise NoReply(f"{self.name}: a reply to an earlier request came late")
                 if node == self.number and command in requests:
                     replies[command] = data
                 elif node == self.number and command in MARKERS:

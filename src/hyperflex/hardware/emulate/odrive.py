@@ -9,6 +9,7 @@ from hyperflex.hardware.odrive import (
     AXIS_STATE,
     CLEAR,
     CLOSED_LOOP,
+    CURRENTS,
     ENCODER,
     ERROR,
     HEARTBEAT,
@@ -16,6 +17,7 @@ from hyperflex.hardware.odrive import (
     INPUT_POS,
     LIMITS,
     MODE,
+    POWERS,
     TEMPERATURE,
     TORQUES,
     VERSION,
@@ -118,6 +120,8 @@ class ODriveDevice:
         values = {
             ENCODER: (plant.angle / math.tau, plant.rate / math.tau),
             TORQUES: (self._goal.torque, plant.torque),
+            CURRENTS: (self._goal.torque / plant.model.torque_constant, plant.torque / plant.model.torque_constant),
+            POWERS: (plant.torque * plant.rate, plant.torque * plant.rate),
             VOLTAGE: (plant.voltage, 0.0),
             TEMPERATURE: (plant.temperature, plant.temperature),
         }
