@@ -200,6 +200,7 @@ def test_it_is_enabled_in_spite_of_lost_packets_and_never_with_an_old_goal(monke
         wire.spoil = lambda reply: [reply] if next(count) % 3 else []
         link.enable(LIMITS)
         wire.spoil = lambda reply: [reply]
+        time.sleep(0.2)  # in which an old goal would move it
         state = link.read()
         assert state.enabled
         assert state.angle == pytest.approx(math.tau / 4, abs=2 * COUNT)

@@ -217,7 +217,7 @@ class DynamixelLink:
         received, then = self._last
         ahead = 1e-3 * STATE_LAYOUT.unpack_from(data)[-1] - then - (sent - received)
         half = 0.5 * CLOCK_WRAPS
-        return (ahead + half) % CLOCK_WRAPS - half > -2e-3  # s: two steps of that clock
+        return bool((ahead + half) % CLOCK_WRAPS - half > -2e-3)  # s: two steps of that clock
 
     def enable(self, limits: MotorLimits) -> None:
         """Arm watchdog and torque limit, and switch the torque on where the shaft is."""

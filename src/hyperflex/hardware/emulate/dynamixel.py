@@ -62,6 +62,7 @@ class DynamixelDevice:
         self._store(0, 2, model)
         self._store(6, 1, firmware)
         self._store(7, 1, number)
+        self._store(116, 4, round(plant.angle * COUNTS / math.tau))
 
     def tick(self, t: float) -> bytes:
         """Advance to time t, s; return nothing, because a servo speaks only when it is asked."""
@@ -144,8 +145,12 @@ class DynamixelDevice:
         if 64 in places and self._table[64] != on:
             self._switch(bool(self._table[64]))
         if 116 in places and self._table[64]:
-            self.plant.set_goal(Goal(self._load(116, 4, signed=True) * math.tau / COUNTS))
+            self._follow()
         return 0
+
+    def _follow(self) -> None:
+        """Go to the goal in the table, however old it is."""
+        self.plant.set_goal(Goal(self._load(116, 4, signed=True) * math.tau / COUNTS))
 
     def _direct(self, address: int) -> int:
         """Return the address behind one of the indirect data registers; of others the address itself."""
@@ -158,6 +163,7 @@ class DynamixelDevice:
         for address, (size, value) in FACTORY.items():
             if address >= 64:
                 self._store(address, size, value)
+        self._store(116, 4, round(self.plant.angle * COUNTS / math.tau))
 
     # ------------------------------------------------------------------ state
 
@@ -189,7 +195,7 @@ class DynamixelDevice:
         self._heard = self.t
         self.plant.set_enabled(on)
         if on:
-            self._store(116, 4, round(self.plant.angle * COUNTS / math.tau))
+            self._follow()
 
     def _load(self, address: int, size: int, *, signed: bool = False) -> int:
         return int.from_bytes(self._table[address : address + size], "little", signed=signed)
