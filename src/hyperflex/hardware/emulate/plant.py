@@ -21,7 +21,8 @@ class MotorModel:
     """An emulated motor with its position loop, seen at the output shaft.
 
     The torque is kp (goal - angle) + kd (rate of the goal - rate) + the goal's torque, within what the controller and
-    the supply allow: at most `max_torque`, and at most stall_torque (voltage / rated voltage - rate / max_speed).
+    the supply allow: at most `max_torque`, and at most stall_torque (voltage / rated voltage - rate / max_speed). At a
+    constant speed the angle lags behind by latency + friction / kp, and by another kd / kp if goals come without rates.
 
     Not validated against a real drive.
     """

@@ -109,12 +109,14 @@ class Emulator:
     sample : float
         Time, s, between states in the log.
     duration : float
-        Time, s, for which the log is kept; of a longer run the newest part is.
+        Time, s, for which the log is kept; of a longer run the newest part is. So are a thousand goals a second.
 
     Attributes
     ----------
     port : str
         Path of the serial port.
+    states : Rows
+        Rows as of :attr:`EmulatorLog.states`, to be handed to a process that draws the rope.
 
     Notes
     -----
@@ -133,9 +135,13 @@ class Emulator:
         duration: float = 60.0,
         **plant: Any,
     ) -> None:
-        count = int(checks.number("duration", duration, sign="positive", unit="s") / sample)
+        span, sample = (
+            checks.number(name, value, sign="positive", unit="s")
+            for name, value in (("duration", duration), ("sample", sample))
+        )
         links = 1 if rope is None else rope.n_links
-        self.states, self._goals = Rows(count, len(STATES) + 2 * links), Rows(count, len(GOALS))
+        self.states = Rows(round(span / sample), len(STATES) + 2 * links)
+        self._goals = Rows(round(1e3 * span), len(GOALS))
         self._arguments = device, {"model": model, "rope": rope, "arm": arm or Arm(), **plant}, baud, sample
         self._process: Any = None
         self.port = ""
