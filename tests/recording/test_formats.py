@@ -123,6 +123,24 @@ def test_quaternions_and_errors_of_rigid_bodies_are_no_markers(tmp_path):
     np.testing.assert_array_equal(base.data, read_recording(path, **arguments).data[:, :2])
 
 
+def test_each_column_of_a_vicon_file_has_its_own_unit(tmp_path):
+    """Model outputs beside the trajectories: angles are no markers, and a force is neither."""
+    lines = ["Trajectories", "100", ",,pivot,,,tip,,,knee,,,plate,,", f"Frame,Sub Frame{',X,Y,Z' * 4}"]
+    lines += [f",,{','.join(3 * ['mm'] + 3 * ['m'] + 3 * ['deg'] + 3 * ['N'])}"]
+    lines += [f"{k + 1},0,0,0,0,0.1,0,-0.4,{k},0,0,1,2,3" for k in range(12)]
+    path = tmp_path / "vicon.csv"
+    path.write_text("\n".join([*lines, ""]))
+    knee = read_recording(path, columns=["knee_x"])
+    assert knee.kind == "angles"
+    np.testing.assert_allclose(knee.data[:, 0], np.radians(np.arange(12.0)), rtol=1e-15)
+    tip = read_recording(path, markers=["tip"], plane="xz")
+    np.testing.assert_array_equal(tip.data[0], [0.1, -0.4])
+    assert list(propose(path).content.points) == ["pivot", "tip"]
+    refuses("not give one unit to all columns", read_recording, path, markers=["pivot", "tip"], plane="xz")
+    refuses("'plate_x' is in N, which is no unit of", read_recording, path, columns=["plate_x"])
+    refuses("no such markers: got .*knee", read_recording, path, markers=["knee"], plane="xz")
+
+
 # ---- markers in space
 
 

@@ -12,7 +12,7 @@ from hyperflex import extras
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, most_bytes, not_damaged, regular_file
 from hyperflex.recording.content import Content, Selection, content_of_markers, unused
-from hyperflex.recording.declare import unit_of
+from hyperflex.recording.declare import frames
 
 
 def read(path: PathLike, selection: Selection) -> Content:
@@ -35,11 +35,14 @@ def read(path: PathLike, selection: Selection) -> Content:
     for k in range(places.shape[1]):
         name = labels[k] if k < len(labels) and labels[k] else f"marker{k}"
         markers[unused(name, markers)] = places[:, k, :3]
-    declared = {"time_unit": "frame", "frame_rate": rate} | unit_of(about["UNITS"])
     up = about["Y_SCREEN"].lower().removeprefix("+")  # "-z" is up along no axis: then the caller says it
     t = np.array([number for number, _ in rows], dtype=np.float64)
     return content_of_markers(
-        t, markers, str(path), declared=declared, usual={"up": up} if up in ("x", "y", "z") else {}
+        t,
+        markers,
+        str(path),
+        declared=frames(rate, about["UNITS"]),
+        usual={"up": up} if up in ("x", "y", "z") else {},
     )
 
 

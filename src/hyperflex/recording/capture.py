@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, Table, cells_of, filled, mark_of, read_lines
 from hyperflex.recording.content import Content, Selection, content_of_markers, unused
-from hyperflex.recording.declare import unit_of
+from hyperflex.recording.declare import UNITS, frames, unit_name, unit_of
 
 _AXES = ("x", "y", "z")
 _RIGID_BODY = 11  # cells of one in a frame of Motive 1.1: number, place, quaternion, three angles
@@ -91,8 +91,8 @@ def read_vicon(path: PathLike, selection: Selection) -> Content:
     end = next((k for k in range(at + 5, len(lines)) if not lines[k].strip(",; \t")), len(lines))
     names, axes, units = (cells_of(line) for line in lines[at + 2 : at + 5])
     labels = [(name, axis.lower()) for name, axis in zip(filled(names, 2), axes, strict=False)]
-    declared = {"time_unit": "frame", "frame_rate": _rate(path, cells_of(lines[at + 1])[0])} | unit_of(*set(units))
-    return _content(path, lines[:end], at + 5, labels, 0, declared=declared, last=end == len(lines))
+    declared = frames(_rate(path, cells_of(lines[at + 1])[0]))
+    return _content(path, lines[:end], at + 5, labels, 0, declared=declared, last=end == len(lines), units=units)
 
 
 def _begins_block(lines: Sequence[str]) -> bool:
@@ -123,7 +123,7 @@ def read_qualisys(path: PathLike, selection: Selection) -> Content:
     labels += [(name, axis) for name in names for axis in _AXES]
     declared: dict[str, Any] = {"time_unit": "s"}
     if first != 2:
-        declared = {"time_unit": "frame", "frame_rate": _rate(path, *about.get("FREQUENCY", [])[:1])}
+        declared = frames(_rate(path, *about.get("FREQUENCY", [])[:1]))
     time = first - 1 if first == 2 else -1
     return _content(path, lines, top, labels, time, declared=declared, usual={"unit": "mm"}, zero_is_gap=True)
 
@@ -170,6 +170,7 @@ def _content(
     zero_is_gap: bool = False,
     last: bool = True,
     ragged: int = 0,
+    units: Sequence[str] = (),
     **more: Any,
 ) -> Content:
     """Return the content of a wide table.
@@ -188,6 +189,8 @@ def _content(
         Whether the rows go to the end of the file, which may be cut off.
     ragged
         As of :class:`Table`.
+    units
+        Of each column, where they have their own; what is in no unit of length is no marker.
     """
     kept = [(k, lines[k]) for k in range(top, len(lines)) if lines[k].strip(",; \t")]
     if not kept or not labels:
@@ -195,6 +198,9 @@ def _content(
         raise InvalidInput(what, allowed="a row for each frame", fix="It was probably cut off: get it again")
     numbers, rows = [k + 1 for k, _ in kept], [row for _, row in kept]
     names, points = _named(labels)
+    by_name = {name: unit for name, unit in zip(names, units, strict=False) if unit}
+    lengths = {name for name in names if unit_name(by_name.get(name, "m")) in UNITS["markers"]}
+    points = {marker: parts for marker, parts in points.items() if lengths.issuperset(parts)}
     table = Table(str(path), names, rows, numbers, mark_of(rows[0]), cut=last and bool(lines[-1]), ragged=ragged)
 
     def take(chosen: Sequence[str]) -> Any:
@@ -206,7 +212,7 @@ def _content(
         return values
 
     t = np.arange(float(len(rows))) if time < 0 else table.times(names[time])
-    return Content(t, names, take, points=points, source=str(path), **more)
+    return Content(t, names, take, points=points, units=by_name, source=str(path), **more)
 
 
 def _named(labels: Sequence[tuple[str, str]]) -> tuple[list[str], dict[str, tuple[str, ...]]]:

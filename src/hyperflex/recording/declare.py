@@ -283,10 +283,14 @@ def unit_name(text: str) -> str:
     return WORDS.get(text.lower(), text)
 
 
-def unit_of(*texts: str | None) -> dict[str, Any]:
-    """Return the declaration of the unit that texts of a file name; none where they name no unit, or several."""
-    names = [text for text in texts if text]
-    return {"unit": unit_name(names[0])} if len(names) == 1 else {}
+def unit_of(text: str | None) -> dict[str, Any]:
+    """Return the declaration of the unit that a text of a file names; none where it names none."""
+    return {"unit": unit_name(text)} if text else {}
+
+
+def frames(rate: float, unit: str | None = None) -> dict[str, Any]:
+    """Return the declarations of times that count frames, at a rate, frames/s, and of a unit that a file names."""
+    return {"time_unit": "frame", "frame_rate": rate} | unit_of(unit)
 
 
 def missing_declarations(raw: Raw, declared: Mapping[str, Any]) -> dict[str, str]:
