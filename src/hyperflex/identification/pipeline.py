@@ -12,6 +12,7 @@ from hyperflex import checks
 from hyperflex.budget import DEFAULT_TIME, Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
+from hyperflex.identification.declarations.channels import channel_faults
 from hyperflex.identification.declarations.evidence import evidence
 from hyperflex.identification.declarations.faults import faults
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
@@ -442,8 +443,11 @@ class _Case:
         if wrong and not to_noise and not said and not self.faulty:  # which no mistake explains better
             named = first_misdeclared(trial.tests) or explaining(trial.tests)
             said = mistakes(self.recording, short, named)
+        faulty = self.faulty
+        if not (said or faulty):
+            faulty = channel_faults(trial.plain, self.recording, trial.tests, self.budget)
         severity = Severity.WRONG if any(each.severity is Severity.WRONG for each in found) else Severity.DOUBT
-        said += [replace(each, severity=severity) for each in self.faulty]
+        said += [replace(each, severity=max(severity, each.severity)) for each in faulty]
         fitted = trial.basis.plant.parameters.rope(trial.basis.fit.x)  # whose lengths may be free
         return [*(evidence(self.recording, fitted) if self.setup.arc_lengths is None else []), *said]
 

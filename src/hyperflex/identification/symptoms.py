@@ -16,6 +16,7 @@ from hyperflex.identification.model import Plant, common_factor, lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
+    MASSES,
     TOUCHED,
     Basis,
     quantile,
@@ -29,7 +30,6 @@ from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import RESISTANCES, Rope
 from hyperflex.sensors import Angles
 
-MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 # part of the motion that may stay unexplained where residuals are white, so that they are noise, and of a torque, which
 # sensors or currents do not tell better; else it is POOR
 WHITE_POOR = 0.2

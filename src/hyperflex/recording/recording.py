@@ -117,6 +117,11 @@ class Recording:
         what, count = ("link", self.n_links) if self.kind == "angles" else ("marker", self.n_links + 1)
         return f"{what} {k} ({self.columns[k]})" if len(self.columns) == count else f"{what} {k}"
 
+    def channel(self, k: int) -> str:
+        """Return the name of channel `k`, counted from 0: the angle of a link, x or y of a marker."""
+        number, axis = (k, "angle") if self.kind == "angles" else (k // 2, "xy"[k % 2])
+        return f"{axis} of {self.label(number)}"
+
     @property
     def n_links(self) -> int:
         """Number of links that the channels describe; 0 for a marker alone."""

@@ -297,9 +297,7 @@ def jumps(recording: Recording) -> Iterator[Finding]:
             yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
         return
     most = max(found, key=lambda each: each.certain)
-    number, axis = divmod(most.channel, 2) if recording.kind == "markers" else (most.channel, 2)
-    channel = f"{('x', 'y', 'angle')[axis]} of {recording.label(number)}"
-    values = {"channel": channel, "size": most.size, "unit": UNIT[recording.kind]}
+    values = {"channel": recording.channel(most.channel), "size": most.size, "unit": UNIT[recording.kind]}
     yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
 
 

@@ -3,7 +3,7 @@
 To add one, yield its finding and the data as they would be then from `_angles_meant` or `_markers_meant`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,11 +46,6 @@ class MistakeOptions:
     shorter: float = 4.0
     windows: int = 6
     rounds: int = 12
-    # rad, 5 degrees, of a link's zero: between what is no mistake and the 10 degrees that were tried
-    zero: float = 0.09
-    # s, of a link that is late: a frame of a camera
-    late: float = 0.02
-    refined: int = 2  # times that either is followed to where the squares are least
     # logarithms of factors of angles, or of the arm's length: the largest believed, and the least reported
     farthest: float = 0.3
     least_gain: float = 0.005
@@ -188,8 +183,7 @@ def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> l
 
     A mistake is named if it leaves half of what the recording as declared leaves at most, and that is little. It has to
     leave half of what a wrong clock or scale and a camera that is not level leave, and of what a fit with the quantity
-    of the score test `named` freed leaves, too; one that explains as much as the former is named with them. The zero or
-    the times of one link come where nothing else explains.
+    of the score test `named` freed leaves, too; one that explains as much as the former is named with them.
     """
     declared, _ = left(recording)
     skewed, (scale, angle) = left(recording, SKEWED)
@@ -197,17 +191,17 @@ def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> l
     most = min(declared, left(recording, (name,))[0]) if name not in ("", *SKEWED) else declared
     if named is not None and name == "delay":  # what a short fit leaves depends on its search for the delay
         most = min(most, declared * float(np.sqrt(1.0 - named.gain)))
-    for tried in ([*_meant(recording, left), *_driven(recording, left)], _of_links(recording, left, declared)):
-        least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
-        if least > SHORT_FIT.better * skewed:
-            as_well = found if least <= SHORT_FIT.as_good * skewed else []
-            found = [] if name in SKEWED else [*as_well, *_skew(float(np.sqrt(scale)), float(angle))]
-            least = min(least, skewed)
-        if found and least <= min(SHORT_FIT.better * most, SHORT_FIT.fits):
-            gain = 1.0 - min(1.0, least / min(declared, 1.0)) ** 2
-            shown = {"left": least, "before": min(declared, 1.0)}
-            return [replace(each, severity=Severity.WRONG, gain=gain, values=each.values | shown) for each in found]
-    return []
+    tried = [*_meant(recording, left), *_driven(recording, left)]
+    least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
+    if least > SHORT_FIT.better * skewed:
+        as_well = found if least <= SHORT_FIT.as_good * skewed else []
+        found = [] if name in SKEWED else [*as_well, *_skew(float(np.sqrt(scale)), float(angle))]
+        least = min(least, skewed)
+    if least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
+        return []
+    gain = 1.0 - min(1.0, least / min(declared, 1.0)) ** 2
+    shown = {"left": least, "before": min(declared, 1.0)}
+    return [replace(each, severity=Severity.WRONG, gain=gain, values=each.values | shown) for each in found]
 
 
 def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
@@ -220,36 +214,6 @@ def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
     for finding, data, factor in MEANT[recording.kind](recording, left.setup):
         part, angles = left(_declared_as(recording, data, factor), free)
         yield part if all(np.cos(angle) > np.sqrt(0.5) for angle in angles) else np.inf, [finding]
-
-
-def _of_links(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tried]:
-    """Yield what a short fit leaves with the zero of each link, or its times, moved to where the squares are least.
-
-    About quadratic in either: the least value follows from what is left at three, and once more from there.
-    """
-    n, t = recording.data.shape[1], recording.t
-
-    def early(k: int, time: float) -> Array:
-        known = ~np.isnan(recording.data[:, k])
-        column = np.where(known, np.interp(t + time, t[known], recording.data[known, k]), np.nan)
-        return np.where(np.arange(n) == k, column[:, None], recording.data)
-
-    quantities: tuple[tuple[Kind, str, float, Callable[[int, float], Array]], ...] = (
-        (Kind.LINK_ZERO, "angle", SHORT_FIT.zero, lambda k, zero: recording.data - zero * np.eye(n)[k]),
-        (Kind.LINK_LATE, "delay", SHORT_FIT.late, early),
-    )
-    for k in range(n) if recording.kind == "angles" and 1 < n <= SHORT_FIT.swaps else ():
-        for kind, name, step, moved in quantities:
-            value, squares = 0.0, declared**2
-            for _ in range(SHORT_FIT.refined):
-                below, above = (left(_declared_as(recording, moved(k, value + each)))[0] ** 2 for each in (-step, step))
-                bend = below - 2.0 * squares + above
-                if not 0.0 < bend < np.inf:
-                    break
-                value += 0.5 * step * (below - above) / bend
-                squares = left(_declared_as(recording, moved(k, value)))[0] ** 2
-            if value > 0.0 or kind is Kind.LINK_ZERO:  # no sensor sees ahead
-                yield float(np.sqrt(squares)), [Finding(kind, values={"link": k, name: value})]
 
 
 def _driven(recording: Recording, left: ShortFit) -> Iterator[Tried]:

@@ -31,6 +31,7 @@ End = Literal["crossed", "bound", "open"]
 IntervalKind = Literal["covariance", "profile", "bootstrap", "unknown"]
 LEVEL = 0.95
 GRACE = 0.5  # s of work: what an interrupted fit may still take for its deviations
+MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
 
 
@@ -72,6 +73,11 @@ class Information:
     def total(self) -> Array:
         """Covariance (P, P) of x by noise and errors of the model, lengths and times being as declared."""
         return self.covariance + self.model
+
+    @property
+    def root(self) -> Array:
+        """Change of x (P, k) by what is known of it, where residuals follow one of k orthonormal directions each."""
+        return self.known / self.singular[: self.known.shape[1]] * self.widths[:, None]
 
     @property
     def declared(self) -> "Information":
@@ -177,9 +183,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     Model errors are not covered.
     """
     widths, total = plant.parameters.widths, len(plant.parameters)
-    psi = zip(windows, map(fit.loss.sensitivity, fit.residuals), strict=True)
-    slopes = np.concatenate([each[window.weight.ravel() > 0.0] for window, each in psi])  # psi', gaps omitted
-    mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
+    slopes, mean = _sensitivities(windows, fit)
     models = _models(plant, windows, fit, mean, budget or Budget())
     prior = fit.noise * plant.parameters.prior  # rows of the least-squares problem, as those of windows
     rows = [*(model.shared * widths for model in models), prior * widths]
@@ -213,6 +217,20 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
         agrees=agrees,
         growing=in_common_factor(plant.parameters, fit.x, unknown),
     )
+
+
+def _sensitivities(windows: Sequence[Window], fit: Fit) -> tuple[Array, float]:
+    """Return psi' of all residuals, gaps omitted, and its mean."""
+    psi = zip(windows, map(fit.loss.sensitivity, fit.residuals), strict=True)
+    slopes = np.concatenate([each[window.weight.ravel() > 0.0] for window, each in psi])
+    return slopes, max(float(slopes.mean()), LEAST_SENSITIVITY)
+
+
+def pieces_of(basis: Basis, budget: Budget | None = None) -> list[Piece]:
+    """Return the residuals of a fit's windows, with all directions that it absorbs: 2n of the state, then others."""
+    mean = _sensitivities(basis.windows, basis.fit)[1]
+    models = _models(basis.plant, basis.windows, basis.fit, mean, budget or Budget())
+    return [each.piece(basis.information.root) for each in models]
 
 
 @dataclass(frozen=True)
