@@ -99,7 +99,8 @@ def channel_faults(
     found = [each for pattern in patterns if (each := _explained(pieces, pattern, own)).possible]
     total = sum(float((piece.residual**2).sum()) for piece in pieces)
     freedom = sum(float(piece.seen.sum()) - piece.basis.shape[2] for piece in pieces) - 1.0
-    best = max(found, key=lambda each: each.squares, default=None)
+    # of the markers of one link, which show the same, the one that hangs
+    best = max(reversed(found), key=lambda each: each.squares, default=None)
     if best is None or freedom < 1.0 or best.squares >= total:
         return []
     gain, left = best.squares / total, (total - best.squares) / freedom
