@@ -7,6 +7,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.hardware.emulate.dynamixel import DynamixelDevice
     from hyperflex.hardware.emulate.faults import WireFaults
+    from hyperflex.hardware.emulate.moteus import MoteusDevice
     from hyperflex.hardware.emulate.odrive import ODriveDevice
     from hyperflex.hardware.emulate.plant import MotorModel, Plant
     from hyperflex.hardware.emulate.process import Emulator, EmulatorLog

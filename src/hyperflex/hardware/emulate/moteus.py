@@ -1,0 +1,179 @@
+"""The device's side of a moteus controller on a UART: text lines that carry register frames."""
+
+import math
+import struct
+from typing import Any
+
+from hyperflex import extras
+from hyperflex.hardware.drive import Goal
+from hyperflex.hardware.emulate.plant import Plant
+
+STOPPED, FAULT, POSITION, TIMEOUT = 0, 1, 10, 11
+OVER_VOLTAGE, OVER_TEMPERATURE, UNDER_VOLTAGE = 34, 38, 40
+REPLY = 0x20, 0x24, 0x28, 0x2C  # subframes of registers as int8, int16, int32, float
+WHOLE = 1.0, 1.0, 1.0  # scales of a whole number
+
+
+class MoteusDevice:
+    """An emulated moteus controller behind the text protocol of an fdcanusb, with checksums as on a UART.
+
+    Parameters
+    ----------
+    plant : Plant
+        Its motor; give it a model that extrapolates, as a controller does.
+    number : int
+        Its address.
+    voltages : (float, float)
+        Least and greatest voltage, V.
+    temperature : float
+        Greatest temperature, degrees Celsius.
+
+    Attributes
+    ----------
+    mode, fault : int
+        As the registers of these names.
+
+    Notes
+    -----
+    Emulated are stop, position mode with its watchdog (mode 11 until a stop) and its limit of speed, latched faults
+    (mode 1 until a stop) and reads of any register, of which those without a meaning here read 0. Not emulated are the
+    limits of acceleration and torque, the damping of a timeout (the shaft is free), other modes and the diagnostic
+    stream. A broken checksum is an error; after a line with a checksum, all need one.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        number: int = 1,
+        *,
+        voltages: tuple[float, float] = (10.0, 46.0),
+        temperature: float = 75.0,
+    ) -> None:
+        self._vendor: Any = extras.load("moteus", "moteus", "emulated moteus controllers")
+        self.plant, self.number, self.voltages, self.temperature = plant, number, voltages, temperature
+        self.mode, self.fault = STOPPED, 0
+        self._deadline = math.inf
+        self._checksums, self._received = False, b""
+
+    def tick(self, t: float) -> bytes:
+        """Advance to time t, s; nothing is sent unasked."""
+        self.plant.advance(t)
+        if self.mode == POSITION:
+            least, greatest = self.voltages
+            if self.plant.temperature > self.temperature:
+                self.fail(OVER_TEMPERATURE)
+            elif not least <= self.plant.voltage <= greatest:
+                self.fail(UNDER_VOLTAGE if self.plant.voltage < least else OVER_VOLTAGE)
+            elif self.plant.t > self._deadline:
+                self._enter(TIMEOUT)
+        return b""
+
+    def fail(self, code: int) -> None:
+        """Enter a fault, which lasts until a stop."""
+        self.fault = code
+        self._enter(FAULT)
+
+    def _enter(self, mode: int) -> None:
+        self.mode = mode
+        self.plant.set_enabled(mode == POSITION)
+
+    # ------------------------------------------------------------------ lines
+
+    def handle(self, data: bytes) -> bytes:
+        """Take bytes from the host; return the lines that answer the complete ones."""
+        *lines, self._received = (self._received + data).replace(b"\r", b"\n").split(b"\n")
+        return b"".join(_checked(answer) for line in lines if line for answer in self._line(line))
+
+    def _line(self, line: bytes) -> list[bytes]:
+        content, star, crc = line.rpartition(b"*")
+        if star:
+            self._checksums = True
+        if self._checksums and crc != b"%02X" % _crc(content):
+            return [b"ERR checksum"]
+        try:
+            can, send, identifier, data, *_ = (content if star else line).split()
+            if (can, send) != (b"can", b"send"):
+                raise ValueError
+            address, frame = int(identifier, 16), bytes.fromhex(data.decode("ascii"))
+        except ValueError:
+            return [b"ERR unknown command"]
+        if address & 0x7F not in (self.number, 0x7F):
+            return [b"OK"]
+        reply = self._frame(frame)
+        if not address & 0x8000 or not reply:
+            return [b"OK"]
+        source = address >> 8 & 0x7F
+        return [b"OK", b"rcv %04x %s E B F" % (self.number << 8 | source, reply.hex().upper().encode("ascii"))]
+
+    # ------------------------------------------------------------------ registers
+
+    def _frame(self, data: bytes) -> bytes:
+        """Carry out the writes of a frame, then return the registers that it reads."""
+        try:
+            parsed = self._vendor.parse_registers(data)
+        except (RuntimeError, struct.error):  # cut off
+            return b""
+        register = self._vendor.Register
+        if register.MODE in parsed.command:
+            self._command(parsed.command[register.MODE], parsed.command)
+        return b"".join(
+            bytes([REPLY[resolution] | 1, *_varuint(index)]) + self._value(index, resolution)
+            for index, resolution in parsed.query
+        )
+
+    def _command(self, mode: int, values: dict[int, float]) -> None:
+        register = self._vendor.Register
+        if mode == STOPPED:
+            self.fault = 0
+            self._enter(STOPPED)
+        elif mode == POSITION and self.mode in (STOPPED, POSITION):
+            angle, rate, torque, watchdog, most = (
+                values.get(each, default)
+                for each, default in (
+                    (register.COMMAND_POSITION, 0.0),
+                    (register.COMMAND_VELOCITY, 0.0),
+                    (register.COMMAND_FEEDFORWARD_TORQUE, 0.0),
+                    (register.COMMAND_TIMEOUT, 0.1),
+                    (register.COMMAND_VELOCITY_LIMIT, math.inf),
+                )
+            )
+            if self.mode == STOPPED:
+                self._enter(POSITION)
+            self._deadline = self.plant.t + watchdog if math.isfinite(watchdog) else math.inf
+            angle = math.tau * angle if math.isfinite(angle) else self.plant.angle
+            self.plant.set_goal(Goal(angle, math.tau * max(-most, min(most, rate)), torque))
+
+    def _value(self, index: int, resolution: int) -> bytes:
+        """Return a register as bytes: as a float, or as an integer that counts steps of its scale."""
+        register, plant = self._vendor.Register, self.plant
+        value, scales = {
+            register.MODE: (self.mode, WHOLE),
+            register.POSITION: (plant.angle / math.tau, (0.01, 1e-4, 1e-5)),
+            register.VELOCITY: (plant.rate / math.tau, (0.1, 2.5e-4, 1e-5)),
+            register.TORQUE: (plant.torque, (0.5, 0.01, 1e-3)),
+            register.VOLTAGE: (plant.voltage, (0.5, 0.1, 1e-3)),
+            register.TEMPERATURE: (plant.temperature, (1.0, 0.1, 1e-3)),
+            register.FAULT: (self.fault, WHOLE),
+        }.get(index, (0.0, WHOLE))
+        if resolution == len(WHOLE):
+            return struct.pack("<f", value)
+        most = 2 ** (8 * 2**resolution - 1) - 1
+        return struct.pack("<" + "bhi"[resolution], max(-most, min(most, round(value / scales[resolution]))))
+
+
+def _varuint(index: int) -> list[int]:
+    return [index] if index < 0x80 else [index & 0x7F | 0x80, index >> 7]
+
+
+def _crc(data: bytes) -> int:
+    """CRC-8 with the polynomial 0x97."""
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x97) & 0xFF if crc & 0x80 else crc << 1
+    return crc
+
+
+def _checked(line: bytes) -> bytes:
+    return b"%s *%02X\r\n" % (line, _crc(line + b" "))
