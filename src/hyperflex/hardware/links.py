@@ -1,15 +1,32 @@
-"""Links by their addresses: "moteus:/dev/ttyACM0?id=2"."""
+"""Drives by their addresses: "moteus:/dev/ttyACM0?id=2", "emulator:moteus"."""
 
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import parse_qsl
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware.drive import Link
-from hyperflex.hardware.moteus import MoteusLink
 
-MAKES: dict[str, tuple[Any, str, dict[str, str]]] = {  # class, example of a port, arguments by option
-    "moteus": (MoteusLink, "/dev/ttyACM0", {"id": "number", "baud": "baud"}),
+EMULATOR = "emulator"
+
+
+@dataclass(frozen=True)
+class Make:
+    """The names of the classes of a make, an example of a port, and the link's arguments by their name in an address."""
+
+    link: str
+    device: str
+    port: str
+    options: dict[str, str] = field(default_factory=lambda: {"id": "number", "baud": "baud"})
+
+
+MAKES = {
+    "moteus": Make("MoteusLink", "MoteusDevice", "/dev/ttyACM0"),
+    "dynamixel": Make("DynamixelLink", "DynamixelDevice", "/dev/ttyUSB0"),
+    "odrive": Make("ODriveLink", "ODriveDevice", "can0", {"id": "number", "bitrate": "bitrate"}),
 }
 
 
@@ -33,17 +50,42 @@ def open_link(address: str, **options: Any) -> Link:
     >>> open_link("moteus:/dev/ttyACM0?id=2").name
     'moteus 2 on /dev/ttyACM0'
     """
-    make, _, place = checks.text("motor", address).partition(":")
+    name, place = _make(address)
+    if name == EMULATOR:
+        raise InvalidInput(
+            "an emulated motor has a port only while it runs",
+            got=address,
+            allowed=f"such as {place}:/dev/pts/1",
+            fix="Start a hyperflex.hardware.emulate.Emulator and give its port",
+        )
+    make = MAKES[name]
     port, _, query = place.partition("?")
-    if make not in MAKES or not port:
-        examples = ", ".join(f"{name}:{example}" for name, (_, example, _) in MAKES.items())
-        what = "the motor's address has no port" if make in MAKES else "the make of the motor is not known"
-        raise InvalidInput(what, got=address, allowed=f"make:port, such as {examples}")
-    link, _, names = MAKES[make]
     given = dict(parse_qsl(query, keep_blank_values=True))
-    checks.keys(f"{make}:", given, names)
-    for name, value in given.items():
+    checks.keys(f"an address of {name}", given, make.options)
+    for key, value in given.items():
         if not value.isdecimal():
-            raise InvalidInput(f"{name} in the motor's address is not a whole number", got=address, allowed="digits")
-        options[names[name]] = int(value)
-    return link(port, **options)
+            raise InvalidInput(f"{key} in the motor's address is not a whole number", got=address, allowed="digits")
+        options[make.options[key]] = int(value)
+    link: Link = getattr(importlib.import_module("hyperflex.hardware"), make.link)(port, **options)
+    return link
+
+
+def emulated_device(address: str) -> tuple[str, Callable[..., Any]] | None:
+    """Return make and class of the device that "emulator:MAKE" means, for an Emulator; None for any other address."""
+    name, place = _make(address)
+    if name != EMULATOR:
+        return None
+    device: Callable[..., Any] = getattr(importlib.import_module("hyperflex.hardware.emulate"), MAKES[place].device)
+    return place, device
+
+
+def _make(address: str) -> tuple[str, str]:
+    """Return what stands before and after the colon of an address."""
+    name, _, place = checks.text("motor", address).partition(":")
+    if name == EMULATOR and place in MAKES:
+        return name, place
+    examples = [f"{make}:{each.port}" for make, each in MAKES.items()] + [f"{EMULATOR}:{make}" for make in MAKES]
+    if name not in MAKES or not place.partition("?")[0]:
+        what = "the motor's address has no port" if name in MAKES else "the motor's address is not known"
+        raise InvalidInput(what, got=address, allowed=f"make:port, such as {', '.join(examples)}")
+    return name, place

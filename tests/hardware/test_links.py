@@ -1,0 +1,50 @@
+"""Addresses of drives: what each means, and what is wrong with a bad one."""
+
+import pytest
+
+from hyperflex.hardware import DynamixelLink, MoteusLink, ODriveLink, open_link
+from hyperflex.hardware.emulate import DynamixelDevice, MoteusDevice, ODriveDevice
+from hyperflex.hardware.links import emulated_device
+from tests.refusals import refuses
+
+
+def test_an_address_names_make_port_and_options():
+    link = open_link("moteus:/dev/ttyACM0?id=2&baud=115200", watchdog=0.05)
+    assert isinstance(link, MoteusLink)
+    assert (link.port, link.number, link.baud, link.watchdog) == ("/dev/ttyACM0", 2, 115_200, 0.05)
+    link = open_link("dynamixel:/dev/ttyUSB0?baud=57600")
+    assert isinstance(link, DynamixelLink)
+    assert (link.number, link.baud) == (1, 57_600)
+    link = open_link("odrive:can0?id=3&bitrate=500000")
+    assert isinstance(link, ODriveLink)
+    assert (link.channel, link.number, link.bitrate) == ("can0", 3, 500_000)
+
+
+def test_an_emulated_drive_is_a_device_and_no_port():
+    assert emulated_device("emulator:moteus") == ("moteus", MoteusDevice)
+    assert emulated_device("emulator:dynamixel") == ("dynamixel", DynamixelDevice)
+    assert emulated_device("emulator:odrive") == ("odrive", ODriveDevice)
+    assert emulated_device("moteus:/dev/ttyACM0") is None
+    refuses("only while it runs.*Start a", open_link, "emulator:moteus")
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("", "not known.*moteus:/dev/ttyACM0"),
+        ("/dev/ttyACM0", "not known.*make:port"),
+        ("servo:/dev/ttyACM0", "not known"),
+        ("moteus", "no port"),
+        ("moteus:", "no port"),
+        ("moteus:?id=1", "no port"),
+        ("emulator:servo", "not known.*emulator:moteus"),
+        ("moteus:/dev/ttyACM0?number=1", "does not know this key"),
+        ("odrive:can0?baud=1000", "does not know this key.*bitrate"),
+        ("moteus:/dev/ttyACM0?id=one", "id .* is not a whole number"),
+        ("moteus:/dev/ttyACM0?id=", "id .* is not a whole number"),
+        ("moteus:/dev/ttyACM0?id=127", "moteus id"),
+        (3, "not text"),
+    ],
+)
+def test_a_bad_address_is_refused(address, words):
+    refuses(words, open_link, address)
