@@ -15,7 +15,7 @@ EMULATOR = "emulator"
 
 @dataclass(frozen=True)
 class Make:
-    """The names of the classes of a make, an example of a port, and the link's arguments by their name in an address."""
+    """Names of the classes of a make, an example of a port, and the link's arguments by their names in an address."""
 
     link: str
     device: str
