@@ -27,7 +27,7 @@ def servo(**options) -> DynamixelDevice:
 
 @contextmanager
 def link_to(wire: Wire, **options):
-    link = DynamixelLink(wire.port, **{"watchdog": 2.0} | options)
+    link = DynamixelLink(wire.port, **{"watchdog": 2.0, "patience": 0.3} | options)
     link.open()
     try:
         yield link
@@ -38,8 +38,7 @@ def link_to(wire: Wire, **options):
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Wait longer than a busy machine may take: what is tested here is order and content, not speed."""
-    monkeypatch.setattr(dynamixel, "PATIENCE", 0.3)
-    monkeypatch.setattr(dynamixel, "PATIENCE_OPENING", 0.3)
+    monkeypatch.setattr(dynamixel, "SILENCE", 0.3)
     monkeypatch.setattr(dynamixel, "CONFIRM", 5.0)
 
 
@@ -166,12 +165,12 @@ def test_a_hardware_error_switches_the_torque_off_and_needs_a_reboot():
 def test_a_spoiled_reply_is_no_reply_and_the_next_one_counts(spoiled):
     device = servo()
     with Wire(device) as wire, link_to(wire) as link:
-        link._bus.patience = 0.05
+        link.patience = 0.05
         wire.spoil = spoiled
         with pytest.raises(NoReply):
             link.read()
         wire.spoil = lambda reply: [reply]
-        link._bus.patience = 1.0
+        link.patience = 1.0
         assert link.read().angle == 0.0
 
 
@@ -180,19 +179,18 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_a_later_request():
     with Wire(device) as wire, link_to(wire) as link:
         held = []
         wire.spoil = lambda reply: held.append(reply) or []
-        link._bus.patience = 0.02
+        link.patience = 0.02
         with pytest.raises(NoReply):
             link.read()
         device.plant.impose(encoder_turns=1.0)  # what the late reply tells is no longer true
         wire.spoil = lambda reply: [held[0], reply]
-        link._bus.patience = 1.0
-        for _ in range(6):  # reads have three lengths: at every third one only the device's clock tells
-            time.sleep(5e-3)
+        link.patience = 1.0
+        for _ in range(31):  # all but the request to which it would be the answer in a second round
             assert link.read().angle == pytest.approx(math.tau)
 
 
 def test_it_is_enabled_in_spite_of_lost_packets_and_never_with_an_old_goal(monkeypatch):
-    monkeypatch.setattr(dynamixel, "PATIENCE_OPENING", 0.02)
+    monkeypatch.setattr(dynamixel, "SILENCE", 0.02)
     device = servo()
     with Wire(device) as wire, link_to(wire) as link:
         device.plant.impose(encoder_turns=0.25)
@@ -212,7 +210,8 @@ def test_it_is_enabled_in_spite_of_lost_packets_and_never_with_an_old_goal(monke
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr(dynamixel, "PATIENCE_OPENING", 0.05)
+    for name in ("SILENCE", "CONFIRM", "START"):
+        monkeypatch.setattr(dynamixel, name, 0.1)
 
 
 @pytest.mark.usefixtures("quick")
@@ -259,8 +258,7 @@ def test_an_adapter_that_holds_replies_back_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(dynamixel, "LATENCY_FILE", str(tmp_path / "latency"))
     with Wire(servo()) as wire:
         link = DynamixelLink(wire.port)
-        monkeypatch.setattr(dynamixel, "PATIENCE", 4e-3)
-        with pytest.warns(UserWarning, match=r"holds replies back for 16 ms, so at most 50 goals a second"):
+        with pytest.warns(UserWarning, match=r"holds replies back for 16 ms, so at most 48 goals a second"):
             link.open()
         link.close()
 

@@ -12,30 +12,55 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from hyperflex import extras
+from hyperflex import checks, extras
 from hyperflex.errors import DriveError
 from hyperflex.hardware.drive import CONFIRM, SILENCE, Goal, NoReply, Reading
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
-PATIENCE = 4e-3  # s for a reply beyond its transmission; servos answer within 0.5 ms, so five ms make a cycle
-PATIENCE_OPENING = 0.04  # s for a reply while nothing is streamed: adapters may hold it back for 16 ms
 BAUD_RATES = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)  # the factory's first
 COUNTS = 4096  # of a turn
 RATE_UNIT = 0.229 * math.tau / 60.0  # rad/s
+START = 1.0  # s that a servo may take to answer after it was switched on or rebooted
 LATENCY_FILE = "/sys/class/tty/{}/device/latency_timer"  # of FTDI adapters, ms
 
 HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "motor encoder", 4: "electrical shock", 5: "overload"}
 
-# Registers that one read brings, through indirect addresses: torque enable, hardware error, bus watchdog; present
-# current, velocity, position; voltage, temperature; the device's clock. Two more make reads of three lengths.
-STATE = (64, 70, 98, *range(126, 136), 144, 145, 146, 120, 121)
-STATE_LAYOUT = struct.Struct("<BBBhiiHBH")
-FILLER = (122, 123)
-CLOCK_WRAPS = 32.768  # s after which the device's clock, in ms, begins again
+
+class Register(IntEnum):
+    """Addresses in the control table of the X series."""
+
+    DELAY = 9  # of replies
+    DRIVE_MODE = 10
+    OPERATING_MODE = 11
+    CURRENT_LIMIT = 38
+    TORQUE_ENABLE = 64
+    RETURN_LEVEL = 68  # what is answered
+    HARDWARE_ERROR = 70
+    WATCHDOG = 98
+    GOAL_CURRENT = 102
+    PROFILE = 108  # acceleration and velocity
+    GOAL = 116
+    CURRENT = 126
+    RATE = 128
+    POSITION = 132
+    VOLTAGE = 144
+    TEMPERATURE = 146
+    INDIRECT = 168  # the addresses that follow are those behind the indirect data
+
+
+# What one read brings through the indirect data, byte by byte.
+STATE = (
+    *(Register.TORQUE_ENABLE, Register.HARDWARE_ERROR, Register.WATCHDOG),
+    *range(Register.CURRENT, Register.POSITION + 4),
+    *(Register.VOLTAGE, Register.VOLTAGE + 1, Register.TEMPERATURE),
+)
+STATE_LAYOUT = struct.Struct("<BBBhiiHB")
+LENGTHS = 32  # of reads, by turns: a late reply is told by its length, unless it is later than so many requests
 
 
 @dataclass(frozen=True)
@@ -93,7 +118,13 @@ class DynamixelLink:
     number : int
         ID of the servo, 0 to 252.
     baud : int
-        Rate of the bus, bit/s. Servos leave the factory at 57,600, which allows 60 goals a second.
+        Rate of the bus, bit/s. Servos leave the factory at 57,600, which allows 50 goals a second.
+    watchdog : float
+        Time without a request, s, after which the servo stops; it counts in 20 ms.
+    patience : float
+        Time that a request may take beyond its transmission, s. A servo answers within 0.5 ms.
+    clock : callable
+        Monotonic time, s, of the stamps.
 
     Notes
     -----
@@ -104,20 +135,32 @@ class DynamixelLink:
 
     The bus watchdog does not switch the torque off: the servo stops and holds where it is, and refuses goals until its
     torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it counts its turns
-    from zero again. Each exchange is a write without reply and a read. Reads take three lengths by turns, and
-    bring the device's clock, so that a late reply cannot pass for the answer to a later request.
+    from zero again.
+
+    Each exchange is a write without reply and a read. Reads take 32 lengths by turns, so that a late reply cannot pass
+    for the answer to a later request.
     """
 
     takes: frozenset[str] = frozenset()
 
-    def __init__(self, port: str, number: int = 1, baud: int = 1_000_000, watchdog: float = 0.1) -> None:
-        self.port, self.number, self.baud = port, number, baud
-        self.name = f"dynamixel {number} on {port}"
-        self.clock = time.monotonic
-        self.watchdog = 0.02 * max(1, min(127, round(watchdog / 0.02)))  # s; the device counts in 20 ms
+    def __init__(
+        self,
+        port: str,
+        number: int = 1,
+        *,
+        baud: int = 1_000_000,
+        watchdog: float = 0.1,
+        patience: float = 4e-3,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.port, self.number = checks.text("port", port), checks.count("dynamixel id", number, least=0, most=252)
+        self.baud = checks.count("baud", baud)
+        units = round(checks.number("watchdog", watchdog, sign="positive", unit="s") / 0.02)
+        self.watchdog = 0.02 * max(1, min(127, units))
+        self.patience = checks.number("patience", patience, sign="positive", unit="s")
+        self.clock, self.name = clock, f"dynamixel {number} on {port}"
         self.servo = Servo("unknown")
         self._requests = 0
-        self._last: tuple[float, float] | None = None  # when the last state came, by the host's and the device's clock
         self._bus: Any = None
 
     # ------------------------------------------------------------------ connection
@@ -132,7 +175,6 @@ class DynamixelLink:
         try:
             self._identify()
             self._prepare()
-            self._bus.patience = PATIENCE + self._bus.latency
         except BaseException:
             self.close()
             raise
@@ -144,7 +186,7 @@ class DynamixelLink:
                 self._bus.serial.close()
 
     def _identify(self) -> None:
-        answer = self._ping()
+        answer = self._ping(START)
         if not answer:
             raise DriveError(f"{self.name} {self._elsewhere()}")
         model, firmware = struct.unpack("<HB", answer)
@@ -157,19 +199,21 @@ class DynamixelLink:
                 f"{self.name}: firmware {firmware} has no bus watchdog. Update it with Dynamixel Wizard (38 or later)."
             )
 
-    def _ping(self) -> bytes:
-        """Return model number and firmware as the servo sends them, nothing if three pings get no reply."""
-        for _ in range(3):
+    def _ping(self, seconds: float) -> bytes:
+        """Return model number and firmware as the servo sends them, nothing if it does not answer for a time."""
+        until = time.monotonic() + seconds
+        while True:
             with suppress(NoReply):
                 return self._request(1, b"", 3)
-        return b""
+            if time.monotonic() > until:
+                return b""
 
     def _elsewhere(self) -> str:
         """Return what is wrong with a servo that does not answer: its rate or its ID, or neither is known."""
         for baud in BAUD_RATES:
             with suppress(ValueError, OSError):  # a rate that the adapter does not have
                 self._bus.serial.baudrate = baud
-            if baud != self.baud and self._ping():
+            if baud != self.baud and self._ping(CONFIRM):
                 return f"answers at {baud} baud, not at {self.baud}. Give that rate, or set it with Dynamixel Wizard."
         self._bus.serial.baudrate = self.baud
         self._bus.is_using = False
@@ -181,10 +225,9 @@ class DynamixelLink:
 
     def _prepare(self) -> None:
         """Make the servo answer reads only, and gather its state in one block. Both last until it loses power."""
-        self._last = None
-        self._put(68, b"\x01")  # unasked: at level 0 it would not say what it is
-        self._set(68, b"\x01")
-        self._set(168, struct.pack("<20H", *STATE, *FILLER))
+        self._put(Register.RETURN_LEVEL, b"\x01")  # unasked: at level 0 it would not say what it is
+        self._set(Register.RETURN_LEVEL, b"\x01")
+        self._set(Register.INDIRECT, struct.pack(f"<{len(STATE)}H", *STATE))
 
     # ------------------------------------------------------------------ link
 
@@ -192,12 +235,10 @@ class DynamixelLink:
         """Return the state."""
         sent = self.clock()
         self._requests += 1
-        length = len(STATE) + self._requests % (len(FILLER) + 1)
-        where = struct.pack("<HH", self.servo.indirect, length)
-        data = self._request(2, where, length, lambda data: self._measured_since(sent, data))
-        received = self.clock()
-        on, error, watchdog, current, rate, position, voltage, temperature, tick = STATE_LAYOUT.unpack_from(data)
-        self._last = received, 1e-3 * tick
+        more = self._requests % LENGTHS  # bytes before the block
+        where = struct.pack("<HH", self.servo.indirect - more, len(STATE) + more)
+        data = self._request(2, where, len(STATE) + more, self.patience)[more:]
+        on, error, watchdog, current, rate, position, voltage, temperature = STATE_LAYOUT.unpack(data)
         return Reading(
             angle=position * math.tau / COUNTS,
             rate=rate * RATE_UNIT,
@@ -207,57 +248,43 @@ class DynamixelLink:
             enabled=bool(on),
             fault=_fault(error, watchdog),
             sent=sent,
-            received=received,
+            received=self.clock(),
         )
-
-    def _measured_since(self, sent: float, data: bytes) -> bool:
-        """Return whether a state was measured after its request, by the device's clock since the last state."""
-        if self._last is None:
-            return True
-        received, then = self._last
-        ahead = 1e-3 * STATE_LAYOUT.unpack_from(data)[-1] - then - (sent - received)
-        half = 0.5 * CLOCK_WRAPS
-        return bool((ahead + half) % CLOCK_WRAPS - half > -2e-3)  # s: two steps of that clock
 
     def enable(self, limits: MotorLimits) -> None:
         """Arm watchdog and torque limit, and switch the torque on where the shaft is."""
-        self._bus.patience = PATIENCE_OPENING
         limited = bool(self.servo.current) and math.isfinite(limits.torque)
-        self._set(9, b"\x00")  # no delay of replies
-        self._set(10, bytes([self._get(10, 1)[0] & 1]))  # no profile by time, no torque on by a goal; direction stays
-        self._set(11, b"\x05" if limited else b"\x04")
+        self._set(Register.DELAY, b"\x00")
+        direction = self._get(Register.DRIVE_MODE, 1)[0] & 1
+        self._set(Register.DRIVE_MODE, bytes([direction]))  # no profile by time, no torque on by a goal
+        self._set(Register.OPERATING_MODE, b"\x05" if limited else b"\x04")
         if limited:
-            most = int.from_bytes(self._get(38, 2), "little")
-            self._set(102, min(most, int(limits.torque / self.servo.torque)).to_bytes(2, "little"))
-        self._set(108, bytes(8))  # no profile: goals are streamed
-        self._set(98, b"\x00")
-        self._set(98, bytes([round(self.watchdog / 0.02)]))
+            most = int.from_bytes(self._get(Register.CURRENT_LIMIT, 2), "little")
+            current = min(most, int(limits.torque / self.servo.torque))
+            self._set(Register.GOAL_CURRENT, current.to_bytes(2, "little"))
+        self._set(Register.PROFILE, bytes(8))  # none: goals are streamed
+        self._set(Register.WATCHDOG, bytes([round(self.watchdog / 0.02)]))
         self._hold()
-        self._set(64, b"\x01")
-        self._bus.patience = PATIENCE + self._bus.latency
+        self._set(Register.TORQUE_ENABLE, b"\x01")
 
     def send(self, goal: Goal) -> Reading:
         """Send a raw goal and return the state after it."""
-        self._put(116, struct.pack("<i", round(goal.angle * COUNTS / math.tau)))
+        self._put(Register.GOAL, struct.pack("<i", round(goal.angle * COUNTS / math.tau)))
         return self.read()
 
     def disable(self) -> None:
         """Switch the torque off; the state tells whether it is."""
-        self._put(64, b"\x00")
+        self._put(Register.TORQUE_ENABLE, b"\x00")
 
     def clear(self) -> None:
         """Clear the watchdog's fault; after a hardware error reboot the servo."""
-        self._bus.patience = PATIENCE_OPENING
-        self._set(98, b"\x00")
-        if self._get(70, 1)[0]:
+        self._set(Register.WATCHDOG, b"\x00")
+        if self._get(Register.HARDWARE_ERROR, 1)[0]:
             with suppress(NoReply):
                 self._request(8, b"", 0)
-            until = time.monotonic() + 2.0
-            while not self._ping():
-                if time.monotonic() > until:
-                    raise DriveError(f"{self.name} does not answer after its reboot.")
+            if not self._ping(START):
+                raise DriveError(f"{self.name} does not answer after its reboot.")
             self._prepare()
-        self._bus.patience = PATIENCE + self._bus.latency
 
     # ------------------------------------------------------------------ registers
 
@@ -290,28 +317,24 @@ class DynamixelLink:
         """Make the present position the goal, so that the torque comes on without a jerk."""
         until = time.monotonic() + CONFIRM
         while time.monotonic() < until:
-            block = self._get(116, 20)
+            block = self._get(Register.GOAL, 20)
             goal, position = struct.unpack("<i12xi", block)
             if abs(goal - position) <= COUNTS // 256:  # 1.4 degrees: the arm may swing meanwhile
                 return
-            self._put(116, block[16:])
+            self._put(Register.GOAL, block[16:])
         raise DriveError(f"{self.name} does not accept its present position as goal.")
 
-    def _request(
-        self, instruction: int, parameters: bytes, length: int, valid: Callable[[bytes], bool] = lambda data: True
-    ) -> bytes:
-        """Send an instruction, and return the parameters of the first valid reply of this servo with that length."""
+    def _request(self, instruction: int, parameters: bytes, length: int, patience: float = SILENCE) -> bytes:
+        """Send an instruction, and return the parameters of the first reply of this servo that has a length."""
         packet = [0, 0, 0, 0, self.number, *struct.pack("<H", len(parameters) + 3), instruction, *parameters, 0, 0]
         with _as_os_error():
             self._bus.is_using = False  # an interrupt may have left it set
             self._packets.txPacket(self._bus, packet)
-            self._bus.setPacketTimeout(length + 11)
+            self._bus.wait_for(length + 11, patience + self._bus.latency)
             while not self._bus.isPacketTimeout():
                 status, result = self._packets.rxPacket(self._bus, False)
                 if result == 0 and status[4] == self.number and status[5] + 256 * status[6] == length + 4:
-                    data = bytes(status[9 : 9 + length])
-                    if valid(data):
-                        return data
+                    return bytes(status[9 : 9 + length])
         raise NoReply(f"{self.name}: no valid reply")
 
 
@@ -329,7 +352,6 @@ class _Bus:
         except (OSError, ValueError) as error:
             raise open_problem(port, error) from None
         self.is_using = False
-        self.patience = PATIENCE_OPENING
         self.latency = self._lower_latency(port)
         self._until = 0.0
         self._sent = 0  # bytes that may still be in transmission
@@ -344,8 +366,8 @@ class _Bus:
             latency = 1e-3 * int(file.read_text("utf-8"))
         except (OSError, ValueError):
             return 0.0  # not an FTDI adapter
-        if latency > PATIENCE:
-            rate = 1.0 / (latency + PATIENCE)
+        if latency > 2e-3:  # s; a cycle of 5 ms has no time for more
+            rate = 1.0 / (latency + 5e-3)
             text = f"{port}: the adapter holds replies back for {1e3 * latency:.0f} ms, so at most {rate:.0f} goals a "
             warnings.warn(f"{text}second are possible. Mend it: echo 1 | sudo tee {file}", UserWarning, stacklevel=5)
         return latency
@@ -364,9 +386,10 @@ class _Bus:
         select.select([self.serial], [], [], max(0.0, self._until - time.monotonic()))
         return bytes(self.serial.read(length))
 
-    def setPacketTimeout(self, length: int) -> None:
+    def wait_for(self, length: int, patience: float) -> None:
+        """Wait for a reply of some bytes: for their transmission, that of the request, and a patience, s."""
         transmission = 10.0 * (length + self._sent) / self.serial.baudrate  # ten bits a byte
-        self._until, self._sent = time.monotonic() + self.patience + transmission, 0
+        self._until, self._sent = time.monotonic() + patience + transmission, 0
 
     def setPacketTimeoutMillis(self, milliseconds: float) -> None:
         self._until, self._sent = time.monotonic() + 1e-3 * milliseconds, 0

@@ -6,51 +6,69 @@ Sources: the CAN protocol and the DBC file of firmware 0.6.10 and 0.6.11, python
 import math
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from enum import IntEnum, IntFlag
 from typing import Any
 
-from hyperflex import extras
+from hyperflex import checks, extras
 from hyperflex.errors import DriveError
 from hyperflex.hardware.drive import CONFIRM, SILENCE, SLACK, Goal, NoReply, Reading
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
-PATIENCE = 4e-3  # s for all replies of a cycle; at 1 Mbit/s they take 1 ms, at 250 kbit/s 3 ms
-FIRST_HEARTBEAT = 1.0  # s for the first one after the bus was opened; the default is one each 0.1 s
-OLDEST_HEARTBEAT = 0.25  # s; without a newer one nobody knows whether the axis is armed
+LATEST = 0.02  # s after its request at which a frame counts as lost; adapters and busy hosts delay frames by some ms
+FIRST_HEARTBEAT = 1.0  # s for the first one after the bus was opened
 
-VERSION, HEARTBEAT, ERROR, AXIS_STATE, ENCODER = 0x00, 0x01, 0x03, 0x07, 0x09
-MODE, INPUT_POS, LIMITS, CURRENTS, TEMPERATURE, VOLTAGE = 0x0B, 0x0C, 0x0F, 0x14, 0x15, 0x17
-CLEAR, TORQUES, POWERS = 0x18, 0x1C, 0x1D
-IDLE, CLOSED_LOOP = 1, 8  # states of an axis
-MARKERS = (VOLTAGE, TEMPERATURE, VERSION, CURRENTS, POWERS)  # one a cycle: what comes before another one is late
-WATCHDOG_EXPIRED = 1 << 24
 
-ERRORS = {
-    1 << 0: "initializing",
-    1 << 1: "system level",
-    1 << 2: "timing error",
-    1 << 3: "missing estimate",
-    1 << 4: "bad config",
-    1 << 5: "gate driver fault",
-    1 << 6: "missing input",
-    1 << 8: "DC bus over voltage",
-    1 << 9: "DC bus under voltage",
-    1 << 10: "DC bus over current",
-    1 << 11: "DC bus over regen current",
-    1 << 12: "current limit violation",
-    1 << 13: "motor over temperature",
-    1 << 14: "inverter over temperature",
-    1 << 15: "velocity limit violation",
-    1 << 16: "position limit violation",
-    WATCHDOG_EXPIRED: "watchdog expired",
-    1 << 25: "emergency stop requested",
-    1 << 26: "spinout detected",
-    1 << 27: "brake resistor disarmed",
-    1 << 28: "thermistor disconnected",
-    1 << 30: "calibration error",
-}
+class Message(IntEnum):
+    """Numbers of messages."""
+
+    VERSION = 0x00
+    HEARTBEAT = 0x01
+    AXIS_STATE = 0x07
+    ENCODER = 0x09
+    MODE = 0x0B
+    INPUT_POS = 0x0C
+    LIMITS = 0x0F
+    TEMPERATURE = 0x15
+    VOLTAGE = 0x17
+    CLEAR = 0x18
+    TORQUES = 0x1C
+
+
+class AxisState(IntEnum):
+    """States of an axis that matter here."""
+
+    IDLE = 1
+    CLOSED_LOOP = 8
+
+
+class Error(IntFlag):
+    """Errors of an axis."""
+
+    INITIALIZING = 1 << 0
+    SYSTEM_LEVEL = 1 << 1
+    TIMING_ERROR = 1 << 2
+    MISSING_ESTIMATE = 1 << 3
+    BAD_CONFIG = 1 << 4
+    GATE_DRIVER_FAULT = 1 << 5
+    MISSING_INPUT = 1 << 6
+    DC_BUS_OVER_VOLTAGE = 1 << 8
+    DC_BUS_UNDER_VOLTAGE = 1 << 9
+    DC_BUS_OVER_CURRENT = 1 << 10
+    DC_BUS_OVER_REGEN_CURRENT = 1 << 11
+    CURRENT_LIMIT_VIOLATION = 1 << 12
+    MOTOR_OVER_TEMPERATURE = 1 << 13
+    INVERTER_OVER_TEMPERATURE = 1 << 14
+    VELOCITY_LIMIT_VIOLATION = 1 << 15
+    POSITION_LIMIT_VIOLATION = 1 << 16
+    WATCHDOG_EXPIRED = 1 << 24
+    EMERGENCY_STOP_REQUESTED = 1 << 25
+    SPINOUT_DETECTED = 1 << 26
+    BRAKE_RESISTOR_DISARMED = 1 << 27
+    THERMISTOR_DISCONNECTED = 1 << 28
+    CALIBRATION_ERROR = 1 << 30
 
 
 class ODriveLink:
@@ -68,32 +86,42 @@ class ODriveLink:
         Of the bus, bit/s. A socketcan interface has its rate from ``ip link``.
     watchdog : float
         What `watchdog_timeout` of the axis is set to, s.
+    trial : bool
+        Whether the first :meth:`enable` tries the watchdog.
     torque_constant : float
         Of the motor, N m/A (8.27 / KV); 0 if it is not known. With it, the limits are set in the device.
+    patience : float
+        Time that a request may take, s.
+    clock : callable
+        Monotonic time, s, of the stamps.
 
     Notes
     -----
-    CANSimple cannot set the watchdog, so it must have been set with odrivetool before::
+    CANSimple sets neither the watchdog nor the rates of messages, so set them with odrivetool once::
 
         odrv0.axis0.config.watchdog_timeout = 0.1
         odrv0.axis0.config.enable_watchdog = True
         odrv0.axis0.config.can.heartbeat_msg_rate_ms = 10
         odrv0.axis0.config.can.encoder_msg_rate_ms = 0
+        odrv0.axis0.config.can.torques_msg_rate_ms = 10
+        odrv0.axis0.config.can.bus_voltage_msg_rate_ms = 100
+        odrv0.axis0.config.can.temperature_msg_rate_ms = 100
         odrv0.save_configuration()
 
-    Nor does any message tell whether it is armed. Therefore the first :meth:`enable` tries it: with the torque on and
+    Angle and rate answer a request in each cycle. State and errors come with the heartbeat, so they are up to 10 ms
+    old; torque, voltage and temperature are those of the last message, NaN if the axis sends none.
+
+    No message tells whether the watchdog is armed. Therefore the first :meth:`enable` tries it: with the torque on and
     the arm at rest, it sends nothing for a little longer than the watchdog's time. An axis that is not disarmed by then
-    is refused. Other cyclic messages than the heartbeat must be off.
+    is refused.
 
-    Frames of CANSimple bear no number. One message in each cycle, of five that take turns, tells to which cycle the
-    others belong. A single frame that an adapter delays for some cycles can still pass for a newer one of its kind, if
-    that one is lost.
+    Frames bear no number. After one that is missing, nothing is asked for until it has come, or for 20 ms, while goals
+    are still sent: a frame that is later than that may pass for a newer one.
 
-    State and torque are those of the motor's shaft: a gear between it and the arm is not known here. The axis must be
-    calibrated.
+    Values are those of the motor's shaft: a gear between it and the arm is not known here. The axis must be calibrated.
     """
 
-    takes: frozenset[str] = frozenset({"rate", "torque"})
+    takes = frozenset({"rate", "torque"})
 
     def __init__(
         self,
@@ -103,43 +131,44 @@ class ODriveLink:
         interface: str = "",
         bitrate: int = 250_000,
         watchdog: float = 0.1,
+        trial: bool = True,
         torque_constant: float = 0.0,
+        patience: float = 4e-3,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.channel, self.number, self.bitrate = channel, number, bitrate
+        self.channel = checks.text("channel", channel)
+        self.number = checks.count("odrive id", number, least=0, most=63)
         self.interface = interface or ("slcan" if channel.startswith("/") else "socketcan")
-        self.watchdog, self.torque_constant = watchdog, torque_constant
-        self.name = f"odrive {number} on {channel}"
-        self.clock = time.monotonic
+        self.bitrate = checks.count("bitrate", bitrate)
+        self.watchdog = checks.number("watchdog", watchdog, sign="positive", unit="s")
+        self.torque_constant = checks.number("torque_constant", torque_constant, sign="nonnegative", unit="N m/A")
+        self.patience = checks.number("patience", patience, sign="positive", unit="s")
+        self.clock, self.name = clock, f"odrive {number} on {channel}"
+        self._trial = bool(trial)
         self._bus: Any = None
-        self._heartbeat = 0.0, 0  # when, and the state of the axis
-        self._tried = False  # the watchdog
-        self._cycle = 0
-        self._slow: dict[int, bytes] = {}  # last replies to the markers
+        self._messages: dict[int, bytes] = {}  # the newest of each kind
+        self._beat = -math.inf  # when the last heartbeat came, s
+        self._asked = -math.inf  # when the encoder was asked for last, s
+        self._missing = 0  # replies of the encoder that have not come
 
     # ------------------------------------------------------------------ connection
 
     def open(self) -> None:
         """Open the bus and find the axis; its torque stays as it is."""
         extras.require(("can",), "odrive", "ODrive controllers")
-        self._tried = False
         self._bus = self._open_bus()
+        self._messages, self._beat, self._missing = {}, -math.inf, 0
         try:
             with _as_os_error():
-                self._await_heartbeat()
-                firmware = self._firmware()
-                if firmware < (0, 6):
-                    had = ".".join(map(str, firmware))
-                    raise DriveError(f"{self.name}: firmware {had} speaks another CANSimple. Update it to 0.6.")
+                self._identify()
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
         """Close the bus."""
-        import can
-
         if self._bus is not None:
-            with suppress(OSError, can.CanError):
+            with suppress(OSError), _as_os_error():
                 self._bus.shutdown()
 
     def _open_bus(self) -> Any:
@@ -147,7 +176,7 @@ class ODriveLink:
 
         options: dict[str, Any] = {"bitrate": self.bitrate}
         if self.interface == "slcan":
-            options["sleep_after_open"] = 0.1  # s; adapters that do not reset when they are opened need none
+            options["sleep_after_open"] = 0.1  # s; python-can waits 2 s, for adapters that reset when they are opened
         try:
             return can.Bus(channel=self.channel, interface=self.interface, **options)
         except (OSError, ValueError, can.CanError) as error:
@@ -156,34 +185,37 @@ class ODriveLink:
             fix = f"Set it up: sudo ip link set {self.channel} up type can bitrate {self.bitrate}"
             raise DriveError(f"{self.channel}: no CAN interface of that name is ready ({error}). {fix}.") from None
 
-    def _await_heartbeat(self) -> None:
-        """Wait for the axis, or say who else is on the bus."""
-        until, others = time.monotonic() + FIRST_HEARTBEAT, set()
-        while (rest := until - time.monotonic()) > 0.0:
-            if frame := self._receive(rest):
-                node, command, _ = frame
-                if (node, command) == (self.number, HEARTBEAT):
-                    return
-                if (node, command) == (self.number, ENCODER):
-                    fix = "Set axis0.config.can.encoder_msg_rate_ms = 0 with odrivetool"
-                    raise DriveError(f"{self.name} sends its encoder's estimates unasked. {fix}.")
-                others.add(node)
-        if others:
-            raise DriveError(
-                f"{self.name} sends no heartbeat. Nodes on this bus: {', '.join(map(str, sorted(others)))}."
-            )
-        fix = f"Check power, wiring, termination, and that the bus runs at {self.bitrate} bit/s"
-        raise DriveError(f"{self.name}: nothing is heard on the bus. {fix}.")
+    def _identify(self) -> None:
+        """Wait for the axis and check what it sends, or say who else is on the bus."""
+        others: set[int] = set()
 
-    def _firmware(self) -> tuple[int, ...]:
+        def found(node: int, _: int) -> bool:
+            others.add(node)
+            return node == self.number and self._beat > -math.inf
+
+        if not self._listen(FIRST_HEARTBEAT, found):
+            if others:
+                nodes = ", ".join(map(str, sorted(others)))
+                raise DriveError(f"{self.name} sends no heartbeat. Nodes on this bus: {nodes}.")
+            fix = f"Check power, wiring, termination, and that the bus runs at {self.bitrate} bit/s"
+            raise DriveError(f"{self.name}: nothing is heard on the bus. {fix}.")
+        first = self._beat
+        if not self._listen(SILENCE, lambda *_: self._beat > first):
+            fix = "Set axis0.config.can.heartbeat_msg_rate_ms = 10 with odrivetool"
+            raise DriveError(f"{self.name} sends its heartbeat less than once in {1e3 * SILENCE:.0f} ms. {fix}.")
+        if Message.ENCODER in self._messages:
+            fix = "Set axis0.config.can.encoder_msg_rate_ms = 0 with odrivetool"
+            raise DriveError(f"{self.name} sends its encoder's estimates unasked. {fix}.")
         for _ in range(3):
-            self._send(VERSION)
-            until = time.monotonic() + 10.0 * PATIENCE
-            while (rest := until - time.monotonic()) > 0.0:
-                frame = self._receive(rest)
-                if frame and frame[:2] == (self.number, VERSION):
-                    return tuple(frame[2][4:7])
-        raise DriveError(f"{self.name} does not tell its version: it is no ODrive with firmware 0.6.")
+            self._send(Message.VERSION)
+            if self._listen(SILENCE, lambda *_: Message.VERSION in self._messages):
+                break
+        else:
+            raise DriveError(f"{self.name} does not tell its version: it is no ODrive with firmware 0.6.")
+        firmware = tuple(self._messages[Message.VERSION][4:7])
+        if firmware < (0, 6):
+            had = ".".join(map(str, firmware))
+            raise DriveError(f"{self.name}: firmware {had} speaks another CANSimple. Update it to 0.6.")
 
     # ------------------------------------------------------------------ link
 
@@ -193,49 +225,55 @@ class ODriveLink:
 
     def enable(self, limits: MotorLimits) -> None:
         """Set the limits, switch the torque on where the shaft is, and try the watchdog if that was not done before."""
-        if self.torque_constant > 0.0 and math.isfinite(limits.torque):
-            speed = SLACK * limits.speed / math.tau
-            self._put(LIMITS, struct.pack("<ff", speed, SLACK * limits.torque / self.torque_constant))
-        self._put(MODE, struct.pack("<II", 3, 1))  # position control, inputs passed through
-        self._arm()
-        if not self._tried:
+        self._arm(limits)
+        if self._trial:
             self._try_watchdog()
-            self._arm()
-            self._tried = True
+            self._arm(limits)
+            self._trial = False
 
     def send(self, goal: Goal) -> Reading:
         """Send a raw goal and return the state after it."""
         return self._exchange(_input(goal))
 
     def disable(self) -> None:
-        """Make the axis idle; the state tells whether it is."""
-        self._put(AXIS_STATE, struct.pack("<I", IDLE))
+        """Make the axis idle; the state tells whether it is, as soon as the next heartbeat has come."""
+        self._put(Message.AXIS_STATE, struct.pack("<I", AxisState.IDLE))
+        self._expect(AxisState.CLOSED_LOOP)
 
     def clear(self) -> None:
-        """Clear all errors."""
-        self._put(CLEAR, b"\x00")
+        """Clear all errors, and wait until they are."""
+        self._put(Message.CLEAR, b"\x00")
+        with _as_os_error():
+            self._listen(2.0 * SILENCE, lambda node, command: command == Message.HEARTBEAT and not self._errors)
 
-    def _arm(self) -> None:
+    def _arm(self, limits: MotorLimits) -> None:
         """Go into closed-loop control with the present angle as goal, feeding the watchdog meanwhile."""
         here = _input(Goal(self._persist().angle))
-        self._put(INPUT_POS, here)
-        self._put(AXIS_STATE, struct.pack("<I", CLOSED_LOOP))
-        until = time.monotonic() + 2.0 * OLDEST_HEARTBEAT
-        state = self._persist(here)
-        while not state.enabled and not state.fault and time.monotonic() < until:
-            state = self._persist(here)
-        if not state.enabled:
-            self.disable()
-            why = state.fault or "it stays idle: calibrate it with odrivetool"
-            raise DriveError(f"{self.name} does not switch its torque on ({why}).")
+        self._expect(AxisState.IDLE)
+        until = self.clock() + CONFIRM
+        while True:
+            if self.torque_constant > 0.0 and math.isfinite(limits.torque):
+                speed, current = limits.speed / math.tau, limits.torque / self.torque_constant
+                self._put(Message.LIMITS, struct.pack("<ff", SLACK * speed, SLACK * current))
+            self._put(Message.MODE, struct.pack("<II", 3, 1))  # position control, inputs passed through
+            self._put(Message.INPUT_POS, here)
+            self._put(Message.AXIS_STATE, struct.pack("<I", AxisState.CLOSED_LOOP))
+            beat = self._beat
+            while self._beat <= beat:
+                state = self._persist(here)
+            if state.enabled:
+                return
+            if state.fault or self.clock() > until:
+                self.disable()
+                why = state.fault or "it stays idle: calibrate it with odrivetool"
+                raise DriveError(f"{self.name} does not switch its torque on ({why}).")
 
     def _try_watchdog(self) -> None:
-        """Send nothing for a little longer than the watchdog's time, and refuse an axis that is still armed."""
-        until = time.monotonic() + 1.2 * self.watchdog
+        """Send nothing for a little longer than the watchdog's time, and refuse an axis that is still armed then."""
         with _as_os_error():
-            while (rest := until - time.monotonic()) > 0.0:
-                self._receive(rest)
-        if ERRORS[WATCHDOG_EXPIRED] not in self._persist().fault:
+            self._listen(1.2 * self.watchdog, lambda *_: False)
+            stopped = self._listen(2.0 * SILENCE, lambda *_: bool(self._errors & Error.WATCHDOG_EXPIRED))
+        if not stopped:
             self.disable()
             fix = f"Set axis0.config.watchdog_timeout = {self.watchdog:g} and enable_watchdog = True with odrivetool"
             raise DriveError(f"{self.name}: its watchdog did not stop it within {self.watchdog:g} s. {fix}.")
@@ -243,81 +281,86 @@ class ODriveLink:
 
     # ------------------------------------------------------------------ frames
 
+    @property
+    def _errors(self) -> int:
+        return int.from_bytes(self._messages[Message.HEARTBEAT][:4], "little")
+
+    def _expect(self, state: AxisState) -> None:
+        """Take the axis to be in a state until a heartbeat says what it is in."""
+        beat = self._messages[Message.HEARTBEAT]
+        self._messages[Message.HEARTBEAT] = beat[:4] + bytes([state]) + beat[5:]
+
     def _persist(self, goal: bytes = b"") -> Reading:
         """Return the state as :meth:`_exchange` does, but try again if a reply is lost."""
-        until = time.monotonic() + CONFIRM
+        until = self.clock() + CONFIRM
         while True:
             try:
                 return self._exchange(goal)
             except NoReply:
-                if time.monotonic() > until:
+                if self.clock() > until:
                     raise
 
     def _exchange(self, goal: bytes = b"") -> Reading:
-        """Send a goal, if there is one, ask for the state, and return it."""
-        self._cycle += 1
-        marker = MARKERS[self._cycle % len(MARKERS)]
-        requests = (ERROR, ENCODER, TORQUES, marker)
-        replies: dict[int, bytes] = {}
+        """Send a goal, if there is one, ask for the encoder's estimates, and return the state."""
         with _as_os_error():
-            while self._receive(0.0):  # late from before
-                pass
-            sent = time.monotonic()
+            self._listen(0.0, lambda *_: False)  # what came meanwhile
+            sent = self.clock()
             if goal:
-                self._send(INPUT_POS, goal)
-            for command in requests:
-                self._send(command)
-            while len(replies) < len(requests):
-                rest = sent + PATIENCE - time.monotonic()
-                if rest <= 0.0:
-                    raise NoReply(f"{self.name}: no valid reply")
-                node, command, data = self._receive(rest) or (-1, -1, b"")
-                if node == self.number and command in replies:
-                    raise NoReply(f"{self.name}: a reply to an earlier request came late")
-                if node == self.number and command in requests:
-                    replies[command] = data
-                elif node == self.number and command in MARKERS:
-                    replies.clear()  # all of them answered an earlier request
-        received = time.monotonic()
-        beat, state = self._heartbeat
-        if received - beat > OLDEST_HEARTBEAT:
-            raise NoReply(f"{self.name}: no heartbeat for {1e3 * (received - beat):.0f} ms")
-        self._slow[marker] = replies[marker]
-        active, reason = struct.unpack("<II", replies[ERROR])
-        angle, rate = struct.unpack("<ff", replies[ENCODER])
+                self._send(Message.INPUT_POS, goal)
+            if self._missing and sent - self._asked < LATEST:
+                self._listen(self.patience, lambda *_: not self._missing)
+                raise NoReply(f"{self.name}: a reply to an earlier request is still missing")
+            self._send(Message.ENCODER)
+            self._asked, self._missing = sent, 1
+            if not self._listen(self.patience, lambda *_: not self._missing):
+                raise NoReply(f"{self.name}: no valid reply")
+        received = self.clock()
+        if received - self._beat > SILENCE:
+            raise NoReply(f"{self.name}: no heartbeat for {1e3 * (received - self._beat):.0f} ms")
+        angle, rate = self._pair(Message.ENCODER)
         return Reading(
             angle=angle * math.tau,
             rate=rate * math.tau,
-            torque=struct.unpack("<ff", replies[TORQUES])[1],
-            voltage=self._slow_value(VOLTAGE),
-            temperature=self._slow_value(TEMPERATURE),
-            enabled=state == CLOSED_LOOP and not active | reason,
-            fault=_fault(active | reason),
+            torque=self._pair(Message.TORQUES)[1],
+            voltage=self._pair(Message.VOLTAGE)[0],
+            temperature=max(self._pair(Message.TEMPERATURE)),  # of inverter and motor, if that has a thermistor
+            enabled=self._messages[Message.HEARTBEAT][4] == AxisState.CLOSED_LOOP and not self._errors,
+            fault=_fault(self._errors),
             sent=sent,
             received=received,
         )
 
-    def _slow_value(self, marker: int) -> float:
-        """Return the first number of the last reply to a marker, NaN before there is one."""
-        data = self._slow.get(marker)
-        return math.nan if data is None else float(struct.unpack("<ff", data)[0])
+    def _pair(self, message: Message) -> tuple[float, float]:
+        """Return the numbers of the newest message of a kind, NaN before there is one."""
+        return struct.unpack("<ff", self._messages[message]) if message in self._messages else (math.nan, math.nan)
 
-    def _put(self, command: int, data: bytes) -> None:
+    def _put(self, message: Message, data: bytes) -> None:
         with _as_os_error():
-            self._send(command, data)
+            self._send(message, data)
 
-    def _send(self, command: int, data: bytes = b"") -> None:
-        """Send a frame; without data it is a request for the message of that number."""
+    def _send(self, message: Message, data: bytes = b"") -> None:
+        """Send a message; without data it is a request for it."""
         import can
 
-        identifier = self.number << 5 | command
-        self._bus.send(
-            can.Message(arbitration_id=identifier, data=data or None, is_remote_frame=not data, is_extended_id=False),
-            timeout=SILENCE,
+        identifier = self.number << 5 | message
+        frame = can.Message(
+            arbitration_id=identifier, data=data or None, is_remote_frame=not data, is_extended_id=False
         )
+        self._bus.send(frame, timeout=SILENCE)
 
-    def _receive(self, timeout: float) -> tuple[int, int, bytes] | None:
-        """Return node, command and data of the next frame of 8 bytes, or None; note the heartbeat."""
+    def _listen(self, seconds: float, done: Callable[[int, int], bool]) -> bool:
+        """Take frames until `done`, called with node and message number after each, or for a time; return whether."""
+        until = time.monotonic() + seconds
+        while True:
+            rest = until - time.monotonic()
+            frame = self._receive(max(0.0, rest))
+            if frame and done(*frame):
+                return True
+            if rest <= 0.0 and not frame:
+                return False
+
+    def _receive(self, timeout: float) -> tuple[int, int] | None:
+        """Take the next frame of 8 bytes, if one comes, and note it; return its node and message number."""
         import can
 
         try:
@@ -331,10 +374,14 @@ class ODriveLink:
             return None
         if frame is None or frame.is_remote_frame or frame.is_error_frame or len(frame.data) != 8:
             return None
-        node, command, data = frame.arbitration_id >> 5, frame.arbitration_id & 31, bytes(frame.data)
-        if (node, command) == (self.number, HEARTBEAT):
-            self._heartbeat = time.monotonic(), data[4]
-        return node, command, data
+        node, message = frame.arbitration_id >> 5, frame.arbitration_id & 31
+        if node == self.number:
+            self._messages[message] = bytes(frame.data)
+            if message == Message.HEARTBEAT:
+                self._beat = self.clock()
+            elif message == Message.ENCODER:
+                self._missing = max(0, self._missing - 1)
+        return node, message
 
 
 def _input(goal: Goal) -> bytes:
@@ -345,7 +392,7 @@ def _input(goal: Goal) -> bytes:
 
 def _fault(errors: int) -> str:
     """Return errors in words, empty for none."""
-    names = [name for bit, name in ERRORS.items() if errors & bit]
+    names = [str(error.name).lower().replace("_", " ") for error in Error if errors & error]
     return f"{' and '.join(names) or 'unknown'} (error {errors:#x})" if errors else ""
 
 

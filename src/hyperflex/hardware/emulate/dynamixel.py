@@ -2,14 +2,13 @@
 
 import math
 import struct
+from enum import IntEnum
 
 from hyperflex.hardware.drive import Goal
-from hyperflex.hardware.dynamixel import COUNTS, RATE_UNIT, SERVOS
+from hyperflex.hardware.dynamixel import COUNTS, RATE_UNIT, SERVOS, Register
 from hyperflex.hardware.emulate.plant import Plant
 
 HEADER = b"\xff\xff\xfd\x00"
-PING, READ, WRITE, REBOOT, STATUS = 1, 2, 3, 8, 0x55
-FAILED, NO_INSTRUCTION, BAD_CRC, OUT_OF_RANGE, NO_ACCESS = 1, 2, 3, 4, 7  # errors of a status packet
 LONGEST = 600  # bytes of a packet; more is noise
 PAUSE = 5e-3  # s without a byte after which the rest of a packet is no longer waited for
 TABLE = 512  # registers with an address below; the second block of indirect ones is left out
@@ -26,6 +25,26 @@ FACTORY = {  # registers that are not 0, by address: (bytes, value)
     68: (1, 2),
     84: (2, 800),
 }
+
+
+class Instruction(IntEnum):
+    """What a packet asks for, or that it is a status."""
+
+    PING = 1
+    READ = 2
+    WRITE = 3
+    REBOOT = 8
+    STATUS = 0x55
+
+
+class Refusal(IntEnum):
+    """Errors of a status packet."""
+
+    FAILED = 1
+    NO_INSTRUCTION = 2
+    BAD_CRC = 3
+    OUT_OF_RANGE = 4
+    NO_ACCESS = 7
 
 
 class DynamixelDevice:
@@ -57,12 +76,12 @@ class DynamixelDevice:
         self._table = bytearray(TABLE)
         for address, (size, value) in FACTORY.items():
             self._store(address, size, value)
-        self._store(32, 2, round(13.0 * plant.model.voltage))  # voltage limits, 0.1 V: a third above, a quarter below
-        self._store(34, 2, round(7.5 * plant.model.voltage))
+        self._store(32, 2, round(13.0 * plant.voltage))  # voltage limits, 0.1 V: a third above, a quarter below
+        self._store(34, 2, round(7.5 * plant.voltage))
         self._store(0, 2, model)
         self._store(6, 1, firmware)
         self._store(7, 1, number)
-        self._store(116, 4, round(plant.angle * COUNTS / math.tau))
+        self._store(Register.GOAL, 4, round(plant.angle * COUNTS / math.tau))
 
     def tick(self, t: float) -> bytes:
         """Advance to time t, s; return nothing, because a servo speaks only when it is asked."""
@@ -97,65 +116,64 @@ class DynamixelDevice:
         if packet[4] not in (self.number, 0xFE):
             return b""
         if checksum(packet[:-2]) != int.from_bytes(packet[-2:], "little"):
-            return self._status(BAD_CRC) if self._table[68] == 2 else b""
+            return self._status(Refusal.BAD_CRC) if self._table[Register.RETURN_LEVEL] == 2 else b""
         self._heard = self.t
         instruction, parameters = packet[7], packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-        level = 0 if instruction == PING else 1 if instruction == READ else 2
-        if instruction == PING:
+        level = 0 if instruction == Instruction.PING else 1 if instruction == Instruction.READ else 2
+        if instruction == Instruction.PING:
             status = self._status(0, bytes(self._table[0:2]) + bytes(self._table[6:7]))
-        elif instruction == READ and len(parameters) == 4:
+        elif instruction == Instruction.READ and len(parameters) == 4:
             status = self._read(*struct.unpack("<HH", parameters))
-        elif instruction == WRITE and len(parameters) > 2:
+        elif instruction == Instruction.WRITE and len(parameters) > 2:
             status = self._status(self._write(int.from_bytes(parameters[:2], "little"), parameters[2:]))
-        elif instruction == REBOOT:
+        elif instruction == Instruction.REBOOT:
             status = self._status(0)
             self._reboot()
         else:
-            status = self._status(NO_INSTRUCTION)
-        return status if level <= self._table[68] else b""
+            status = self._status(Refusal.NO_INSTRUCTION)
+        return status if level <= self._table[Register.RETURN_LEVEL] else b""
 
     def _status(self, error: int, parameters: bytes = b"") -> bytes:
-        alert = 0x80 if self._table[70] else 0
-        body = bytes([STATUS, error | alert]) + parameters
+        alert = 0x80 if self._table[Register.HARDWARE_ERROR] else 0
+        body = bytes([Instruction.STATUS, error | alert]) + parameters
         body = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
         packet = HEADER + struct.pack("<BH", self.number, len(body) + 2) + body
         return packet + struct.pack("<H", checksum(packet))
 
     def _read(self, address: int, length: int) -> bytes:
         if address + length > TABLE:
-            return self._status(OUT_OF_RANGE)
+            return self._status(Refusal.OUT_OF_RANGE)
         self._measure()
         return self._status(0, bytes(self._table[self._direct(a)] for a in range(address, address + length)))
 
     def _write(self, address: int, value: bytes) -> int:
         """Write registers; return the error of the status packet."""
         places = [self._direct(a) for a in range(address, address + len(value)) if a < TABLE]
-        on, expired = self._table[64], self._table[98] == 255
-        allowed = range(9, 64) if not on else ()  # what is kept without power cannot be written while the torque is on
-        if len(places) < len(value) or not all(
-            a in allowed or (64 <= a < 120 and a not in (69, 70)) or a >= 168 for a in places
-        ):
-            return NO_ACCESS
+        on, expired = self._table[Register.TORQUE_ENABLE], self._table[Register.WATCHDOG] == 255
+        kept = range(9, 64) if not on else ()  # without power; not to be written while the torque is on
+        goals = set(range(64, 120)) - {69, Register.HARDWARE_ERROR}
+        if len(places) < len(value) or not all(a in kept or a in goals or a >= Register.INDIRECT for a in places):
+            return Refusal.NO_ACCESS
         if expired and any(100 <= a < 120 for a in places):
-            return OUT_OF_RANGE  # goals are locked
-        if self._table[70] and 64 in places:
-            return FAILED
+            return Refusal.OUT_OF_RANGE  # goals are locked
+        if self._table[Register.HARDWARE_ERROR] and Register.TORQUE_ENABLE in places:
+            return Refusal.FAILED
         for place, byte in zip(places, value, strict=True):
             self._table[place] = byte
-        if 64 in places and self._table[64] != on:
-            self._switch(bool(self._table[64]))
-        if 116 in places and self._table[64]:
+        if Register.TORQUE_ENABLE in places and self._table[Register.TORQUE_ENABLE] != on:
+            self._switch(bool(self._table[Register.TORQUE_ENABLE]))
+        if Register.GOAL in places and self._table[Register.TORQUE_ENABLE]:
             self._follow()
         return 0
 
     def _follow(self) -> None:
         """Go to the goal in the table, however old it is."""
-        self.plant.set_goal(Goal(self._load(116, 4, signed=True) * math.tau / COUNTS))
+        self.plant.set_goal(Goal(self._load(Register.GOAL, 4, signed=True) * math.tau / COUNTS))
 
     def _direct(self, address: int) -> int:
         """Return the address behind one of the indirect data registers; of others the address itself."""
-        entry = 168 + 2 * (address - self.servo.indirect)
-        return self._load(entry, 2) % TABLE if 168 <= entry < self.servo.indirect else address
+        entry = Register.INDIRECT + 2 * (address - self.servo.indirect)
+        return self._load(entry, 2) % TABLE if Register.INDIRECT <= entry < self.servo.indirect else address
 
     def _reboot(self) -> None:
         self._switch(False)
@@ -163,35 +181,34 @@ class DynamixelDevice:
         for address, (size, value) in FACTORY.items():
             if address >= 64:
                 self._store(address, size, value)
-        self._store(116, 4, round(self.plant.angle * COUNTS / math.tau))
+        self._store(Register.GOAL, 4, round(self.plant.angle * COUNTS / math.tau))
 
     # ------------------------------------------------------------------ state
 
     def _measure(self) -> None:
         """Bring the registers of measured values up to date."""
         plant, unit = self.plant, self.servo.torque
-        self._store(120, 2, int(1e3 * self.t) % 32768)
         if unit:
-            self._store(126, 2, max(-32768, min(32767, round(plant.torque / unit))))
-        self._store(128, 4, round(plant.rate / RATE_UNIT))
-        self._store(132, 4, round(plant.angle * COUNTS / math.tau))
-        self._store(144, 2, round(10.0 * plant.voltage))
-        self._store(146, 1, min(255, round(plant.temperature)))
+            self._store(Register.CURRENT, 2, max(-32768, min(32767, round(plant.torque / unit))))
+        self._store(Register.RATE, 4, round(plant.rate / RATE_UNIT))
+        self._store(Register.POSITION, 4, round(plant.angle * COUNTS / math.tau))
+        self._store(Register.VOLTAGE, 2, round(10.0 * plant.voltage))
+        self._store(Register.TEMPERATURE, 1, min(255, round(plant.temperature)))
 
     def _guard(self) -> None:
         """Watch the bus, the temperature and the voltage, as the servo's firmware does."""
-        units = self._table[98]
-        if self._table[64] and 1 <= units <= 127 and self.t - self._heard > 0.02 * units:
-            self._table[98] = 255
+        units = self._table[Register.WATCHDOG]
+        if self._table[Register.TORQUE_ENABLE] and 1 <= units <= 127 and self.t - self._heard > 0.02 * units:
+            self._table[Register.WATCHDOG] = 255
             self.plant.set_goal(Goal(self.plant.angle))  # it stops, and holds
         hot = self.plant.temperature > self._table[31]
         poor = not self._load(34, 2) <= 10.0 * self.plant.voltage <= self._load(32, 2)
-        self._table[70] |= 4 * hot | poor
-        if self._table[70] & self._table[63] and self._table[64]:
+        self._table[Register.HARDWARE_ERROR] |= 4 * hot | poor
+        if self._table[Register.HARDWARE_ERROR] & self._table[63] and self._table[Register.TORQUE_ENABLE]:
             self._switch(False)
 
     def _switch(self, on: bool) -> None:
-        self._table[64] = on
+        self._table[Register.TORQUE_ENABLE] = on
         self._heard = self.t
         self.plant.set_enabled(on)
         if on:

@@ -5,29 +5,17 @@ import struct
 
 from hyperflex.hardware.drive import Goal
 from hyperflex.hardware.emulate.plant import Plant
-from hyperflex.hardware.odrive import (
-    AXIS_STATE,
-    CLEAR,
-    CLOSED_LOOP,
-    CURRENTS,
-    ENCODER,
-    ERROR,
-    HEARTBEAT,
-    IDLE,
-    INPUT_POS,
-    LIMITS,
-    MODE,
-    POWERS,
-    TEMPERATURE,
-    TORQUES,
-    VERSION,
-    VOLTAGE,
-    WATCHDOG_EXPIRED,
-)
+from hyperflex.hardware.odrive import AxisState, Error, Message
 
 Frame = tuple[int, bytes]  # identifier and data
-UNDER_VOLTAGE, OVER_TEMPERATURE, TOO_FAST = 1 << 9, 1 << 13, 1 << 15  # errors
-LENGTHS = {AXIS_STATE: 4, MODE: 8, INPUT_POS: 8, LIMITS: 8, CLEAR: 0}  # least bytes of the messages that it takes
+TAKES = {  # messages to the axis, with their least number of bytes
+    Message.AXIS_STATE: 4,
+    Message.MODE: 8,
+    Message.INPUT_POS: 8,
+    Message.LIMITS: 8,
+    Message.CLEAR: 0,
+}
+SLOW = 10  # heartbeats between messages of voltage and temperature
 
 
 class ODriveDevice:
@@ -42,7 +30,7 @@ class ODriveDevice:
     watchdog : float
         Its timeout, s; 0 if it is not armed.
     heartbeat : float
-        Period of the heartbeat, s.
+        Period, s, of the heartbeat and of the torques; voltage and temperature follow each tenth one.
     firmware : (int, int, int)
         Its version.
     hottest : float
@@ -60,16 +48,18 @@ class ODriveDevice:
         number: int = 0,
         *,
         watchdog: float = 0.1,
-        heartbeat: float = 0.1,
+        heartbeat: float = 0.01,
         firmware: tuple[int, int, int] = (0, 6, 11),
         hottest: float = 100.0,
     ) -> None:
         self.plant, self.number, self.watchdog, self.heartbeat = plant, number, watchdog, heartbeat
         self.firmware, self.hottest = firmware, hottest
+        self._rated = plant.voltage  # V
         self.t = 0.0  # s
         self._fed = 0.0  # when the watchdog was fed last, s
         self._beat = 0.0  # when the last heartbeat went out, s
-        self._state, self._reason = IDLE, 0  # of the axis; why it was disarmed
+        self._beats = 0  # how many
+        self._state, self._reason = AxisState.IDLE, 0  # of the axis; why it was disarmed
         self._mode = 0, 0
         self._speed = math.inf  # limit, rad/s
         self._goal = Goal(0.0)
@@ -83,17 +73,20 @@ class ODriveDevice:
         self.plant.advance(t)
         self.t = t
         active = self._active()
-        if self._state == CLOSED_LOOP:
+        if self._state == AxisState.CLOSED_LOOP:
             if self.watchdog and t - self._fed > self.watchdog:
-                active |= WATCHDOG_EXPIRED
+                active |= Error.WATCHDOG_EXPIRED
             if abs(self.plant.rate) > 1.2 * self._speed:
-                active |= TOO_FAST
+                active |= Error.VELOCITY_LIMIT_VIOLATION
             if active:
                 self._disarm(active)
         if t - self._beat < self.heartbeat:
             return []
-        self._beat = t
-        return [self._frame(HEARTBEAT, struct.pack("<IBBBB", self._active() | self._reason, self._state, 0, 0, 0))]
+        self._beat, self._beats = t, self._beats + 1
+        errors = self._active() | self._reason
+        frames = [self._frame(Message.HEARTBEAT, struct.pack("<IBBBB", errors, self._state, 0, 0, 0))]
+        kinds = (Message.TORQUES, *((Message.VOLTAGE, Message.TEMPERATURE) if self._beats % SLOW == 1 else ()))
+        return frames + [self._frame(kind, self._measured(kind)) for kind in kinds]
 
     def answer(self, identifier: int, data: bytes, remote: bool) -> list[Frame]:
         """Take a frame from the bus; return those that answer it."""
@@ -103,7 +96,7 @@ class ODriveDevice:
         if remote:
             reply = self._measured(command)
             return [self._frame(command, reply)] if reply else []
-        if len(data) >= LENGTHS.get(command, 9):
+        if len(data) >= TAKES.get(command, 9):
             self._fed = self.t
             self._take(command, data)
         return []
@@ -113,52 +106,48 @@ class ODriveDevice:
 
     def _measured(self, command: int) -> bytes:
         plant = self.plant
-        if command == VERSION:
+        if command == Message.VERSION:
             return bytes([2, 4, 4, 58, *self.firmware, 0])
-        if command == ERROR:
-            return struct.pack("<II", self._active(), self._reason)
         values = {
-            ENCODER: (plant.angle / math.tau, plant.rate / math.tau),
-            TORQUES: (self._goal.torque, plant.torque),
-            CURRENTS: (self._goal.torque / plant.model.torque_constant, plant.torque / plant.model.torque_constant),
-            POWERS: (plant.torque * plant.rate, plant.torque * plant.rate),
-            VOLTAGE: (plant.voltage, 0.0),
-            TEMPERATURE: (plant.temperature, plant.temperature),
+            Message.ENCODER: (plant.angle / math.tau, plant.rate / math.tau),
+            Message.TORQUES: (self._goal.torque, plant.torque),
+            Message.VOLTAGE: (plant.voltage, 0.0),
+            Message.TEMPERATURE: (plant.temperature, plant.temperature),
         }
         return struct.pack("<ff", *values[command]) if command in values else b""
 
     def _take(self, command: int, data: bytes) -> None:
-        if command == INPUT_POS:
+        if command == Message.INPUT_POS:
             turns, rate, torque = struct.unpack("<fhh", data)
             self._goal = Goal(turns * math.tau, 1e-3 * rate * math.tau, 1e-3 * torque)
-            if self._state == CLOSED_LOOP:
+            if self._state == AxisState.CLOSED_LOOP:
                 self.plant.set_goal(self._goal)
-        elif command == AXIS_STATE:
+        elif command == Message.AXIS_STATE:
             self._request(struct.unpack("<I", data[:4])[0])
-        elif command == MODE:
+        elif command == Message.MODE:
             self._mode = struct.unpack("<II", data)
-        elif command == LIMITS:
+        elif command == Message.LIMITS:
             self._speed = struct.unpack("<ff", data)[0] * math.tau
-        elif command == CLEAR:
+        elif command == Message.CLEAR:
             self._reason = 0
 
     def _request(self, state: int) -> None:
-        if state == CLOSED_LOOP and self._mode == (3, 1) and not self._active():
-            self._state, self._reason = CLOSED_LOOP, 0
+        if state == AxisState.CLOSED_LOOP and self._mode == (3, 1) and not self._active():
+            self._state, self._reason = AxisState.CLOSED_LOOP, 0
             self.plant.set_enabled(True)
             self.plant.set_goal(self._goal)
-        elif state == IDLE:
+        elif state == AxisState.IDLE:
             self._disarm(0)
 
     def _disarm(self, reason: int) -> None:
-        self._state, self._reason = IDLE, self._reason | reason
+        self._state, self._reason = AxisState.IDLE, self._reason | reason
         self.plant.set_enabled(False)
 
     def _active(self) -> int:
         """Return the errors that last."""
         plant = self.plant
-        low = UNDER_VOLTAGE * (plant.voltage < 0.75 * plant.model.voltage)
-        return low | OVER_TEMPERATURE * (plant.temperature > self.hottest)
+        low = Error.DC_BUS_UNDER_VOLTAGE * (plant.voltage < 0.75 * self._rated)
+        return low | Error.MOTOR_OVER_TEMPERATURE * (plant.temperature > self.hottest)
 
     # ------------------------------------------------------------------ the slcan adapter
 
