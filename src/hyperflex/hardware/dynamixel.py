@@ -22,7 +22,15 @@ from hyperflex.hardware.drive import CONFIRM, SILENCE, Goal, NoReply, Reading
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
-BAUD_RATES = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)  # the factory's first
+BAUD_RATES = {  # bit/s, by the value of the servo's register; the factory's is 1
+    1: 57_600,
+    3: 1_000_000,
+    4: 2_000_000,
+    5: 3_000_000,
+    6: 4_000_000,
+    2: 115_200,
+    0: 9_600,
+}
 COUNTS = 4096  # of a turn
 RATE_UNIT = 0.229 * math.tau / 60.0  # rad/s
 START = 1.0  # s that a servo may take to answer after it was switched on or rebooted
@@ -210,7 +218,7 @@ class DynamixelLink:
 
     def _elsewhere(self) -> str:
         """Return what is wrong with a servo that does not answer: its rate or its ID, or neither is known."""
-        for baud in BAUD_RATES:
+        for baud in BAUD_RATES.values():
             with suppress(ValueError, OSError):  # a rate that the adapter does not have
                 self._bus.serial.baudrate = baud
             if baud != self.baud and self._ping(CONFIRM):
@@ -220,7 +228,7 @@ class DynamixelLink:
         others = sorted(self._packets.broadcastPing(self._bus)[0])
         if others:
             return f"does not answer. Servos on this bus: {', '.join(map(str, others))}."
-        rates = ", ".join(str(baud) for baud in BAUD_RATES if baud != self.baud)
+        rates = ", ".join(str(baud) for baud in BAUD_RATES.values() if baud != self.baud)
         return f"does not answer at {self.baud} baud, nor at {rates}. Check its power, its wiring and the port."
 
     def _prepare(self) -> None:

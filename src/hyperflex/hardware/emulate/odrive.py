@@ -8,7 +8,7 @@ from hyperflex.hardware.emulate.plant import Plant
 from hyperflex.hardware.odrive import AxisState, Error, Message
 
 Frame = tuple[int, bytes]  # identifier and data
-TAKES = {  # messages to the axis, with their least number of bytes
+TAKES: dict[int, int] = {  # messages to the axis, with their least number of bytes
     Message.AXIS_STATE: 4,
     Message.MODE: 8,
     Message.INPUT_POS: 8,
@@ -108,7 +108,7 @@ class ODriveDevice:
         plant = self.plant
         if command == Message.VERSION:
             return bytes([2, 4, 4, 58, *self.firmware, 0])
-        values = {
+        values: dict[int, tuple[float, float]] = {
             Message.ENCODER: (plant.angle / math.tau, plant.rate / math.tau),
             Message.TORQUES: (self._goal.torque, plant.torque),
             Message.VOLTAGE: (plant.voltage, 0.0),
