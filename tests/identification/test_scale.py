@@ -72,3 +72,20 @@ def test_what_was_declared_has_no_students_doubt():
     value, std = {"J/p1": np.array([1.0])}, {"J/p1": np.array([0.01])}
     widths = [of_ratios(value, std, {"J/p1": np.array([part])}, 1.0)["J/p1[0]"].high - 1.0 for part in (0.0, 0.01)]
     assert widths == pytest.approx([0.127, 0.0196], rel=0.01)  # Student's quantile with one degree of freedom is 12.7
+
+
+def test_what_held_centres_of_mass_change_is_what_a_fit_with_others_finds():
+    """1 % of each: a linear estimate, so 3 % of it; noise is 50 times smaller than what it moves."""
+    t = np.arange(600) / 60.0
+    true = TRUE.replace(friction=1e-3)
+    swing = simulate(true, duration=10.0, t_eval=t, q0=[0.9, 1.2]).q
+    seen = Recording(t, swing + 1e-4 * np.random.default_rng(0).standard_normal(swing.shape))
+    options = FitOptions(intervals=None, length_std=1e-6, clock_std=1e-6)
+
+    def found(com):
+        return identify(seen, true.replace(com=com), ["inertia", "friction"], options=options)
+
+    held = found(true.com)
+    (scale,) = [each for each in held.findings if each.kind is Kind.HELD_SCALE]
+    moved = [found(true.com * (1.0 + 0.01 * row)).ratios["J/p1"] / held.ratios["J/p1"] - 1.0 for row in np.eye(2)]
+    assert scale.values["moved"] == pytest.approx(np.abs(moved).max(), rel=0.03)

@@ -10,11 +10,12 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.identification import BAND, Identification, correlogram
+from hyperflex.identification import BAND, Identification
 from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
 from hyperflex.report.identification.figures import (
     FittedChannels,
+    correlations,
     history_figure,
     prediction_figure,
 )
@@ -332,13 +333,11 @@ def test_correlation_of_a_known_process_also_with_gaps():
     noise, values = rng.normal(size=20000), np.zeros(20000)
     for k in range(1, values.size):
         values[k] = 0.8 * values[k - 1] + noise[k]
-    t = np.arange(values.size) * 0.5
     values[rng.random(values.size) < 0.2] = np.nan
-    kept = rng.random(values.size) < 0.9  # these samples are not there at all
-    lag, correlation, _ = correlogram(t[kept], values[kept, None], 5)
-    # AR(1): 0.8^k; std of an estimate about sqrt((1 + 0.64) / (1 - 0.64) / 12000) = 0.02.
-    np.testing.assert_allclose(correlation[:, 0], 0.8 ** np.arange(1, 6), atol=0.06)
-    np.testing.assert_allclose(lag, 0.5 * np.arange(1, 6))
+    correlation, band = correlations(values)
+    # AR(1): 0.8^k; std of an estimate about sqrt((1 + 0.64) / (1 - 0.64) / 13000) = 0.02.
+    np.testing.assert_allclose(correlation[:5], 0.8 ** np.arange(1, 6), atol=0.06)
+    np.testing.assert_allclose(band[0], 1.96 / np.sqrt(0.64 * values.size), rtol=0.05)
 
 
 def test_a_value_of_0_is_a_plain_0():

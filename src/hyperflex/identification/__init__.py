@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from hyperflex.identification.result import Identification
     from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
     from hyperflex.identification.uncertainty.covariance import Basis, Interval, ratios
-    from hyperflex.identification.uncertainty.noise import correlogram
     from hyperflex.identification.uncertainty.profile import Profile, profile
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -107,8 +107,7 @@ class ScoreTest:
     sure : bool
         Whether residuals are white, as they are or with it free, so that noise is known.
     ratio_sensitivity : float
-        Of centres of mass: relative change of a ratio J/p1 or p/p1 by each 1 % of them, the greatest of those that are
-        beyond twice their standard deviation; 0 where none is.
+        Of links: largest relative change of a parameter by finer links, of those beyond twice their standard deviation.
     freed_with : tuple of str
         What had to be free as well before the data showed this.
     information : (k, k) float64

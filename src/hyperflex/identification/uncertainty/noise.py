@@ -323,39 +323,3 @@ def _neighbours(values: Array, lag: int) -> Array:
     result[lag:] += 0.5 * values[: m - lag]
     result[: m - lag] += 0.5 * values[lag:]
     return result
-
-
-FILLED = 20  # a clock with more ticks than this for each sample would be nearly empty: neighbours are counted instead
-
-
-def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Array]:
-    """Return the autocorrelation of residuals, gaps omitted: lags, correlations, and a 95 % band of white noise.
-
-    Parameters
-    ----------
-    t : (m,) array, s
-        Increasing.
-    residuals : (m, C) array
-        NaN in gaps.
-    lags : int
-        The greatest lag, in samples.
-
-    Returns
-    -------
-    lag (L,) s, from one (usual) step between samples on; correlation (L, C), NaN where no two samples are so far apart;
-    band (L, C). Where a grid of the usual step would stay nearly empty, lags count samples.
-    """
-    step = float(np.median(np.diff(t)))
-    tick = np.round((t - t[0]) / step).astype(int)
-    if tick[-1] > FILLED * t.size or np.unique(tick).size < t.size:
-        tick = np.arange(t.size)
-    laid = np.full((tick[-1] + 1, residuals.shape[1]), np.nan)
-    laid[tick] = residuals
-    known = (~np.isnan(laid)).astype(np.float64)
-    filled = np.nan_to_num(laid - np.nanmean(laid, axis=0))
-    number = np.arange(min(lags, tick[-1] // 2) + 1)
-    both = np.array([[(each[k:] * each[: len(each) - k]).sum(axis=0) for k in number] for each in (known, filled)])
-    pairs, products = np.where(both[0] > 0.0, both[0], np.nan), both[1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = products / pairs / (products[0] / pairs[0])
-    return step * number[1:], correlation[1:], 1.96 / np.sqrt(pairs[1:])

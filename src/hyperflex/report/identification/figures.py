@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification import BAND, HeldOut, Identification, correlogram
+from hyperflex.identification import BAND, HeldOut, Identification
 from hyperflex.model import PROPERTIES, Rope
 from hyperflex.recording import Recording
 from hyperflex.report.identification.tables import numbers
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDTH = 10.0  # inches, of every figure on the page
-_LAGS = 40
+_LAGS = 40  # samples
 _COLUMNS = 4  # of small multiples
 _SHAPES = 5  # instants
 _FEW_WINDOWS = 3  # so few are seen well enough on the whole
@@ -201,7 +201,6 @@ def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) ->
 def residual_figure(view: FittedChannels) -> Figure:
     """Draw the residuals of the chosen channels: over time, histogram, and autocorrelation."""
     found = view.found
-    lag, correlation, band = correlogram(view.fit_t, found.residuals, _LAGS)
     with _rows(view, 3, (2.2, 1.0, 1.3)) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
             unit = readable_unit(found.unit, found.residual_rms[channel])
@@ -211,13 +210,26 @@ def residual_figure(view: FittedChannels) -> Figure:
             row[0].set(ylabel=f"residual, {unit.name}", title=view.names[channel])
             _draw_histogram(row[1], values[~np.isnan(values)])
             row[1].set_xlabel(f"residual, {unit.name}")
-            row[2].fill_between(lag, -band[:, channel], band[:, channel], color=GREEN, alpha=0.2, lw=0)
-            row[2].vlines(lag, 0.0, correlation[:, channel], color=BLUE, lw=1.4)
+            correlation, band = correlations(values)
+            lag = 1 + np.arange(band.size)
+            row[2].fill_between(lag, -band, band, color=GREEN, alpha=0.2, lw=0)
+            row[2].vlines(lag, 0.0, correlation, color=BLUE, lw=1.4)
             row[2].axhline(0.0, color=GREY, lw=0.8)
-            row[2].set(ylim=(-1.0, 1.0), xlabel="lag, s" if channel == view.chosen[-1] else "")
+            row[2].set(ylim=(-1.0, 1.0), xlabel="lag, samples" if channel == view.chosen[-1] else "")
         axes[0, 1].set_title("how often; line: normal")
         axes[0, 2].set_title("autocorrelation; shaded: white")
     return figure
+
+
+def correlations(values: Array) -> tuple[Array, Array]:
+    """Return the autocorrelations of a channel (m,), NaN in gaps, by lag from 1 sample on, and 95 % of white noise."""
+    from scipy.signal import correlate
+
+    known = np.isfinite(values)
+    both = (known.astype(np.float64), np.nan_to_num(values - np.nanmean(values)))
+    pairs, products = (correlate(each, each)[values.size - 1 :][: _LAGS + 1] for each in both)
+    pairs = np.maximum(pairs, 0.5)  # where no two samples are so far apart
+    return (products / pairs)[1:] * pairs[0] / max(products[0], 1e-300), 1.96 / np.sqrt(pairs[1:])
 
 
 def _draw_histogram(axis: Any, values: Array) -> None:
