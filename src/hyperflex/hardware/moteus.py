@@ -93,8 +93,7 @@ class MoteusLink:
     def open(self) -> None:
         """Open the port and read the state."""
         self._vendor = extras.load("moteus", "moteus", "moteus controllers")
-        with suppress(RuntimeError):
-            asyncio.get_running_loop()
+        if asyncio._get_running_loop() is not None:
             raise DriveError(f"{self.name}: an event loop is running here, as in a notebook. Use a MotionStream.")
         self._broken, self._loop = None, asyncio.new_event_loop()
         self._loop.set_exception_handler(self._on_broken)

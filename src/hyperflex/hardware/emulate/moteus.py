@@ -8,9 +8,6 @@ from hyperflex import extras
 from hyperflex.hardware.drive import Goal
 from hyperflex.hardware.emulate.plant import Plant
 
-STOPPED, FAULT, POSITION, TIMEOUT = 0, 1, 10, 11
-OVER_VOLTAGE, OVER_TEMPERATURE, UNDER_VOLTAGE = 34, 38, 40
-REPLY = 0x20, 0x24, 0x28, 0x2C  # subframes of registers as int8, int16, int32, float
 WHOLE = 1.0, 1.0, 1.0  # scales of a whole number
 
 
@@ -51,31 +48,33 @@ class MoteusDevice:
     ) -> None:
         self._vendor: Any = extras.load("moteus", "moteus", "emulated moteus controllers")
         self.plant, self.number, self.voltages, self.temperature = plant, number, voltages, temperature
-        self.mode, self.fault = STOPPED, 0
+        self._modes: Any = self._vendor.Mode
+        self.mode, self.fault = self._modes.STOPPED, 0
         self._deadline = math.inf
         self._checksums, self._received = False, b""
 
     def tick(self, t: float) -> bytes:
         """Advance to time t, s; nothing is sent unasked."""
         self.plant.advance(t)
-        if self.mode == POSITION:
-            least, greatest = self.voltages
+        if self.mode == self._modes.POSITION:
             if self.plant.temperature > self.temperature:
-                self.fail(OVER_TEMPERATURE)
-            elif not least <= self.plant.voltage <= greatest:
-                self.fail(UNDER_VOLTAGE if self.plant.voltage < least else OVER_VOLTAGE)
+                self.fail(38)  # over temperature
+            elif self.plant.voltage > self.voltages[1]:
+                self.fail(34)  # over voltage
+            elif self.plant.voltage < self.voltages[0]:
+                self.fail(40)  # under voltage
             elif self.plant.t > self._deadline:
-                self._enter(TIMEOUT)
+                self._enter(self._modes.TIMEOUT)
         return b""
 
     def fail(self, code: int) -> None:
         """Enter a fault, which lasts until a stop."""
         self.fault = code
-        self._enter(FAULT)
+        self._enter(self._modes.FAULT)
 
     def _enter(self, mode: int) -> None:
         self.mode = mode
-        self.plant.set_enabled(mode == POSITION)
+        self.plant.set_enabled(mode == self._modes.POSITION)
 
     # ------------------------------------------------------------------ lines
 
@@ -117,16 +116,16 @@ class MoteusDevice:
         if register.MODE in parsed.command:
             self._command(parsed.command[register.MODE], parsed.command)
         return b"".join(
-            bytes([REPLY[resolution] | 1, *_varuint(index)]) + self._value(index, resolution)
+            bytes([0x21 | resolution << 2, *_varuint(index)]) + self._value(index, resolution)
             for index, resolution in parsed.query
         )
 
     def _command(self, mode: int, values: dict[int, float]) -> None:
         register = self._vendor.Register
-        if mode == STOPPED:
+        if mode == self._modes.STOPPED:
             self.fault = 0
-            self._enter(STOPPED)
-        elif mode == POSITION and self.mode in (STOPPED, POSITION):
+            self._enter(mode)
+        elif mode == self._modes.POSITION and self.mode in (self._modes.STOPPED, self._modes.POSITION):
             angle, rate, torque, watchdog, most = (
                 values.get(each, default)
                 for each, default in (
@@ -137,8 +136,8 @@ class MoteusDevice:
                     (register.COMMAND_VELOCITY_LIMIT, math.inf),
                 )
             )
-            if self.mode == STOPPED:
-                self._enter(POSITION)
+            if self.mode != mode:
+                self._enter(mode)
             self._deadline = self.plant.t + watchdog if math.isfinite(watchdog) else math.inf
             angle = math.tau * angle if math.isfinite(angle) else self.plant.angle
             self.plant.set_goal(Goal(angle, math.tau * max(-most, min(most, rate)), torque))
