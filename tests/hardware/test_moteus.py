@@ -158,9 +158,10 @@ def test_a_device_that_stops_reading_holds_nobody_up(rig, monkeypatch):
     def full(file, data):
         raise BlockingIOError(errno.EAGAIN, "full")
 
-    with monkeypatch.context() as patch, pytest.raises(OSError, match="timeout"):
-        patch.setattr("serial.serialposix.os.write", full)
+    monkeypatch.setattr("serial.serialposix.os.write", full)
+    with pytest.raises(OSError, match="timeout"):
         link.read()
+    monkeypatch.undo()
     link.close()
 
 
