@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.execution.learning import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
     from hyperflex.execution.stream import MotionStream, StreamLog
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

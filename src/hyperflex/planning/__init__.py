@@ -7,7 +7,13 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.model import MotorLimits
     from hyperflex.planning.casting import plan_cast
-    from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
+    from hyperflex.planning.clearance import obstacle_gaps
+    from hyperflex.planning.ensemble import (
+        SuccessProbability,
+        estimate_success_probability,
+        pieces_in_contact,
+        scenario_scores,
+    )
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
     from hyperflex.planning.feedback import (
         Decision,
@@ -17,7 +23,7 @@ if TYPE_CHECKING:
         ScenarioStateSource,
         follow_plan,
     )
-    from hyperflex.planning.moves import Moves
+    from hyperflex.planning.moves import MIN_REST, Moves
     from hyperflex.planning.options import (
         Conditions,
         SearchOptions,
@@ -36,6 +42,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.plan_files import AnyPlan, read_limits, read_plan
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
+    from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
     from hyperflex.planning.tasks.insert import (
         InsertOutcome,
         InsertPlan,

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from hyperflex.report.identification.figures import FittedChannels, fit_figure
     from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.tables import parameters_table, predicted, ratios_table
+    from hyperflex.report.learning import learning_figure
     from hyperflex.report.maps import reach_figure
     from hyperflex.report.notebook import identification_html, plan_figure, plan_html, rope_html, run_html
     from hyperflex.report.page import (
