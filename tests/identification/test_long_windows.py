@@ -11,7 +11,7 @@ G, LENGTH, MASS = 9.81, 0.9, 0.05
 EXACT = hf.FitOptions(length_std=0.0, clock_std=1e-4)
 
 
-def string(seconds: float, drag: float = 0.0, clock: float = 1.0) -> hf.Recording:
+def string(seconds: float, drag: float = 0.0, clock: float = 1.0, swing: float = 0.35) -> hf.Recording:
     """A point mass on a string, filmed at 30 frames/s with 1 mm of noise; scipy integrates its equation (a twin)."""
     t = np.arange(0.0, seconds, 1.0 / 30.0)
     inertia, viscous = MASS * LENGTH**2, 1e-4
@@ -20,7 +20,7 @@ def string(seconds: float, drag: float = 0.0, clock: float = 1.0) -> hf.Recordin
         torque = -viscous * y[1] - drag * y[1] * abs(y[1])
         return [y[1], torque / inertia - G / LENGTH * np.sin(y[0])]
 
-    angle = solve_ivp(slope, (0.0, t[-1]), [0.35, 0.0], t_eval=t, rtol=1e-10, atol=1e-12, method="DOP853").y[0]
+    angle = solve_ivp(slope, (0.0, t[-1]), [swing, 0.0], t_eval=t, rtol=1e-10, atol=1e-12, method="DOP853").y[0]
     places = np.column_stack([0.0 * t, 0.0 * t, LENGTH * np.sin(angle), -LENGTH * np.cos(angle)])
     noise = 1e-3 * np.random.default_rng(int(seconds)).standard_normal(places.shape)
     return hf.Recording(clock * t, places + noise, kind="markers")
@@ -37,6 +37,17 @@ def test_a_regular_swing_is_one_window_and_its_ratio_is_right(seconds):
     assert found.settings["windows"] == 1
     assert LENGTH in found.intervals["J/p1[0]"]
     assert 1e-4 in found.intervals["friction[0]"]
+
+
+def test_a_swing_that_is_small_beside_its_noise_is_one_window():
+    """White residuals of a tenth of the motion are noise: short windows would leave J/p1 known ten times worse."""
+    found = hf.identify(string(20, swing=0.016), GUESS, options=EXACT)
+    assert found.settings["windows"] == 1
+    assert LENGTH in found.intervals["J/p1[0]"]
+    noise, seconds = np.sqrt(2.0) * 1e-3 / LENGTH, found.settings["fitted_to"]
+    rate = np.sqrt(24.0 / (30.0 * seconds)) * noise / 0.016 / seconds  # rad/s, of a tone (Rife and Boorstyn 1974)
+    least = 2.0 * rate / np.sqrt(G / LENGTH) * LENGTH
+    assert found.ratio_std["J/p1"][0] == pytest.approx(least, rel=0.1)  # 16 s are no whole number of periods
 
 
 @pytest.mark.nightly

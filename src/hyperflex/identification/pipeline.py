@@ -55,6 +55,7 @@ from hyperflex.identification.uncertainty.covariance import (
     ratios,
 )
 from hyperflex.identification.uncertainty.model_error import with_model_error, with_prediction_error
+from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.profile import all_intervals
 from hyperflex.interruption import deferred, interruptible, stoppable
 from hyperflex.model import Rope
@@ -369,20 +370,25 @@ class _Case:
         """Return the fit of longer windows, as long as these make the parameters better known, and its search.
 
         A state that is common to a longer time leaves more of the motion to the parameters: a phase, above all. Where
-        errors grow fast, longer windows tell less; where the model is not right for so long, residuals grow.
+        errors grow fast, longer windows tell less; where the model is not right for so long, residuals grow. Those of a
+        swing that has nearly ended are a large part of it, but white.
         """
         most = WORSE * information.variance
+
+        def is_bad(fitted: Fitted, about: Information) -> bool:
+            return about.whiteness < CHANCE and search.is_bad(fitted.windows, fitted.fit)
+
         with stoppable() as stop:
-            while ended is None and found.fit.converged and not search.is_bad(found.windows, found.fit):
+            while ended is None and found.fit.converged and not is_bad(found, information):
                 longer = search.joined(found)
                 if longer is None:
                     break
                 following, longer = self._with_com(search, longer)
                 ended = longer.fit.status  # what was interrupted is not finished
-                if not longer.fit.converged or search.is_bad(longer.windows, longer.fit):
+                if not longer.fit.converged:
                     break
                 more = estimate_covariance(following.plant, longer.windows, longer.fit, self.budget)
-                if more.variance > most or not more.tells_more(information):
+                if is_bad(longer, more) or more.variance > most or not more.tells_more(information):
                     break
                 search, found, information = following, longer, more
         return search, found, information, ended or stop.status
