@@ -201,6 +201,19 @@ def test_links_that_may_be_too_long_count_by_their_probability():
         assert told == pytest.approx(np.array([[excess_gain * 0.2**2]]))
 
 
+def test_a_law_that_acts_as_inertia_does_counts_only_if_it_is_sure():
+    """A spring of a size that chance gives it left nothing known: ratios 200 times as wide as by noise."""
+    case = KINDS["length"][0](np.random.default_rng([1, 5, 3]))
+    basis = identify(case.recording, case.guess, case.free, options=FitOptions(length_std=0.0, clock_std=0.0))._basis
+    noise = basis.information.covariance
+    springs = ScoreTest("stiffness", 0.01, np.ones(1), std=0.01, shift=np.zeros(len(noise)))
+    for widths, counts in ((100.0, False), (1.0, True)):
+        for excess in (0.8, 0.95):
+            law = replace(springs, excess_gain=excess, added=widths**2 * noise)
+            model = with_model_error(basis, [law], np.zeros(4)).information.model
+            np.testing.assert_allclose(model, (counts or excess > 0.9) * excess * law.added, rtol=1e-9)
+
+
 @pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
 @pytest.mark.nightly
 def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_out):
