@@ -50,6 +50,17 @@ def test_a_swing_that_is_small_beside_its_noise_is_one_window():
     assert found.ratio_std["J/p1"][0] == pytest.approx(least, rel=0.1)  # 16 s are no whole number of periods
 
 
+def test_places_tell_more_than_directions_from_marker_to_marker():
+    """These have the noise of both ends. On the first joint a marker has no motion that its noise is a part of."""
+    exact, markers = hf.FitOptions(length_std=0.0, clock_std=0.0), string(5)
+    setups = (hf.RecordingSetup(), hf.RecordingSetup(arc_lengths=[0.0, LENGTH]))
+    both = [hf.identify(markers, GUESS, ["inertia", "friction"], setup=each, options=exact) for each in setups]
+    directions, places = (each.ratio_std["J/p1"][0] for each in both)
+    assert directions / places == pytest.approx(np.sqrt(2.0), rel=0.1)  # 5 s tell their own noise to 4 %
+    assert [each.grade for each in both] == ["usable for ratios"] * 2
+    assert LENGTH in both[1].intervals["J/p1[0]"]
+
+
 @pytest.mark.nightly
 def test_a_decay_that_depends_on_the_amplitude_is_told_from_viscous_friction():
     """Drag is freed since the data require it, and J/p1 is as narrow as without."""

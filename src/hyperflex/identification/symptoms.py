@@ -28,7 +28,7 @@ from hyperflex.identification.uncertainty.covariance import (
 from hyperflex.identification.uncertainty.model_error import law_error
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import RESISTANCES, Rope
-from hyperflex.sensors import Angles
+from hyperflex.sensors import Angles, Markers
 
 # part of the motion that may stay unexplained where residuals are white, so that they are noise, and of a torque, which
 # sensors or currents do not tell better; else it is POOR
@@ -95,17 +95,20 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     """Yield that a fit did not converge, or leaves much of the motion or of the torque.
 
     White residuals are measuring noise, of which more is allowed, and as much as was declared; declared noise excuses
-    residuals that are not white as far as that, too.
+    residuals that are not white as far as that, too. A marker on the first joint does not move by what is fitted: its
+    errors count against the motion of all.
     """
     fit, sensor = basis.fit, basis.plant.sensor
     if not fit.converged:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"ended": fit.status or ""})
     white, points = basis.information.whiteness >= CHANCE, not isinstance(sensor, Angles)
     rms, spread, noise = _of_points(_sizes(basis)) if white and points else _sizes(basis)
+    seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
+    if isinstance(sensor, Markers) and sensor.arc_lengths[0] == 0.0:
+        spread[: 2 - white] = np.sqrt(np.mean(spread[:seen] ** 2))
     allowed = excused = np.maximum(WHITE_POOR * spread, NOISY * noise)
     if not white:
         allowed = np.clip(NOISY * noise, POOR * spread, WHITE_POOR * spread)
-    seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
     left = np.where(white & (rms <= excused), 0.0, rms / np.maximum(spread, 1e-12))
     worst = int(np.argmax(left[:seen]))
     if rms[worst] > allowed[worst]:
