@@ -145,12 +145,12 @@ def _patterns(basis: Basis, recording: Recording) -> Iterator[_Pattern]:
     always = np.arange(steps.size) == 0
     steps[CHANNEL_TEST.side : -CHANNEL_TEST.side] = True
     shifts = [_shifts(basis, recording, seen) for seen in fitted]
+    rates = [np.gradient(seen, window.t, axis=0) for seen, window in zip(fitted, basis.windows, strict=True)]
     for channel in range(recording.data.shape[1]):
         moved = [shift[channel] * window.weight for shift, window in zip(shifts, basis.windows, strict=True)]
         yield _Pattern(Kind.JUMP, channel, moved, steps)
         if recording.kind == "angles" and recording.n_links > 1:
             yield _Pattern(Kind.LINK_ZERO, channel, moved, always)
-            rates = [np.gradient(seen, window.t, axis=0) for seen, window in zip(fitted, basis.windows, strict=True)]
             late = [-rate * each for rate, each in zip(rates, moved, strict=True)]
             yield _Pattern(Kind.LINK_LATE, channel, late, always)
 
@@ -185,7 +185,8 @@ def _explained(pieces: Sequence[Piece], pattern: _Pattern, own: int) -> _Explain
     later, absorbed = np.zeros(2 + pieces[0].basis.shape[2]), 0.0
     for piece, shape in zip(reversed(pieces), reversed(pattern.windows), strict=True):
         products = np.stack([piece.residual * shape, shape**2]).sum(axis=2)
-        each = np.column_stack([*products, np.einsum("mc,mck->mk", shape, piece.basis)])
+        acts = shape.any(axis=0)  # one channel or two, as a rule
+        each = np.column_stack([*products, np.einsum("mc,mck->mk", shape[:, acts], piece.basis[:, acts])])
         table = later + np.cumsum(each[::-1], axis=0)[::-1]
         dots.append(table[:, 0])
         sizes.append(table[:, 1] - absorbed - (table[:, 2:] ** 2).sum(axis=1))
