@@ -4,17 +4,21 @@ import math
 
 
 class Servo:
-    """Follows its goal by a first-order lag of 5 ms; without torque it stands. `goals` came at times, s."""
+    """Follows its goal by a first-order lag of 5 ms; without torque it stands.
+
+    `goals` came at times, s, and were `steps`, rad, from the shaft then.
+    """
 
     def __init__(self, angle=0.0):
         self.t, self.angle, self.rate, self.torque, self.voltage, self.temperature = 0.0, angle, 0.0, 0.0, 24.0, 25.0
-        self.enabled, self.goals, self._goal = False, [], angle
+        self.enabled, self.goals, self.steps, self._goal = False, [], [], angle
         self.switched_off = None  # when last
         self.on_goal = lambda goal: None
 
     def set_goal(self, goal):
         self._goal = goal.angle
         self.goals.append((self.t, goal))
+        self.steps.append(abs(goal.angle - self.angle))
         self.on_goal(goal)
 
     def set_enabled(self, on):

@@ -292,7 +292,23 @@ def test_one_lost_reply_after_a_pause_is_no_lost_link(link):
         assert not drive.read().stale
 
 
-@pytest.mark.parametrize("error", [OSError("unplugged"), DriveError("gone"), RuntimeError("a bug"), IndexError()])
+def test_lost_replies_now_and_then_are_no_lost_link(drive, link):
+    link.fails = 50 * [*silent(9), None]
+    drive.command(Goal(0.0))
+    states = [drive.read() for _ in range(450)]
+    assert max(state.lost for state in states) == 9
+
+
+def test_what_a_link_refuses_is_named_once(link):
+    with Drive(link, LIMITS) as drive:
+        link.fails = [None, DriveError("fake 1: its watchdog is not armed.")]
+        with pytest.raises(DriveError, match=r"^fake 1: its watchdog is not armed\. Torque is off") as error:
+            drive.enable()
+        assert str(error.value).count("fake 1") == 1
+        assert not link.state["enabled"]
+
+
+@pytest.mark.parametrize("error", [OSError("unplugged"), RuntimeError("a bug"), IndexError()])
 def test_a_link_that_breaks_is_a_fault(drive, link, error):
     link.fails = [error]
     with pytest.raises(DriveError, match="link broke"):
@@ -415,6 +431,22 @@ def test_another_thread_stops_it_and_signals_stay_with_the_main_thread(drive, li
     assert not link.state["enabled"]
     with pytest.raises(DriveError, match="torque is off"):
         drive.command(Goal(0.0))
+
+
+def test_a_drive_may_be_closed_by_another_thread_and_connected_again(link):
+    before = signal.getsignal(signal.SIGTERM)
+    drive = ready(link)
+    for _ in range(2):
+        thread = threading.Thread(target=drive.close)
+        thread.start()
+        thread.join()
+        assert not link.state["enabled"]
+        drive.connect()
+        with pytest.raises(SystemExit):
+            signal.raise_signal(signal.SIGTERM)
+    drive.close()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        assert signal.getsignal(number) in (before, signal.default_int_handler)
 
 
 def test_drives_may_be_closed_in_any_order():

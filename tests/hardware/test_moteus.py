@@ -143,6 +143,15 @@ def test_without_a_limit_of_torque_the_controllers_own_holds(rig, device):
     assert link._vendor.Register.COMMAND_POSITION_MAX_TORQUE not in seen[-1]
 
 
+def test_a_controller_whose_watchdog_fired_is_enabled_again(rig, device):
+    device._enter(11)
+    with Drive(MoteusLink(rig.port, patience=1.0), MotorLimits()) as drive:
+        assert not drive.read().enabled
+        assert drive.enable().enabled
+        drive.command(Goal(0.0))
+    assert device.mode == 0
+
+
 def test_the_hotter_of_board_and_motor_counts(rig, device):
     value = device._value
     device._value = lambda index, resolution: struct.pack("<f", 80.0) if index == 10 else value(index, resolution)

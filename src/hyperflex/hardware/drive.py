@@ -552,11 +552,13 @@ class Drive:
         raise DriveError(f"{self.link.name}: {why}.{off}{unsure}")
 
     def _guarded(self, request: Callable[[], Any]) -> Any:
-        """Make a request; a link that broke (unplugged, closed, an error of its library) is a lost link."""
+        """Make a request; what the link refuses is a fault, and any other error (unplugged, a bug) is a lost link."""
         try:
             return request()
         except NoReply:
             raise
+        except DriveError as error:
+            self._latch(str(error).removeprefix(self.link.name).lstrip(": ").rstrip("."))
         except Exception as error:  # noqa: BLE001 whatever it is, the torque must be off first
             self._latch(f"the link broke ({error})")
 
@@ -615,12 +617,12 @@ class Drive:
     def _whole(self) -> Iterator[None]:
         """Run a block whole: other threads wait, and signals are handled at its end."""
         main = threading.current_thread() is threading.main_thread()
-        with self._lock:
-            self._whole_blocks += main
-            try:
+        self._whole_blocks += main
+        try:
+            with self._lock:
                 yield
-            finally:
-                self._whole_blocks -= main
-                if main and self._pending and not self._whole_blocks:
-                    number, self._pending = self._pending, 0
-                    self._on_signal(number, None)
+        finally:
+            self._whole_blocks -= main
+            if main and self._pending and not self._whole_blocks:
+                number, self._pending = self._pending, 0
+                self._on_signal(number, None)
