@@ -54,6 +54,8 @@ class IdealLink:
         self.note("closed")
 
 
-def ideal_drive(notes: Path, silent_after: int = 10**9, fault_after: int = 10**9) -> Drive:
+def ideal_drive(
+    notes: Path, silent_after: int = 10**9, fault_after: int = 10**9, limits: MotorLimits | None = None
+) -> Drive:
     """Return a drive over an ideal link."""
-    return Drive(IdealLink(notes, silent_after, fault_after), MotorLimits())
+    return Drive(IdealLink(notes, silent_after, fault_after), limits or MotorLimits())

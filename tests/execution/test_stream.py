@@ -27,7 +27,7 @@ def wait(stream: MotionStream) -> None:
     """Wait for two seconds, or until the stream raises what ended it."""
     for _ in range(100):
         time.sleep(0.02)
-        stream.log()
+        stream.raise_if_ended()
 
 
 def test_goals_are_those_of_the_motion_at_the_time_of_sending(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.execution.learning import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
+    from hyperflex.execution.page import RunPage
+    from hyperflex.execution.run import CastRun, ClockedSource, RunOptions, run_plan
     from hyperflex.execution.stream import MotionStream, StreamLog
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -177,22 +177,21 @@ class MotionStream:
         return float(np.interp(t, received, angle))
 
     def log(self) -> StreamLog:
-        """Return all cycles so far."""
-        self._raise_if_ended()
+        """Return all cycles so far, also after the end."""
         return self._shared.log(self.rate, self._zero)
 
     @property
     def pid(self) -> int:
         """Identifier of the process."""
-        self._raise_if_ended()
+        self.raise_if_ended()
         return int(self._worker.pid)
 
     def _ask(self, *request: Any) -> Any:
-        self._raise_if_ended()
+        self.raise_if_ended()
         try:
             self._link.send(request)
         except OSError:
-            self._raise_if_ended()
+            self.raise_if_ended()
             raise
         return self._receive(ANSWER)
 
@@ -208,7 +207,8 @@ class MotionStream:
             raise value
         return value
 
-    def _raise_if_ended(self) -> None:
+    def raise_if_ended(self) -> None:
+        """Raise what ended the process, if it has ended."""
         if self._worker is None:
             raise InvalidInput("the motion stream is closed", fix="Use it within its with block")
         if self._link.poll():  # nothing was asked: it has ended

@@ -1,0 +1,490 @@
+"""A planned cast carried out on a drive: to the start, wait, count down, stream, end with the torque off, report."""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from hyperflex import checks, files
+from hyperflex.checks import Array
+from hyperflex.errors import DriveError, EstimatorLost, InvalidInput, SimulationError
+from hyperflex.execution.page import RunPage
+from hyperflex.execution.stream import FIELDS, MotionStream, StreamLog
+from hyperflex.files import NetCDF, PathLike, Variable
+from hyperflex.hardware import Drive
+from hyperflex.interfaces import RopeState, StateSource
+from hyperflex.interruption import interruptible, stoppable
+from hyperflex.model import MotorLimits, Rope
+from hyperflex.motion import Motion, hold_arm, move_arm
+from hyperflex.options import check, option
+from hyperflex.planning import CastPlan, FollowOptions, FollowResult, follow_plan
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+from hyperflex.status import Status
+from hyperflex.trajectory import swept
+
+LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
+POLL = 0.01  # s between two checks while waiting
+LEFT = 0.05  # m from the plan at which the rope counts as having left it: the radius of a usual target
+NEAR_PLAN = 0.25  # of the difference between a wound and a hanging rope's torque, within which a torque decides
+
+
+class ClockedSource(StateSource, Protocol):
+    """A source of the rope's state whose t = 0 can be set, such as :class:`hyperflex.estimate.CameraStateSource`."""
+
+    def start_clock(self, at: float | None = None) -> None:
+        """Make a moment of the monotonic clock, s, or now, t = 0."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of :func:`run_plan`.
+
+    Parameters
+    ----------
+    rate : float
+        Goals a second, Hz.
+    approach : float
+        Part of the motor's speed with which the arm goes to its start.
+    still : float
+        Greatest rate of a link, rad/s, of a rope that counts as hanging still.
+    wait : float
+        Time to wait for the rope to hang still, s: with a source of its state at most so long, without one exactly.
+    countdown : float
+        Time between the last warning and the motion, s.
+    feed_forward : bool
+        Whether the torque that the plan's simulation needs is sent along, to a drive that takes it.
+    max_tracking_error : float
+        Angle between arm and goal at which the run is stopped, rad.
+    sampling : float
+        Rate at which the rope's state is recorded, Hz.
+    """
+
+    rate: float = option(200.0, "goals a second", unit="Hz", sign="positive")
+    approach: float = option(0.1, "part of the motor's speed with which the arm goes to its start", sign="positive")
+    still: float = option(0.1, "greatest rate of a link that hangs still", unit="rad/s", sign="positive")
+    wait: float = option(20.0, "time to wait for the rope to hang still", unit="s", sign="nonnegative")
+    countdown: float = option(3.0, "time between the last warning and the motion", unit="s", sign="nonnegative")
+    feed_forward: bool = option(True, "send the torque that the simulation needs along")
+    max_tracking_error: float = option(0.3, "angle between arm and goal that stops a run", unit="rad", sign="positive")
+    sampling: float = option(60.0, "rate at which the rope's state is recorded", unit="Hz", sign="positive")
+
+    def __post_init__(self) -> None:
+        check(self, "")
+        if self.approach > 1.0:
+            raise InvalidInput("approach is faster than the motor", got=self.approach, allowed="up to 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The simulated run of a plan: times (T,), s, joints (T, n + 1, 2), m, and the motor's torque (T,), N m."""
+
+    t: Array
+    places: Array
+    torque: Array
+
+    @classmethod
+    def of(cls, plan: CastPlan, motion: Motion) -> "Prediction | None":
+        """Return that of a motion, with the plan's rope as given; None if it cannot be simulated."""
+        problem, criteria = plan.problem, plan.problem.criteria
+        duration = float(motion.breaks[-1]) + criteria.settle + criteria.watch
+        pegs = (plan.target, *problem.obstacles)
+        try:
+            run = simulate(problem.rope, motion, arm=problem.arm, duration=duration, pegs=pegs)
+        except SimulationError:
+            return None
+        shared = np.searchsorted(_arcs(run.setup.rope) + 1e-9, _arcs(problem.rope))  # links may be cut near pegs
+        return cls(run.t, run.joints[:, shared], run.motor_torque)
+
+    def joints(self, t: Array) -> Array:
+        """Return the joints (K, n + 1, 2) at times t (K,), s, interpolated."""
+        k = np.clip(np.searchsorted(self.t, t) - 1, 0, self.t.size - 2)
+        part = np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), 0.0, 1.0)[:, None, None]
+        return np.asarray((1.0 - part) * self.places[k] + part * self.places[k + 1])
+
+
+@dataclass(frozen=True, eq=False)
+class CastRun:
+    """A cast as it was carried out.
+
+    Attributes
+    ----------
+    plan : CastPlan
+    motion : Motion
+        What was commanded in the end: the planned motion, or that of the closed loop.
+    log : StreamLog
+        What was sent to the drive and read from it, times since the begin of the motion.
+    prediction : Prediction or None
+        The simulated run of the plan; None if it cannot be simulated.
+    recording : Recording or None
+        Absolute link angles as the source of the rope's state gave them; None without a source.
+    follow : FollowResult or None
+        The decisions, if the plan was followed in closed loop.
+    stopped : str
+        What stopped the run before its end; empty if it came to its end.
+    interrupted : bool
+        Whether the user stopped it.
+    """
+
+    plan: CastPlan
+    motion: Motion
+    log: StreamLog
+    prediction: "Prediction | None" = None
+    recording: Recording | None = None
+    follow: FollowResult | None = None
+    stopped: str = ""
+    interrupted: bool = False
+
+    @property
+    def message(self) -> str:
+        """Why the rope did not wind, or why that is unknown; empty if it wound."""
+        if self.interrupted:
+            return "interrupted: the torque was switched off"
+        if self.stopped:
+            return self.stopped
+        if self.wound is None:
+            return "nothing shows whether the rope is wound: neither a camera nor a torque that differs enough"
+        if self.wound:
+            return ""
+        seen = "" if self.turns is None else f": {abs(self.turns):.2f} turns of {self.plan.problem.criteria.turns:g}"
+        return f"the rope is not wound{seen} ({self.judged_by})"
+
+    @property
+    def status(self) -> Status:
+        """SUCCESS: the rope is wound."""
+        if self.interrupted:
+            return Status.INTERRUPTED
+        return Status.FAILED if self.message else Status.SUCCESS
+
+    @property
+    def success(self) -> bool:
+        """Whether the rope is wound."""
+        return not self.message
+
+    @property
+    def wound(self) -> bool | None:
+        """Whether the rope is wound at the end: by its observed state, else by the torque; None if nothing shows it."""
+        if self.turns is not None:
+            return abs(self.turns) >= self.plan.problem.criteria.turns
+        return self._wound_by_torque
+
+    @property
+    def judged_by(self) -> str:
+        """What shows whether it is wound: "state", "torque", or nothing."""
+        if self.turns is not None:
+            return "state"
+        return "" if self._wound_by_torque is None else "torque"
+
+    @cached_property
+    def turns(self) -> float | None:
+        """Least turns of the observed rope about the target while it is watched; None where it was not observed."""
+        if self.recording is None:
+            return None
+        watched = self.recording.t >= self._stop + self.plan.problem.criteria.settle
+        if not watched.any():
+            return None
+        peg = self.plan.target
+        found = swept(self._joints[watched] - np.array([peg.x, peg.y])).sum(axis=1) / math.tau
+        return float(found[np.argmin(np.sign(found[-1]) * found)])
+
+    @cached_property
+    def _wound_by_torque(self) -> bool | None:
+        """Whether the mean torque at the end is that of the wound rope, or that of a rope which hangs from the arm."""
+        since = self._stop + self.plan.problem.criteria.settle
+        torque = self.log.column("torque")[self.log.column("sent") >= since]
+        if self.prediction is None or not np.isfinite(torque).any():
+            return None
+        wound = float(self.prediction.torque[self.prediction.t >= since].mean())
+        arm, rope = self.plan.problem.arm, self.plan.problem.rope
+        angle = float(self.motion.angle(self._stop))
+        weight = (rope.total_mass * arm.length + arm.mass * arm.com) * math.hypot(*rope.gravity)
+        hanging = weight * math.sin(angle - rope.hanging_angle)
+        part = (float(np.nanmean(torque)) - hanging) / (wound - hanging) if wound != hanging else math.nan
+        if abs(part - 1.0) <= NEAR_PLAN:
+            return True
+        return False if abs(part) <= NEAR_PLAN else None
+
+    @cached_property
+    def deviation(self) -> tuple[Array, Array] | None:
+        """Distance (T, n + 1) of each observed joint from the plan's, m, and the recording's times (T,), s."""
+        if self.recording is None or self.prediction is None:
+            return None
+        t = self.recording.t
+        return t, np.linalg.norm(self._joints - self.prediction.joints(t), axis=-1)
+
+    @property
+    def left_plan(self) -> tuple[float, int] | None:
+        """Time, s, and joint (0: at the arm) at which the rope was first 5 cm from the plan; None if it never was."""
+        if self.deviation is None:
+            return None
+        t, away = self.deviation
+        far = away > LEFT
+        if not far.any():
+            return None
+        k = int(far.any(axis=1).argmax())
+        return float(t[k]), int(far[k].argmax())
+
+    @cached_property
+    def _joints(self) -> Array:
+        """Joints (T, n + 1, 2) of the observed rope, m, the tip last; the arm is where the drive says."""
+        recording = self.recording
+        assert recording is not None  # noqa: S101 callers have asked
+        problem, t = self.plan.problem, recording.t
+        answered = self.log.column("lost") == 0
+        angle = np.interp(t, self.log.column("received")[answered], self.log.column("angle")[answered])
+        return problem.rope.joints(recording.data, problem.arm.tip(angle))
+
+    @property
+    def _stop(self) -> float:
+        return float(self.motion.breaks[-1])
+
+    def summary(self) -> dict[str, object]:
+        """Return the run in figures, for JSON."""
+        error, jitter = np.abs(self.log.tracking_error), self.log.jitter
+        moving = self.log.column("sent") <= self._stop
+        known = error[moving & np.isfinite(error)]
+        return {
+            "success": self.success,
+            "status": self.status,
+            "message": self.message,
+            "wound": self.wound,
+            "judged_by": self.judged_by,
+            "turns": self.turns,
+            "tracking_error_rms": float(np.sqrt((known**2).mean())) if known.size else None,
+            "tracking_error_max": float(known.max()) if known.size else None,
+            "left_plan": self.left_plan,
+            "cycles": len(self.log.rows),
+            "missed_cycles": self.log.missed,
+            "lost_replies": int((self.log.column("lost") > 0).sum()),
+            "jitter_p99": float(np.quantile(jitter, 0.99)) if jitter.size else None,
+            "decisions": [] if self.follow is None else [each.action for each in self.follow.decisions],
+        }
+
+    def to_netcdf(self, path: PathLike) -> None:
+        """Write the drive's log, and the rope's angles if it was observed, to a NetCDF-4 file."""
+        units = dict(zip(FIELDS, ("s",) * 3 + ("rad", "rad/s", "N m") * 2 + ("V", "degC", "1"), strict=True))
+        drive = {
+            name: Variable(("cycle",), self.log.column(name), {"units": units[name], "long_name": _spaced(name)})
+            for name in FIELDS
+        }
+        groups = {}
+        if self.recording is not None:
+            groups["rope"] = {
+                "time": Variable(("time",), self.recording.t, {"units": "s"}),
+                "angle": Variable(("time", "link"), self.recording.data, {"units": "rad"}),
+            }
+        notes = {"format": "hyperflex cast run 1", "rate": self.log.rate, "missed_cycles": self.log.missed}
+        notes |= {"message": self.message, "interrupted": int(self.interrupted), "judged_by": self.judged_by}
+        files.write_netcdf(path, NetCDF(drive, notes, groups))
+
+
+@interruptible()
+def run_plan(
+    plan: CastPlan,
+    connect: Callable[[], Drive],
+    *,
+    motion: Motion | None = None,
+    source: ClockedSource | None = None,
+    follow: FollowOptions | None = None,
+    options: RunOptions | None = None,
+    say: Callable[[str], None] = lambda _: None,
+    page: RunPage | None = None,
+) -> CastRun:
+    """Carry out a planned cast on a drive.
+
+    Parameters
+    ----------
+    plan : CastPlan
+        With a motion.
+    connect : callable
+        Returns the drive, as :class:`MotionStream` takes it; its limits are the drive's own.
+    motion : Motion, optional
+        Carried out in place of the plan's, with the same start: one that was learned, for example.
+    source : ClockedSource, optional
+        The rope's state: for waiting until it hangs still, for the closed loop, and to see whether it wound.
+    follow : FollowOptions, optional
+        Follow the plan in closed loop (:func:`hyperflex.follow_plan`), with these options; needs a source.
+    options : RunOptions, optional
+    say : callable
+        Is told each phase in a line.
+    page : RunPage, optional
+        Shows the run in a browser.
+
+    Returns
+    -------
+    CastRun
+        Also of a run that was stopped: by the drive's guards, a source that lost the rope, or Ctrl-C.
+
+    Raises
+    ------
+    InvalidInput
+        If the plan has no motion, or the motion exceeds the drive's limits; nothing has moved.
+    DriveError
+        If the drive cannot be reached, or the arm does not come to its start.
+    Interrupted
+        With the run until then.
+    """
+    chosen, made = options or RunOptions(), motion or plan.required(plan.motion, "motion")
+    if follow is not None and source is None:
+        raise InvalidInput("a plan is followed by what is seen of the rope", fix="Give a source, or a camera")
+    if follow is not None and motion is not None:
+        raise InvalidInput("a motion in place of the plan's is not followed in closed loop", fix="Leave out follow")
+    connect().check_motion(made)
+    say("simulating the plan")
+    prediction, stop, found = Prediction.of(plan, made), "", None
+    watch = _Watch(None, 0.0, chosen.sampling)
+    sent_along = (prediction.t, prediction.torque) if prediction is not None and chosen.feed_forward else None
+    with MotionStream(connect, rate=chosen.rate, duration=120.0 + 2.0 * float(made.breaks[-1])) as drive:
+        if page is not None:
+            page.attach(drive, lambda: watch.states[-1] if watch.states else None)
+        with stoppable() as stopped:
+            _approach(drive, float(made.angle(0.0)), plan.problem.limits, chosen, say)
+            _wait_until_still(drive, source, chosen, say)
+            for k in range(math.ceil(chosen.countdown), 0, -1):
+                say(f"the cast begins in {k} s")
+                _sleep_until(time.monotonic() + min(1.0, chosen.countdown), drive, chosen)
+            begin = time.monotonic() + LEAD
+            drive.start_clock(begin)
+            drive.set_motion(made, 0.0, sent_along)
+            watch = _Watch(source, begin, chosen.sampling)
+            say("the cast runs")
+            try:
+                with watch:
+                    if follow is not None:
+                        found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
+                        made = found.motion
+                    criteria = plan.problem.criteria
+                    _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive, chosen)
+            except (DriveError, EstimatorLost, SimulationError) as error:
+                stop = str(error)
+        run = CastRun(plan, made, drive.log(), prediction, watch.recording(), found, stop, stopped.received)
+    say("the torque is off")
+    return stopped.deliver(run)
+
+
+def _approach(
+    drive: MotionStream, start: float, limits: MotorLimits, options: RunOptions, say: Callable[[str], None]
+) -> None:
+    """Switch the torque on, and bring the arm slowly to the start of the motion, rad."""
+    now = drive.enable().angle
+    way = abs(start - now)
+    if way > 1e-4:
+        # peak speed 1.875 way / T and acceleration 5.774 way / T^2 of minimum jerk
+        slow = options.approach * limits.speed, options.approach * limits.acceleration
+        duration = max(1.875 * way / slow[0], math.sqrt(5.774 * way / slow[1]))
+        say(f"the arm moves slowly from {now:.2f} to {start:.2f} rad, in {duration:.1f} s")
+        begin = time.monotonic() + LEAD
+        drive.start_clock(begin)
+        drive.set_motion(move_arm(now, start, duration, "minimum-jerk"), 0.0)
+        _sleep_until(begin + duration + LEAD, drive, options)
+    away = abs(drive.state().angle - start)
+    if away > options.max_tracking_error:
+        raise DriveError(
+            f"The arm is {away:.2f} rad from its start. Allowed: {options.max_tracking_error:g} rad. "
+            "Check its load, its gains and its zero."
+        )
+
+
+def _wait_until_still(
+    drive: MotionStream, source: ClockedSource | None, options: RunOptions, say: Callable[[str], None]
+) -> None:
+    if source is None:
+        if options.wait:
+            say(f"nothing shows whether the rope hangs still: waiting {options.wait:g} s")
+        _sleep_until(time.monotonic() + options.wait, drive, options)
+        return
+    say("waiting until the rope hangs still")
+    begin = time.monotonic()
+    source.start_clock(begin)
+    rate = math.inf
+    while rate > options.still:
+        if (t := time.monotonic() - begin) > options.wait:
+            fix = "Hold it still, allow a longer wait, or a higher rate"
+            raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {options.still:g} rad/s", fix=fix)
+        rate = float(np.abs(source.state(t, hold_arm(0.0)).qd).max())
+        _sleep_until(time.monotonic() + 10.0 * POLL, drive, options)
+
+
+def _sleep_until(end: float, drive: MotionStream, options: RunOptions) -> None:
+    """Wait until a moment of the monotonic clock, s; stop where the arm leaves its goals."""
+    while (rest := end - time.monotonic()) > 0.0:
+        time.sleep(min(POLL, rest))
+        drive.raise_if_ended()
+        error = drive.log().tracking_error[-1:]
+        if error.size and abs(error[0]) > options.max_tracking_error:
+            drive.off()
+            raise DriveError(
+                f"The arm is {abs(error[0]):.2f} rad from its goal. Allowed: {options.max_tracking_error:g} rad. "
+                "The torque is off."
+            )
+
+
+class _Watch:
+    """A source in real time: it waits for the time that is asked for, and records the rope meanwhile."""
+
+    def __init__(self, source: ClockedSource | None, begin: float, rate: float) -> None:
+        self.source, self.begin, self.period = source, begin, 1.0 / rate
+        self.states: list[RopeState] = []
+        self._motion: Motion | None = None
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._record, name="rope recorder", daemon=True)
+        self._failed: EstimatorLost | SimulationError | None = None
+
+    def __enter__(self) -> None:
+        if self.source is not None:
+            self.source.start_clock(self.begin)
+            self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self.source is not None:
+            self._thread.join()
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the state at a time, s, once that time has come."""
+        checks.number("t", t, unit="s")
+        if self.source is None:
+            raise InvalidInput("there is no source of the rope's state")
+        time.sleep(max(0.0, self.begin + t - time.monotonic()))
+        with self._lock:
+            self._motion = motion
+            return self.source.state(time.monotonic() - self.begin, motion)
+
+    def recording(self) -> Recording | None:
+        """Return the observed link angles; None of fewer than two."""
+        if len(self.states) < 2:
+            return None
+        stds = [None if each.covariance is None else np.sqrt(np.diag(each.covariance)) for each in self.states]
+        noise = None
+        if all(each is not None for each in stds):
+            noise = np.maximum(np.array(stds)[:, : self.states[0].q.size], 1e-9)
+        t, q = np.array([each.t for each in self.states]), np.array([each.q for each in self.states])
+        return Recording(t, q, "angles", noise, name="a cast carried out")
+
+    def _record(self) -> None:
+        due = self.begin
+        while not self._over.wait(max(0.0, due - time.monotonic())):
+            due += self.period
+            t = time.monotonic() - self.begin
+            try:
+                with self._lock:
+                    assert self.source is not None  # noqa: S101 the thread runs with a source alone
+                    state = self.source.state(t, self._motion or hold_arm(0.0))
+            except (EstimatorLost, SimulationError):
+                continue
+            if not self.states or state.t > self.states[-1].t:
+                self.states.append(state)
+
+
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _arcs(rope: Rope) -> Array:
+    """Arc length of each joint (n + 1,), m, the tip last."""
+    return np.append(0.0, np.cumsum(rope.length))

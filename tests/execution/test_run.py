@@ -1,0 +1,95 @@
+"""A planned cast carried out on a drive: its phases, its verdict, and what stops it."""
+
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.control import TrueState
+from hyperflex.errors import InvalidInput
+from hyperflex.execution import RunOptions, run_plan
+from hyperflex.interfaces import RopeState
+from hyperflex.motion import Motion
+from hyperflex.planning import CastPlan, Moves, WindCriteria, check_feasibility
+from tests.execution.ideal_link import ideal_drive
+
+ROPE = hf.Rope.uniform(length=0.8, mass=0.05, n_links=8, radius=0.0025, friction=1e-3)
+QUICK = RunOptions(wait=0.1, countdown=0.0, approach=1.0)
+
+
+def short_plan() -> CastPlan:
+    """Return a plan of one stroke, which does not wind."""
+    criteria = WindCriteria(settle=0.1, watch=0.2)
+    problem = hf.Problem(ROPE, hf.Arm(length=0.1), hf.MotorLimits(), criteria=criteria)
+    peg = hf.Peg(0.3, -0.5, 0.03)
+    moves = Moves(side=1, ends=np.array([0.8, 1.2]), rests=np.array([0.1, 0.1]))
+    return CastPlan(problem, peg, check_feasibility(problem, peg), moves)
+
+
+class SeenRope:
+    """A simulated rope under the motion that was commanded; it may swing before the clock is started a second time."""
+
+    def __init__(self, plan: CastPlan, swings: float = 0.0) -> None:
+        self.plan, self.swings = plan, swings
+        self.starts: list[float] = []
+
+    def start_clock(self, at: float | None = None) -> None:
+        self.starts.append(time.monotonic() if at is None else at)
+        self.rope = TrueState(ROPE, self.plan.problem.arm)
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        n = ROPE.n_links
+        if len(self.starts) == 1:
+            return RopeState(t, np.zeros(n), np.full(n, self.swings))
+        return self.rope.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion"))
+
+
+def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(tmp_path: Path) -> None:
+    plan, said = short_plan(), list[str]()
+    run = run_plan(
+        plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan), options=QUICK, say=said.append
+    )
+    motion = plan.required(plan.motion, "motion")
+    sent = run.log.column("sent")
+    cast = sent >= 0.0
+    assert run.log.column("goal_angle")[cast] == pytest.approx(motion.angle(sent[cast]), abs=1e-9)
+    assert run.log.column("angle")[0] == pytest.approx(0.3, abs=1e-3)  # where the arm was found
+    assert any("slowly from 0.30" in each for each in said)
+    assert run.wound is False
+    assert run.judged_by == "state"
+    assert "not wound" in run.message
+    assert run.left_plan is None  # the simulated rope is the plan's
+    run.to_netcdf(tmp_path / "run.nc")
+    assert (tmp_path / "notes").read_text().split() == ["open", "on", "off", "closed"]
+
+
+def test_a_rope_that_swings_is_not_cast(tmp_path: Path) -> None:
+    plan = short_plan()
+    with pytest.raises(InvalidInput, match="still swings"):
+        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, swings=1.0), options=QUICK)
+    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+
+
+def test_a_fault_in_the_middle_ends_the_run_and_says_so(tmp_path: Path) -> None:
+    plan = short_plan()
+    drive = partial(ideal_drive, tmp_path / "notes", fault_after=700)
+    run = run_plan(plan, drive, source=SeenRope(plan), options=QUICK)
+    assert "over-temperature" in run.message
+    assert not run.success
+    assert run.log.rows.size
+
+
+def test_without_a_source_and_a_torque_nobody_says_that_it_wound(tmp_path: Path) -> None:
+    run = run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes"), options=QUICK)
+    assert not run.success
+    assert run.summary()["wound"] in (None, False)
+
+
+def test_a_motion_beyond_the_drives_limits_moves_nothing(tmp_path: Path) -> None:
+    slow = hf.MotorLimits(speed=0.5)
+    with pytest.raises(InvalidInput, match=r"fast|speed|rate"):
+        run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes", limits=slow), options=QUICK)
+    assert not (tmp_path / "notes").exists()
