@@ -75,7 +75,7 @@ def test_a_rope_that_swings_is_not_cast(tmp_path: Path) -> None:
 
 def test_a_fault_in_the_middle_ends_the_run_and_says_so(tmp_path: Path) -> None:
     plan = short_plan()
-    drive = partial(ideal_drive, tmp_path / "notes", fault_after=700)
+    drive = partial(ideal_drive, tmp_path / "notes", fault_after=450)
     run = run_plan(plan, drive, source=SeenRope(plan), options=QUICK)
     assert "over-temperature" in run.message
     assert not run.success

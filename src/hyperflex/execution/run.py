@@ -272,15 +272,12 @@ class CastRun:
             name: Variable(("cycle",), self.log.column(name), {"units": units[name], "long_name": _spaced(name)})
             for name in FIELDS
         }
-        groups = {}
         if self.recording is not None:
-            groups["rope"] = {
-                "time": Variable(("time",), self.recording.t, {"units": "s"}),
-                "angle": Variable(("time", "link"), self.recording.data, {"units": "rad"}),
-            }
+            drive["time"] = Variable(("time",), self.recording.t, {"units": "s", "long_name": "of the link angles"})
+            drive["link_angle"] = Variable(("time", "link"), self.recording.data, {"units": "rad"})
         notes = {"format": "hyperflex cast run 1", "rate": self.log.rate, "missed_cycles": self.log.missed}
         notes |= {"message": self.message, "interrupted": int(self.interrupted), "judged_by": self.judged_by}
-        files.write_netcdf(path, NetCDF(drive, notes, groups))
+        files.write_netcdf(path, NetCDF(drive, notes))
 
 
 @interruptible()
