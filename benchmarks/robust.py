@@ -204,7 +204,7 @@ class Case:
         def one(k: int) -> tuple[Moves, bool, list[str]]:
             source = ScenarioStateSource(worlds[k], self.known.arm)
             try:
-                done = follow_plan(plan, source, uncertainty=self.uncertainty, seed=k, threads=1)
+                done = follow_plan(plan, source, threads=1)
             except HyperflexError:
                 return throw, True, ["failed"]
             return done.moves, not done.completed, [each.action for each in done.decisions]

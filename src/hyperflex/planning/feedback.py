@@ -1,4 +1,4 @@
-"""A planned cast in closed loop: at each rest of the arm, the rest of the cast is planned again."""
+"""A planned cast in closed loop: at each rest of the arm, the remaining moves lead back to the planned strike."""
 
 import math
 import time
@@ -22,9 +22,9 @@ from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import refuse_behind
 from hyperflex.planning.plan import CastPlan
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes, robust_values, winding_scores
+from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes, winding_scores
 from hyperflex.planning.shooting import shoot
-from hyperflex.planning.uncertainty import Scenario, Uncertainty
+from hyperflex.planning.uncertainty import Scenario
 from hyperflex.status import Status
 
 SLOWLY = 0.3  # fraction of the motor's speed at which an aborted cast takes the arm down
@@ -41,16 +41,10 @@ class FollowOptions:
     real_time : bool
         Whether the rope moves on while a decision is made: one that takes longer than `decision_time` is not carried
         out then. By default the rope waits, as a simulated one does.
-    min_probability : float
-        Fraction of the likely scenarios in which a cast must succeed before the last stroke and the last move; else it
-        is aborted.
     max_arm_error : float
         Angle, rad, between arm and command at a rest, above which a cast is aborted.
-    samples, likely : int
-        Scenarios that may be the true one, and how many of them, those that predict the observations best, a cast is
-        tried in.
     min_gain : float
-        Increase of the mean score, about one per success, by which a changed cast must be better.
+        Reduction of the distance from the planned strike, in scales, that changed moves must bring.
     blind_time : float
         Time before the expected strike, s, within which the rope is no longer observed.
     position_scale, speed_scale : float
@@ -58,7 +52,7 @@ class FollowOptions:
     rest_scale, stroke_scale : float
         Scales of the changes of a rest, s, and of a stroke, rad.
     rounds : int
-        Steps of a correction.
+        Gauss-Newton steps of a correction.
     difference : float
         Step of the finite differences, in scales.
     window : float
@@ -67,22 +61,19 @@ class FollowOptions:
 
     decision_time: float = 0.1
     real_time: bool = False
-    min_probability: float = 0.2
     max_arm_error: float = 0.2
-    samples: int = 48
-    likely: int = 4
-    min_gain: float = 0.05
+    min_gain: float = 0.1
     blind_time: float = 0.15
     position_scale: float = 0.05
     speed_scale: float = 0.5
     rest_scale: float = 0.15
     stroke_scale: float = 0.6
-    rounds: int = 2
+    rounds: int = 1
     difference: float = 0.06
     window: float = 0.3
 
     def __post_init__(self) -> None:
-        for name in ("decision_time", "min_probability", "max_arm_error", "blind_time"):
+        for name in ("decision_time", "min_gain", "max_arm_error", "blind_time"):
             object.__setattr__(self, name, checks.number(name, getattr(self, name), sign="nonnegative"))
 
 
@@ -99,7 +90,8 @@ class Decision:
     left : float
         Time until that move, as planned before the decision, s.
     before, after : float
-        Fraction of the likely scenarios in which the cast succeeds, before and after the decision.
+        Distance of the predicted strike from the planned one before and after the decision: root mean square of the
+        errors of the joints' positions and velocities, in scales; inf if the rope is not predicted to strike.
     action : {"kept", "changed", "aborted", "late"}
         Late: the decision came too late and was not carried out.
     seconds : float
@@ -132,6 +124,10 @@ class FollowResult:
     options : FollowOptions
     planned : str
         Why the plan fails as it was planned; empty if it succeeds.
+    turns : float
+        Turns that the rope makes and keeps by the model, from the state at the last observation on; NaN without one.
+    required : float
+        Turns that are required.
     """
 
     moves: Moves
@@ -139,6 +135,8 @@ class FollowResult:
     decisions: tuple[Decision, ...]
     options: FollowOptions
     planned: str = ""
+    turns: float = math.nan
+    required: float = 0.0
 
     @property
     def late(self) -> int:
@@ -156,16 +154,17 @@ class FollowResult:
         if not self.decisions:
             return self.planned
         last = self.decisions[-1]
-        why = f"it succeeds in {100 * last.after:.0f} % of the likely scenarios"
-        if abs(last.arm_error) > self.options.max_arm_error:
-            why = f"the arm is {abs(last.arm_error):.2g} rad from its command"
         if not self.completed:
+            far = abs(last.arm_error) > self.options.max_arm_error
+            why = f"the arm is {abs(last.arm_error):.2g} rad from its command" if far else "the rope will not strike"
             return f"aborted at {last.t:.2f} s: {why}"
-        return "" if last.after >= 0.5 else f"expected to miss: at {last.t:.2f} s {why}"
+        if self.turns >= self.required:
+            return ""
+        return f"expected to miss: from {last.t:.2f} s on the model makes {self.turns:.2f} of {self.required:g} turns"
 
     @property
     def status(self) -> Status:
-        """SUCCESS: made to its end, and at the last observation it succeeds in most of the likely scenarios.
+        """SUCCESS: made to its end, and by the model the rope winds from the last observed state on.
 
         Where nothing was observed: the plan succeeds.
         """
@@ -183,9 +182,7 @@ def follow_plan(
     source: StateSource,
     *,
     motor: Motor | None = None,
-    uncertainty: Uncertainty | None = None,
     options: FollowOptions | None = None,
-    seed: int = 0,
     threads: int | None = None,
 ) -> FollowResult:
     """Follow a planned cast; at each rest before the strike, plan the rest of it again from the observed state.
@@ -199,10 +196,7 @@ def follow_plan(
     motor : Motor, optional
         Gets the plan at t = 0 and each change at a rest; its angle is read there. Without a motor only `source` gets
         the commands.
-    uncertainty : Uncertainty, optional
-        Prior of the scenarios that may be the true one; by default realistic.
     options : FollowOptions, optional
-    seed : int
     threads : int, optional
 
     Raises
@@ -212,12 +206,12 @@ def follow_plan(
 
     Notes
     -----
-    Sampled scenarios are ranked by how well they predict the observed states. In the best ones the rest of the cast is
-    tried as it is, and corrected so that the rope strikes in the planned state: :mod:`hyperflex.planning.shooting` with
-    the remaining strokes and rests. Contact before the last observation is not noticed.
+    From each observed state the flight of the model is compared with the planned strike where it passes it nearest, in
+    positions and velocities of all joints. Gauss-Newton steps on the remaining strokes and rests
+    (:mod:`hyperflex.planning.shooting`) reduce this distance; they are carried out if they reduce it by `min_gain`.
+    Contact before the last observation is not noticed.
 
-    A decision takes 0.3 to 0.9 s of processor time with 50 links. The default ``decision_time`` therefore suits only a
-    rope that waits: in real time give a second, which the rests of a cast must leave.
+    A decision takes 0.1 to 0.3 s of processor time with 50 links.
     """
     if not isinstance(plan, CastPlan):
         raise InvalidInput("only casts are followed", got=type(plan).__name__, allowed="a CastPlan")
@@ -229,8 +223,7 @@ def follow_plan(
         fix = "Follow a plan without state0"
         raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
     chosen = options or FollowOptions()
-    prior, seeds = uncertainty or Uncertainty(), [checks.count("seed", seed, least=0), 1]
-    loop = _Loop(plan, moves, chosen, prior.sample(chosen.samples, problem, plan.target, seed=seeds), threads)
+    loop = _Loop(plan, moves, chosen, threads)
     if motor is not None:
         motor.set_motion(loop.motion(), 0.0)
     decisions: list[Decision] = []
@@ -241,7 +234,8 @@ def follow_plan(
         if decision.action == "aborted":
             break
     planned = plan.message if loop.goal else "the planned moves do not strike"
-    return FollowResult(loop.moves, loop.motion(), tuple(decisions), chosen, planned)
+    turns = loop.predicted_turns() if decisions and decisions[-1].action != "aborted" else math.nan
+    return FollowResult(loop.moves, loop.motion(), tuple(decisions), chosen, planned, turns, problem.criteria.turns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,18 +277,11 @@ class _Flight(NamedTuple):
 
 
 class _Loop:
-    """The cast as decided so far, the next move, and the delay of the strike so far, s.
+    """The cast as decided so far, the next move, and the delay of the strike so far, s."""
 
-    Scenarios are ranked by the sum of squared errors (of :func:`features`) in predicting each observed state from the
-    one before. Delays of moves are not part of the prediction.
-    """
-
-    def __init__(
-        self, plan: CastPlan, moves: Moves, options: FollowOptions, scenarios: Sequence[Scenario], threads: int | None
-    ) -> None:
+    def __init__(self, plan: CastPlan, moves: Moves, options: FollowOptions, threads: int | None) -> None:
         self.problem, self.moves, self.options, self.budget = plan.problem, moves, options, Budget(threads=threads)
-        self.scenarios, self.errors = list(scenarios), np.zeros(len(scenarios))
-        self.goal = Goal.of(plan.problem, plan.target, moves, options)
+        self.target, self.goal = plan.target, Goal.of(plan.problem, plan.target, moves, options)
         self.move, self.last, self.delay = 1, moves.ends.size - 1, 0.0
         self._seen = hanging_state(plan.problem.rope)
 
@@ -310,82 +297,63 @@ class _Loop:
         """Observe the rope at the rest before the next move, and decide; None after the last observation."""
         if self.goal is None or self.move > self.last:
             return None
-        options, move, begin = self.options, self.move, time.monotonic()
+        options, move = self.options, self.move
         left = float(self.moves.timing(self.problem.limits)[0][move])
         now = float(self.starts()[move]) - left
         if now > self.goal.t + self.delay - options.blind_time:
             return None
-        planned, state = (self.moves, self.delay), source.state(now, self.motion())
+        planned, self._seen = (self.moves, self.delay), source.state(now, self.motion())
+        begin = time.monotonic()
         arm_error = math.nan if motor is None else motor.angle(now) - float(self.motion().angle(now))
         first = move if left >= options.decision_time else move + 1  # that may still be changed
+        before, after, action = math.inf, math.inf, "aborted"
         if far := abs(arm_error) > options.max_arm_error:
-            before, after, action = 0.0, 0.0, self.abort(first)
+            self.abort(first)
         else:
-            self.observe(state)
-            before, after, action = self.choose(self.goal, state, first)
+            before, after, action = self.choose(self.goal, self._seen, first)
         seconds = time.monotonic() - begin
         if options.real_time and seconds > options.decision_time and action != "kept" and not far:
             (self.moves, self.delay), after, action = planned, before, "late"
         self.move += 1
         return Decision(move, now, left, before, after, action, seconds, arm_error)
 
-    def observe(self, state: RopeState) -> None:
-        """Add the scenarios' errors in predicting an observed state."""
-        if state.t <= self._seen.t:
-            return
-        motions = [each.without_delays().executed_motion(self.motion()) for each in self.scenarios]
-        ropes, arm, t = [each.rope for each in self.scenarios], self.problem.arm, np.array([state.t])
-        batch = RolloutBatch.from_state(ropes, [], motions, self._seen)
-        _, q, qd = batch.fly(arm, state.t - batch.since, self.budget, at_end=True)
-        for m, (rope, motion) in enumerate(zip(ropes, motions, strict=True)):
-            observed = features(rope, arm, motion, t, state.q[None], state.qd[None], self.options)
-            predicted = features(rope, arm, motion, t, q[m], qd[m], self.options)
-            self.errors[m] += float(np.nan_to_num(((predicted - observed) ** 2).sum(), nan=np.inf))
-        self._seen = state
-
-    def likely(self) -> list[Scenario]:
-        """Return the scenarios with the least errors, best first."""
-        return [self.scenarios[m] for m in np.argsort(self.errors, kind="stable")[: self.options.likely]]
-
     def choose(self, goal: Goal, state: RopeState, first: int) -> tuple[float, float, str]:
-        """Plan the cast again from move `first` on; return its success probabilities before and after, and the action.
+        """Correct the cast from move `first` on; return its distances from the goal before and after, and the action.
 
         It may be aborted from one move before the last one that starts before the strike.
         """
-        scenarios, casts, starts = self.likely(), [self.moves], self.starts()
-        probability, value = self.probabilities(casts, state, scenarios)
-        if first < self.last and probability[0] < 1.0:
-            casts.append(self.corrected(goal, scenarios[0].without_delays(), state, first))
-            probability, value = self.probabilities(casts, state, scenarios)
-        chosen = int(value[-1] > value[0] + self.options.min_gain)
-        before, after = float(probability[0]), float(probability[chosen])
+        starts, kept = self.starts(), self._flights(goal, state, [self.moves])[0]
+        best = self.corrected(goal, kept, state, first) if first < self.last else kept
+        before, after = (float(np.linalg.norm(each.residuals)) for each in (kept, best))
+        changed = after < before - self.options.min_gain
+        chosen = best if changed else kept
         begun = int((starts < goal.t + self.delay).sum())
-        if after < self.options.min_probability and self.move >= begun - 1 and first <= self.last:
-            return before, after, self.abort(first)
-        self.moves = casts[chosen]
+        if self.move >= begun - 1 and first <= self.last and not self.strikes(chosen.moves, state):
+            self.abort(first)
+            return before, math.inf, "aborted"
+        self.moves = chosen.moves
         self.delay += float(self.starts()[-1] - starts[-1])
-        return before, after, "changed" if chosen else "kept"
+        return before, after if changed else before, "changed" if changed else "kept"
 
-    def abort(self, first: int) -> str:
-        """Take the arm slowly to hanging, from move `first` on; return the action."""
+    def strikes(self, moves: Moves, state: RopeState) -> bool:
+        """Whether the model's rope strikes the target from a state."""
+        motion, problem = moves.motion(self.problem.limits), self.problem
+        batch = RolloutBatch.from_state([problem.rope], [self.target], [motion], state)
+        return bool(np.isfinite(fly_to_strikes(problem, self.target, batch, self.budget).t[0]))
+
+    def predicted_turns(self) -> float:
+        """Return the turns that the model's rope makes and keeps, from the last observed state on."""
+        rope, target = self.problem.rope, self.target
+        batch = RolloutBatch.from_state([rope], [target], [self.motion()], self._seen)
+        return float(winding_scores(self.problem, batch, self.budget).turns[0])
+
+    def abort(self, first: int) -> None:
+        """Take the arm slowly to hanging, from move `first` on."""
         made = min(first, self.last)
         self.moves = self.moves.first(made).then(0.0, self.options.decision_time, SLOWLY)
-        return "aborted"
 
-    def probabilities(
-        self, casts: Sequence[Moves], state: RopeState, scenarios: Sequence[Scenario]
-    ) -> tuple[Array, Array]:
-        """Return the fraction of the scenarios in which each cast succeeds, and its mean score (W,)."""
-        pairs = [(cast, scenario) for cast in casts for scenario in scenarios]
-        motions = [scenario.motion(cast, self.problem) for cast, scenario in pairs]
-        ropes, pegs = zip(*((scenario.rope, scenario.peg) for _, scenario in pairs), strict=True)
-        found = winding_scores(self.problem, RolloutBatch.from_state(ropes, pegs, motions, state), self.budget)
-        values = found.turns >= self.problem.criteria.turns, robust_values(found, self.problem)
-        probability, value = (each.reshape(len(casts), -1).mean(axis=1) for each in values)
-        return probability, value
-
-    def corrected(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> Moves:
-        """Return the cast with strokes and rests from move `first` on so that it comes nearer the goal in a scenario.
+    def corrected(self, goal: Goal, kept: _Flight, state: RopeState, first: int) -> _Flight:
+        """Return the flight with strokes and rests from move `first` on so that it comes nearer the goal.
 
         The last move stays, and a rest that is due now leaves time for the decision.
         """
@@ -398,20 +366,19 @@ class _Loop:
             change = np.zeros((len(changes), 2 * count))
             change[:, free] = changes
             change[:, due] = np.maximum(change[:, due], least - flight.moves.rests[first])
-            return [*self._flights(goal, scenario, state, [flight.moves.varied(each) for each in change])]
+            return [*self._flights(goal, state, [flight.moves.varied(each) for each in change])]
 
-        begin, how = self._flights(goal, scenario, state, [self.moves])[0], (options.rounds, options.difference)
-        return shoot(begin, scale, fly, *how, self.budget)[0].moves
+        return shoot(kept, scale, fly, options.rounds, options.difference, self.budget)[0]
 
-    def _flights(self, goal: Goal, scenario: Scenario, state: RopeState, casts: Sequence[Moves]) -> list[_Flight]:
+    def _flights(self, goal: Goal, state: RopeState, casts: Sequence[Moves]) -> list[_Flight]:
         """Simulate casts (M) from a state, and compare them with the goal where they pass it nearest."""
-        arm, options = self.problem.arm, self.options
-        motions = [scenario.motion(cast, self.problem) for cast in casts]
-        batch = RolloutBatch.from_state([scenario.rope] * len(casts), [], motions, state)
-        t, q, qd = batch.fly(arm, goal.t - state.t + options.window, self.budget)
+        problem, options = self.problem, self.options
+        motions = [cast.motion(problem.limits) for cast in casts]
+        batch = RolloutBatch.from_state([problem.rope] * len(casts), [], motions, state)
+        t, q, qd = batch.fly(problem.arm, goal.t - state.t + options.window, self.budget)
         near, found = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window), list[_Flight]()
         for m, (cast, motion) in enumerate(zip(casts, batch.motions, strict=True)):
-            rows = features(scenario.rope, arm, motion, t[near], q[m, near], qd[m, near], options)
+            rows = features(problem.rope, problem.arm, motion, t[near], q[m, near], qd[m, near], options)
             rows = np.nan_to_num(rows, nan=1e3)
             way, behind = np.diff(rows, axis=0), goal.features - rows[:-1]
             part = np.clip((behind * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-300), 0.0, 1.0)
