@@ -38,6 +38,31 @@ def test_without_torque_the_arm_falls_and_hangs() -> None:
     assert plant.torque == 0.0
 
 
+def test_dry_friction_holds_an_arm_that_it_can_hold_and_no_other() -> None:
+    weight = 9.81 * 0.05 * 0.05 * math.sin(1.0)
+    held, falling = (Plant(MotorModel(dry_friction=part * weight), None, ARM, angle=1.0) for part in (1.01, 0.99))
+    held.advance(1.0)
+    falling.advance(1.0)
+    assert held.arm_angle == pytest.approx(1.0, abs=1e-9)
+    assert falling.arm_angle < 0.99
+
+
+def test_readings_are_as_noisy_as_asked_and_the_motion_is_not() -> None:
+    quiet, noisy = (
+        Plant(MotorModel(angle_noise=a, rate_noise=10.0 * a, torque_noise=a), None, ARM) for a in (0.0, 1e-3)
+    )
+    read = []
+    for k in range(1000):
+        for plant in (quiet, noisy):
+            plant.set_enabled(True)
+            plant.set_goal(Goal(0.5))
+            plant.advance(1e-3 * (k + 1))
+        read.append([noisy.angle - quiet.angle, noisy.rate - quiet.rate, noisy.torque - quiet.torque])
+    assert noisy.arm_angle == pytest.approx(quiet.arm_angle, abs=1e-2)
+    # five standard errors of a thousand samples
+    np.testing.assert_allclose(np.std(read, axis=0), [1e-3, 1e-2, 1e-3], rtol=5.0 / math.sqrt(2000.0))
+
+
 def test_torque_and_speed_keep_to_controller_and_supply() -> None:
     model = MotorModel(max_torque=0.5, max_speed=10.0, friction=0.0)
     plant = Plant(model, None, hf.Arm(inertia=1e-3))

@@ -1,6 +1,7 @@
 """An emulated motor that turns an arm with a rope: the physics behind an emulated drive."""
 
 import math
+import random
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ class MotorModel:
     the supply allow: at most `max_torque`, and at most stall_torque (voltage / rated voltage - rate / max_speed). At a
     constant speed the angle lags behind by latency + friction / kp, and by another kd / kp if goals come without rates.
 
-    Not validated against a real drive.
+    What is read is noisy; the loop has the true values. Not validated against a real drive.
     """
 
     inertia: float = option(3e-4, "inertia of the rotor", unit="kg m^2", sign="positive")
@@ -39,6 +40,9 @@ class MotorModel:
     voltage: float = option(24.0, "rated voltage of the supply", unit="V", sign="positive")
     torque_constant: float = option(0.1, "torque per current", unit="N m/A", sign="positive")
     backlash: float = option(0.0, "play between the motor, where the encoder is, and the arm", unit="rad")
+    angle_noise: float = option(0.0, "standard deviation of the angle that is read", unit="rad", sign="nonnegative")
+    rate_noise: float = option(0.0, "standard deviation of the rate that is read", unit="rad/s", sign="nonnegative")
+    torque_noise: float = option(0.0, "standard deviation of the torque that is read", unit="N m", sign="nonnegative")
     ambient: float = option(25.0, "ambient temperature", unit="C")
     heating: float = option(0.5, "temperature rise per time and square of the torque", unit="K/(N^2 m^2 s)")
     cooling_time: float = option(100.0, "time constant of cooling", unit="s", sign="positive")
@@ -113,7 +117,9 @@ class Plant:
         self._goal: tuple[float, Goal] | None = None  # in effect, since when
         self.enabled = False
         self.on_goal: Callable[[Goal], None] = lambda goal: None  # called with each goal, for a log
-        self.torque, self.voltage, self.temperature = 0.0, model.voltage, model.ambient
+        self.voltage, self.temperature = model.voltage, model.ambient
+        self._torque = 0.0
+        self._noise = random.Random(0)
 
     # ------------------------------------------------------------------ what a device does
 
@@ -146,12 +152,18 @@ class Plant:
     def angle(self) -> float:
         """Raw angle of the encoder, rad."""
         angle, rate = self._rotor
-        return self._offset + angle + rate * (self._now - self._ticks * self.step)
+        angle += rate * (self._now - self._ticks * self.step)
+        return self._offset + self._noise.gauss(angle, self.model.angle_noise)
 
     @property
     def rate(self) -> float:
         """Rate of the motor's shaft, rad/s."""
-        return self._rotor[1]
+        return self._noise.gauss(self._rotor[1], self.model.rate_noise)
+
+    @property
+    def torque(self) -> float:
+        """Torque of the motor in the last step, N m."""
+        return self._noise.gauss(self._torque, self.model.torque_noise)
 
     # ------------------------------------------------------------------ what a test or a renderer does
 
@@ -207,14 +219,14 @@ class Plant:
         model, step, now = self.model, self.step, self._ticks * self.step
         while self._goals and self._goals[0][0] <= now + 1e-9:
             self._goal = self._goals.popleft()
-        self.torque = self._motor_torque(now) if self.enabled else 0.0
+        self._torque = self._motor_torque(now) if self.enabled else 0.0
         angle, rate = self._rotor
-        load = self.torque
+        load = self._torque
         if model.backlash > 0.0:
             load = self._tooth(
                 angle - self.arm_angle, rate - self.arm_rate, -0.5 * model.backlash, 0.5 * model.backlash
             )
-            rate += step * (self.torque - load) / model.inertia
+            rate += step * (self._torque - load) / model.inertia
             rate /= 1.0 + step * model.friction / model.inertia
             rate = math.copysign(max(0.0, abs(rate) - step * model.dry_friction / model.inertia), rate)
             angle += step * rate
@@ -222,7 +234,7 @@ class Plant:
         self._state = self._stepper.step(self._state, load, step)
         self._rotor = (angle, rate) if model.backlash > 0.0 else (self.arm_angle, self.arm_rate)
         self._ticks += 1
-        warming = model.heating * self.torque**2 - (self.temperature - model.ambient) / model.cooling_time
+        warming = model.heating * self._torque**2 - (self.temperature - model.ambient) / model.cooling_time
         self.temperature += step * warming
 
     def _motor_torque(self, now: float) -> float:
