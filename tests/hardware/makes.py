@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from hyperflex.hardware import open_link
-from hyperflex.hardware.emulate import MoteusDevice
+from hyperflex.hardware.emulate import DynamixelDevice, MoteusDevice, ODriveDevice, WireFaults
 from tests.hardware.rig import Rig
 from tests.hardware.servo import Servo
 
@@ -15,7 +16,8 @@ class Make:
     """How to run one make.
 
     `device` makes the device from its motor; `address` is that of its link on a port; `passive` says whether its
-    watchdog has fired; `fail` puts it into a fault; `resolution` is that of an angle on its wire, rad.
+    watchdog has fired; `fail` puts it into a fault; `resolution` is that of an angle on its wire, rad, `fine` that of
+    rates and torques; `faults` are those of its wire that somebody can notice.
     """
 
     name: str
@@ -24,6 +26,8 @@ class Make:
     passive: Callable[[Any], bool]
     fail: Callable[[Any], None]
     resolution: float
+    fine: float = 1e-5
+    faults: WireFaults = WireFaults(lost=0.05, late=0.1, garbled=0.1, truncated=0.1, delay=0.012, seed=3)
 
     def rig(self, angle=0.0, **options):
         """A device with a motor at an angle, on a wire."""
@@ -42,5 +46,24 @@ MAKES = [
         passive=lambda device: device.mode == 11 and not device.plant.enabled,
         fail=lambda device: device.fail(33),
         resolution=1e-5,
+    ),
+    Make(
+        "dynamixel",
+        DynamixelDevice,
+        "dynamixel:{port}",
+        passive=lambda device: device.expired,  # it holds where it stopped
+        fail=lambda device: device.fail(32),
+        resolution=8e-4,  # half a count
+    ),
+    Make(
+        "odrive",
+        partial(ODriveDevice, heartbeat=1e-3),
+        "odrive:{port}?trial=0",  # at the pace of the rig the watchdog takes longer than a trial waits
+        passive=lambda device: device.expired and not device.plant.enabled,
+        fail=lambda device: device.fail(1 << 26),
+        resolution=1e-5,
+        fine=4e-3,  # half a thousandth of a turn/s
+        # CAN controllers check frames and drop damaged ones; the text on an adapter's port has no check of its own.
+        faults=WireFaults(lost=0.02, late=0.05, delay=0.012, seed=3),
     ),
 ]

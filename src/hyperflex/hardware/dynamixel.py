@@ -68,7 +68,8 @@ STATE = (
     *(Register.VOLTAGE, Register.VOLTAGE + 1, Register.TEMPERATURE),
 )
 STATE_LAYOUT = struct.Struct("<BBBhiiHB")
-LENGTHS = 32  # of reads, by turns: a late reply is told by its length, unless it is later than so many requests
+LENGTHS = 32  # of reads of the state; one whose reply is missing is not used until that can no longer come
+LATEST = 0.1  # s after a request at which its reply can no longer come; a busy host or adapter delays some 10 ms
 
 
 @dataclass(frozen=True)
@@ -145,8 +146,8 @@ class DynamixelLink:
     torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it counts its turns
     from zero again.
 
-    Each exchange is a write without reply and a read. Reads take 32 lengths by turns, so that a late reply cannot pass
-    for the answer to a later request.
+    Each exchange is a write without reply and a read. Replies bear no number, but reads may differ in length: a length
+    whose reply is missing is not used for 0.1 s, so that a late reply cannot pass for the answer to a later request.
     """
 
     takes: frozenset[str] = frozenset()
@@ -168,7 +169,7 @@ class DynamixelLink:
         self.patience = checks.number("patience", patience, sign="positive", unit="s")
         self.clock, self.name = clock, f"dynamixel {number} on {port}"
         self.servo = Servo("unknown")
-        self._requests = 0
+        self._missing: dict[int, float] = {}  # reads without a reply: bytes before the state, and when it was asked for
         self._bus: Any = None
 
     # ------------------------------------------------------------------ connection
@@ -179,6 +180,7 @@ class DynamixelLink:
         from dynamixel_sdk import PacketHandler
 
         self._packets: Any = PacketHandler(2.0)
+        self._missing = {}
         self._bus = _Bus(self.port, self.baud)
         try:
             self._identify()
@@ -242,10 +244,13 @@ class DynamixelLink:
     def read(self) -> Reading:
         """Return the state."""
         sent = self.clock()
-        self._requests += 1
-        more = self._requests % LENGTHS  # bytes before the block
-        where = struct.pack("<HH", self.servo.indirect - more, len(STATE) + more)
-        data = self._request(2, where, len(STATE) + more, self.patience)[more:]
+        more = next((k for k in range(LENGTHS) if sent - self._missing.get(k, -math.inf) > LATEST), None)
+        if more is None:
+            raise NoReply(f"{self.name}: too many replies are missing")
+        self._missing[more] = sent
+        length = len(STATE) + more
+        data = self._request(2, struct.pack("<HH", self.servo.indirect - more, length), length, self.patience)[more:]
+        del self._missing[more]
         on, error, watchdog, current, rate, position, voltage, temperature = STATE_LAYOUT.unpack(data)
         return Reading(
             angle=position * math.tau / COUNTS,
@@ -297,7 +302,8 @@ class DynamixelLink:
     # ------------------------------------------------------------------ registers
 
     def _get(self, address: int, length: int) -> bytes:
-        """Read registers; a lost reply is asked for again."""
+        """Read registers; a lost reply is asked for again. A state that comes late could pass for it: wait for that."""
+        time.sleep(max(0.0, max(self._missing.values(), default=-math.inf) + LATEST - self.clock()))
         until = time.monotonic() + CONFIRM
         while True:
             try:

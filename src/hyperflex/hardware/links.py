@@ -26,7 +26,7 @@ class Make:
 MAKES = {
     "moteus": Make("MoteusLink", "MoteusDevice", "/dev/ttyACM0"),
     "dynamixel": Make("DynamixelLink", "DynamixelDevice", "/dev/ttyUSB0"),
-    "odrive": Make("ODriveLink", "ODriveDevice", "can0", {"id": "number", "bitrate": "bitrate"}),
+    "odrive": Make("ODriveLink", "ODriveDevice", "can0", {"id": "number", "bitrate": "bitrate", "trial": "trial"}),
 }
 
 

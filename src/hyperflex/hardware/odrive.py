@@ -17,7 +17,7 @@ from hyperflex.hardware.drive import CONFIRM, SILENCE, SLACK, Goal, NoReply, Rea
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
-LATEST = 0.02  # s after its request at which a frame counts as lost; adapters and busy hosts delay frames by some ms
+LATEST = 0.03  # s after its request at which a frame counts as lost; adapters and busy hosts delay frames by some ms
 FIRST_HEARTBEAT = 1.0  # s for the first one after the bus was opened
 
 
@@ -115,7 +115,7 @@ class ODriveLink:
     the arm at rest, it sends nothing for a little longer than the watchdog's time. An axis that is not disarmed by then
     is refused.
 
-    Frames bear no number. After one that is missing, nothing is asked for until it has come, or for 20 ms, while goals
+    Frames bear no number. After one that is missing, nothing is asked for until it has come, or for 30 ms, while goals
     are still sent: a frame that is later than that may pass for a newer one.
 
     Values are those of the motor's shaft: a gear between it and the arm is not known here. The axis must be calibrated.
@@ -315,7 +315,7 @@ class ODriveLink:
             if not self._listen(self.patience, lambda *_: not self._missing):
                 raise NoReply(f"{self.name}: no valid reply")
         received = self.clock()
-        if received - self._beat > SILENCE:
+        if received - self._beat > SILENCE + self.patience:
             raise NoReply(f"{self.name}: no heartbeat for {1e3 * (received - self._beat):.0f} ms")
         angle, rate = self._pair(Message.ENCODER)
         return Reading(

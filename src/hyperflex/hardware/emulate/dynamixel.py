@@ -110,6 +110,15 @@ class DynamixelDevice:
         self._buffer = self._buffer[-3:]  # a header may have begun
         return replies
 
+    @property
+    def expired(self) -> bool:
+        """Whether the bus watchdog has fired: the servo holds where it stopped, and its goals are locked."""
+        return self._table[Register.WATCHDOG] == 255
+
+    def fail(self, error: int) -> None:
+        """Fail with a hardware error, as in register 70."""
+        self._table[Register.HARDWARE_ERROR] |= error
+
     # ------------------------------------------------------------------ instructions
 
     def _answer(self, packet: bytes) -> bytes:
@@ -149,12 +158,12 @@ class DynamixelDevice:
     def _write(self, address: int, value: bytes) -> int:
         """Write registers; return the error of the status packet."""
         places = [self._direct(a) for a in range(address, address + len(value)) if a < TABLE]
-        on, expired = self._table[Register.TORQUE_ENABLE], self._table[Register.WATCHDOG] == 255
+        on = self._table[Register.TORQUE_ENABLE]
         kept = range(9, 64) if not on else ()  # without power; not to be written while the torque is on
         goals = set(range(64, 120)) - {69, Register.HARDWARE_ERROR}
         if len(places) < len(value) or not all(a in kept or a in goals or a >= Register.INDIRECT for a in places):
             return Refusal.NO_ACCESS
-        if expired and any(100 <= a < 120 for a in places):
+        if self.expired and any(100 <= a < 120 for a in places):
             return Refusal.OUT_OF_RANGE  # goals are locked
         if self._table[Register.HARDWARE_ERROR] and Register.TORQUE_ENABLE in places:
             return Refusal.FAILED

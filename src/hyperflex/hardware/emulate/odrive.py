@@ -66,6 +66,15 @@ class ODriveDevice:
         self._buffer = b""
         self._listening = False  # whether the host has opened the adapter's channel
 
+    @property
+    def expired(self) -> bool:
+        """Whether the watchdog has disarmed the axis."""
+        return bool(self._reason & Error.WATCHDOG_EXPIRED)
+
+    def fail(self, error: int) -> None:
+        """Disarm with an error."""
+        self._disarm(error)
+
     # ------------------------------------------------------------------ the bus
 
     def advance(self, t: float) -> list[Frame]:
