@@ -10,6 +10,8 @@ from hyperflex.hardware.emulate import DynamixelDevice, MoteusDevice, ODriveDevi
 from tests.hardware.rig import Rig
 from tests.hardware.servo import Servo
 
+FAULTS = WireFaults(lost=0.05, late=0.1, garbled=0.1, truncated=0.1, delay=0.012, seed=3)
+
 
 @dataclass(frozen=True)
 class Make:
@@ -27,7 +29,7 @@ class Make:
     fail: Callable[[Any], None]
     resolution: float
     fine: float = 1e-5
-    faults: WireFaults = WireFaults(lost=0.05, late=0.1, garbled=0.1, truncated=0.1, delay=0.012, seed=3)
+    faults: WireFaults = FAULTS
 
     def rig(self, angle=0.0, **options):
         """A device with a motor at an angle, on a wire."""
@@ -64,6 +66,6 @@ MAKES = [
         resolution=1e-5,
         fine=4e-3,  # half a thousandth of a turn/s
         # CAN controllers check frames and drop damaged ones; the text on an adapter's port has no check of its own.
-        faults=WireFaults(lost=0.02, late=0.05, delay=0.012, seed=3),
+        faults=WireFaults(lost=0.02, late=0.05, delay=0.006, seed=3),
     ),
 ]

@@ -215,7 +215,7 @@ def test_without_heartbeat_nobody_knows_whether_it_is_armed(monkeypatch):
         device.heartbeat = math.inf
         monkeypatch.setattr(odrive, "SILENCE", 0.05)
         link.read()  # takes what was sent before from the queue
-        time.sleep(0.1)
+        time.sleep(0.5)
         with pytest.raises(NoReply, match=r"no heartbeat for"):
             link.read()
 

@@ -15,7 +15,6 @@ TAKES: dict[int, int] = {  # messages to the axis, with their least number of by
     Message.LIMITS: 8,
     Message.CLEAR: 0,
 }
-SLOW = 10  # heartbeats between messages of voltage and temperature
 
 
 class ODriveDevice:
@@ -30,7 +29,7 @@ class ODriveDevice:
     watchdog : float
         Its timeout, s; 0 if it is not armed.
     heartbeat : float
-        Period, s, of the heartbeat and of the torques; voltage and temperature follow each tenth one.
+        Period, s, of the heartbeat, of torques, voltage and temperature.
     firmware : (int, int, int)
         Its version.
     hottest : float
@@ -58,7 +57,6 @@ class ODriveDevice:
         self.t = 0.0  # s
         self._fed = 0.0  # when the watchdog was fed last, s
         self._beat = 0.0  # when the last heartbeat went out, s
-        self._beats = 0  # how many
         self._state, self._reason = AxisState.IDLE, 0  # of the axis; why it was disarmed
         self._mode = 0, 0
         self._speed = math.inf  # limit, rad/s
@@ -91,11 +89,10 @@ class ODriveDevice:
                 self._disarm(active)
         if t - self._beat < self.heartbeat:
             return []
-        self._beat, self._beats = t, self._beats + 1
-        errors = self._active() | self._reason
-        frames = [self._frame(Message.HEARTBEAT, struct.pack("<IBBBB", errors, self._state, 0, 0, 0))]
-        kinds = (Message.TORQUES, *((Message.VOLTAGE, Message.TEMPERATURE) if self._beats % SLOW == 1 else ()))
-        return frames + [self._frame(kind, self._measured(kind)) for kind in kinds]
+        self._beat = t
+        beat = struct.pack("<IBBBB", self._active() | self._reason, self._state, 0, 0, 0)
+        kinds = (Message.TORQUES, Message.VOLTAGE, Message.TEMPERATURE)
+        return [self._frame(Message.HEARTBEAT, beat), *(self._frame(kind, self._measured(kind)) for kind in kinds)]
 
     def answer(self, identifier: int, data: bytes, remote: bool) -> list[Frame]:
         """Take a frame from the bus; return those that answer it."""
