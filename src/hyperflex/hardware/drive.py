@@ -189,9 +189,9 @@ class Drive:
     first; each reply is checked for faults, temperature, torque, an angle outside the limits, deviation and jumps; the
     device's own watchdog stops it when the host falls silent.
 
-    While it is connected, SIGTERM and SIGHUP end the program through the same exit as an exception, and no signal, so
-    no Ctrl-C, interrupts an exchange with the device or the switching off of its torque: it is raised right after.
-    Another thread may call :meth:`off` at any time.
+    While it is connected, SIGTERM and SIGHUP end a program that does not handle them through the same exit as an
+    exception. No signal, so no Ctrl-C, interrupts an exchange with the device or the switching off of its torque: it is
+    handled right after. Another thread may call :meth:`off` at any time.
     """
 
     def __init__(
@@ -215,8 +215,8 @@ class Drive:
         self._fault = ""  # latched
         self._connected = self._enabled = False  # enabled: the torque may be on
         self._silent: float | None = None  # since when requests have not been answered
-        self._goal = Goal(0.0)  # the last one, sent at _sent; None: the present angle at which the torque came on
-        self._sent: float | None = None
+        self._goal = Goal(0.0)  # the last one, or the angle at which the torque came on
+        self._sent: float | None = None  # when it was sent; None before the first one
         self._lock = threading.RLock()
         self._signals: dict[int, Any] = {}  # handlers of before
         self._whole_blocks = self._pending = 0
