@@ -4,7 +4,6 @@ Sources: the register reference of moteus, its pages on timeouts and on UART, an
 """
 
 import asyncio
-import itertools
 import math
 import struct
 import time
@@ -83,7 +82,7 @@ class MoteusLink:
         self.watchdog = checks.number("watchdog", watchdog, sign="positive", unit="s")
         self.patience = checks.number("patience", patience, sign="positive", unit="s")
         self.clock, self.name = clock, f"moteus {number} on {port}"
-        self._sources = itertools.cycle(source for source in SOURCES if source != number)
+        self._requests = 0
         self._limits: dict[str, float] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._broken: BaseException | None = None
@@ -195,7 +194,9 @@ class MoteusLink:
 
     def _exchange(self, make: Callable[..., Any], **content: Any) -> Reading:
         """Send a command that queries the state, and return the state that answers it."""
-        self._controller.source_can_id = next(self._sources)
+        sources = [source for source in SOURCES if source != self.number]
+        self._requests += 1
+        self._controller.source_can_id = sources[self._requests % len(sources)]
         command = make(**content)
         sent = self.clock()
         try:
