@@ -103,7 +103,8 @@ class LearningOptions:
         Weight of the newest cast in the repeated error of the model: 1 forgets all others.
     model_error : float
         Error of the model's positions, m, that no parameter explains. It is correlated over a cast, so that each
-        coordinate of a marker counts as one measurement of this standard deviation and the noise.
+        coordinate of a marker counts as one measurement of this standard deviation and the noise. A rope that comes
+        nearer to the target than this counts as striking it.
     strike_window : float
         Time before the strike, s, from which the state at the strike is measured.
     min_samples : int
@@ -154,7 +155,7 @@ class Attempt:
         As commanded.
     wound : bool or None
     distance : float
-        Of the measured state at the strike from the one that is known to wind, root mean square over the markers, in
+        Of the measured state at the strike from the one that this cast aimed at, root mean square over the markers, in
         scales of position and speed; NaN if it was not measured.
     position, speed : float
         The same in m and in m/s.
@@ -421,12 +422,11 @@ class _Learner:
             )
             return
         self._casts.append(cast)
-        replanned = False
         if self.options.parameters:
             self._learn_parameters(log)
-            replanned = self._aim(missed=not log.wound)
         flights = self._predictions()
         distance, position, speed = self._distance(made, _at_strike(cast, flights[-1], self.options))
+        replanned = self._aim(missed=not log.wound) if self.options.parameters else False
         if not log.wound:
             correct = self.options.motion and not replanned
             self.moves = self._corrected(self._goal, self._repeated_error(flights)) if correct else self._goal.moves
@@ -474,7 +474,7 @@ class _Learner:
             places, noise = (each.reshape(t.size, -1, 2) for each in (recording.data, noise))
         line = np.concatenate([base[:, None], places], axis=1)
         near = obstacle_gaps((self.model.peg,), line[:, :-1], line[:, 1:]).reshape(t.size, -1)
-        touched = np.nan_to_num(near, nan=np.inf).min(axis=1) < rope.radius
+        touched = np.nan_to_num(near, nan=np.inf).min(axis=1) < rope.radius + options.model_error
         touched &= t > 0.5 * expected  # a rope that hangs in front of the target does not strike it
         strike = float(t[touched.argmax()]) if touched.any() else expected + options.correction.window
         strike = min(strike, expected + options.correction.window)
