@@ -239,14 +239,12 @@ def emulate(
         motor.warm()
         device = make(motor)
         motor.on_goal = lambda goal: goals.write(time.monotonic(), goal.angle, goal.rate, goal.torque)
-        terminal = _Terminal(baud)
-        link.send(terminal.port)
         gc.collect()
         gc.freeze()
         gc.disable()
         with suppress(OSError, AttributeError):  # only with the right to do so
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-        _serve(device, terminal, link, states, sample)
+        _serve(device, _Terminal(baud), link, states, sample)
     except HyperflexError as error:
         with suppress(OSError):
             link.send(error)
@@ -254,6 +252,8 @@ def emulate(
 
 def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows, sample: float) -> None:
     wire, plant, began = FaultyWire(), device.plant, time.monotonic()
+    _record(states, plant)
+    link.send(terminal.port)
     due = began  # of the next sample
     while True:
         listened: list[Any] = [*terminal.ends, link]
@@ -266,11 +266,15 @@ def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows
             wire.send(sent, now)
         terminal.write(wire.receive(now))
         if now >= due:
-            measured = plant.angle, plant.rate, plant.torque, plant.voltage, plant.temperature, float(plant.enabled)
-            states.write(now, plant.arm_angle, plant.arm_rate, *measured, *plant.rope_state())
+            _record(states, plant)
             due = max(due + sample, now)
         if link in ready and not _answer(link, plant, wire, terminal):
             return
+
+
+def _record(states: Rows, plant: Plant) -> None:
+    read = plant.angle, plant.rate, plant.torque, plant.voltage, plant.temperature, float(plant.enabled)
+    states.write(time.monotonic(), plant.arm_angle, plant.arm_rate, *read, *plant.rope_state())
 
 
 def _answer(link: Connection, plant: Plant, wire: FaultyWire, terminal: "_Terminal") -> bool:
