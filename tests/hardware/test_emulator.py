@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,11 @@ import pytest
 import serial
 
 import hyperflex as hf
+from hyperflex.execution import MotionStream
+from hyperflex.hardware import Drive, open_link
 from hyperflex.hardware.emulate import Emulator, MotorModel, WireFaults
 from hyperflex.hardware.emulate.faults import FaultyWire
+from hyperflex.hardware.links import MAKES, emulated_device
 from tests.hardware.echo import Echo
 
 ROPE = hf.Rope.uniform(length=0.6, mass=0.03, n_links=10, radius=0.0025, friction=5e-3)
@@ -49,6 +53,35 @@ def test_an_emulator_moves_logs_and_takes_faults() -> None:
         emulator.inject(disconnect=True)
         with pytest.raises(OSError, match=r"write failed|disconnected|Input/output"):
             exchange(port)
+
+
+LIMITS = hf.MotorLimits(speed=8.0, acceleration=40.0, torque=2.0, angles=(-1.2, 1.2))
+
+
+def drive(address: str) -> Drive:
+    return Drive(open_link(address), LIMITS)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("make", MAKES)
+def test_a_motion_streamed_to_an_emulated_drive_with_a_bad_wire(make: str) -> None:
+    """In real time, by three processes: it follows, within the limits, and the torque is off at the end."""
+    _, device = emulated_device(f"emulator:{make}")
+    swings = hf.arm_moves([0.0, 1.0, -1.0, 0.0], [0.5, 0.0, 0.0], [1.0, 1.0, 1.0])
+    with Emulator(device, MotorModel(kp=40.0, extrapolates=make == "moteus"), ROPE, ARM) as emulator:
+        with MotionStream(partial(drive, f"{make}:{emulator.port}")) as motor:
+            motor.enable()
+            emulator.inject(WireFaults(lost=0.01, late=0.01, garbled=0.01, truncated=0.01, delay=0.012))
+            motor.start_clock()
+            motor.set_motion(swings, motor.now)
+            time.sleep(4.0)
+            log = motor.log()
+        seen = emulator.log()
+    assert np.ptp(seen.column("arm_angle")) == pytest.approx(2.0, abs=0.1)
+    assert np.nanmax(np.abs(log.tracking_error)) < 0.15  # 10 ms of lag, and as much of a busy host, at 4 rad/s
+    assert np.abs(seen.goals[:, 1]).max() < 1.2
+    assert sum(seen.replies[kind] for kind in ("lost", "late", "garbled", "truncated")) > 10
+    assert seen.column("enabled")[-1] == 0.0
 
 
 PARENT = """
