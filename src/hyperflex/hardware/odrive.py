@@ -302,17 +302,19 @@ class ODriveLink:
 
     def _exchange(self, goal: bytes = b"") -> Reading:
         """Send a goal, if there is one, ask for the encoder's estimates, and return the state."""
+        until = time.monotonic() + self.patience
         with _as_os_error():
             self._listen(0.0, lambda *_: False)  # what came meanwhile
-            sent = self.clock()
             if goal:
                 self._send(Message.INPUT_POS, goal)
-            if self._missing and sent - self._asked < LATEST:
-                self._listen(self.patience, lambda *_: not self._missing)
-                raise NoReply(f"{self.name}: a reply to an earlier request is still missing")
+            if self._missing and self.clock() - self._asked < LATEST:
+                self._listen(until - time.monotonic(), lambda *_: not self._missing)
+                if self._missing:
+                    raise NoReply(f"{self.name}: a reply to an earlier request is still missing")
+            sent = self.clock()
             self._send(Message.ENCODER)
             self._asked, self._missing = sent, 1
-            if not self._listen(self.patience, lambda *_: not self._missing):
+            if not self._listen(until - time.monotonic(), lambda *_: not self._missing):
                 raise NoReply(f"{self.name}: no valid reply")
         received = self.clock()
         if received - self._beat > SILENCE + self.patience:
