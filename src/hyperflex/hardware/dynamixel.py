@@ -6,7 +6,6 @@ Sources: the control tables and data sheets of the e-Manual, dynamixel-sdk 4.1.
 import math
 import select
 import struct
-import termios
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -192,7 +191,7 @@ class DynamixelLink:
     def close(self) -> None:
         """Close the port."""
         if self._bus is not None:
-            with suppress(OSError, termios.error):
+            with suppress(OSError), _as_os_error():
                 self._bus.serial.close()
 
     def _identify(self) -> None:
@@ -427,5 +426,7 @@ def _as_os_error() -> Iterator[None]:
     """Make a broken terminal an OSError like all other broken links."""
     try:
         yield
-    except termios.error as error:
+    except Exception as error:
+        if type(error).__module__ != "termios":  # Windows has no such module
+            raise
         raise OSError(*error.args) from None

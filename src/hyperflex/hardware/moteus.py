@@ -62,7 +62,7 @@ class MoteusLink:
     Between goals the controller extrapolates the angle at the goal's rate. It holds a limit of speed and one of
     acceleration of its own, both twice those of the motor, for it must catch up with what it extrapolated wrongly; the
     motor's limits are checked before a goal is sent. It also holds the limit of torque. After the watchdog it brakes
-    by damping, unless its ``servo.timeout_mode`` is 0 (free), and accepts goals again only after a stop.
+    by damping, unless its setting servo.timeout_mode is 0 (free), and accepts goals again only after a stop.
     """
 
     takes = frozenset({"rate", "torque"})

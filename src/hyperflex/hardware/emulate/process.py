@@ -5,9 +5,7 @@ import multiprocessing
 import os
 import select
 import signal
-import termios
 import time
-import tty
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -304,6 +302,8 @@ class _Terminal:
     """The device's end of a pseudo-terminal. What a host does not read is dropped, as on a serial line."""
 
     def __init__(self, baud: int) -> None:
+        import tty  # which Windows lacks, as it does pseudo-terminals
+
         self.host, self._end = os.openpty()
         tty.setraw(self._end)
         os.set_blocking(self.host, False)
@@ -312,6 +312,8 @@ class _Terminal:
 
     def read(self) -> bytes:
         """Return what the host has sent; nothing if it sent at a rate at which the device does not listen."""
+        import termios
+
         data = os.read(self.host, 4096)
         if self._baud and termios.tcgetattr(self.host)[4] != getattr(termios, f"B{self._baud}"):
             return b""
