@@ -167,6 +167,7 @@ def page(found: dict[str, dict[str, Any]], failed: list[str], about: dict[str, s
         f"(`MotionStream`), and the emulator, whose motor turns an arm with a rope of {LINKS} links. Sent late: time "
         "from when a goal was due to when it was sent. Reply after: time from the sending to the valid answer. Pauses "
         "are those between two goals that the device received: after 100 ms its watchdog expires. "
+        "Stream and emulator run at real-time priority where the system allows it. "
         f"Passive: the latest of {KILLS} times after which the device acts by itself once its host is killed."
     )
     emulated = (
