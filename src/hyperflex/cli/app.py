@@ -40,6 +40,7 @@ COMMANDS = {  # by name: the module with the function of this name, and an examp
     "whip": ("plan", "--rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
     "insert": ("plan", "--rope rope.toml --slot 0.56 -1.9 --direction -0.78 --width 0.02 -o inserted"),
     "reach-map": ("plan", "--rope rope.toml --radius 0.04 --workers 2 -o reach"),
+    "run": ("run", "planned/cast.toml --motor emulator:moteus -o done"),
     "calibrate": ("calibrate", "board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
     "track": ("track", "swing.mp4 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 -o markers.nc"),
     "watch": ("track", "0 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 --page 8080"),

@@ -6,29 +6,34 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import DriveError, EstimatorLost, InvalidInput, SimulationError
+from hyperflex.execution.learning import CastLog
 from hyperflex.execution.page import RunPage
 from hyperflex.execution.stream import FIELDS, MotionStream, StreamLog
 from hyperflex.files import NetCDF, PathLike, Variable
-from hyperflex.hardware import Drive
+from hyperflex.hardware import Drive, open_link
 from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import MotorLimits, Rope
 from hyperflex.motion import Motion, hold_arm, move_arm
 from hyperflex.options import check, option
-from hyperflex.planning import CastPlan, FollowOptions, FollowResult, follow_plan
+from hyperflex.planning import CastPlan, FollowOptions, FollowResult, Problem, follow_plan
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import swept
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
+CALM = 3.0  # periods of a pendulum as long as the rope, in which minimum jerk leaves hardly any swing
 POLL = 0.01  # s between two checks while waiting
 LEFT = 0.05  # m from the plan at which the rope counts as having left it: the radius of a usual target
 NEAR_PLAN = 0.25  # of the difference between a wound and a hanging rope's torque, within which a torque decides
@@ -235,13 +240,28 @@ class CastRun:
         recording = self.recording
         assert recording is not None  # noqa: S101 callers have asked
         problem, t = self.plan.problem, recording.t
+        return problem.rope.joints(recording.data, problem.arm.tip(self._arm_angle(t)))
+
+    def _arm_angle(self, t: Array) -> Array:
+        """Angle of the arm (K,) at times t (K,), s, as the drive told it, rad."""
         answered = self.log.column("lost") == 0
-        angle = np.interp(t, self.log.column("received")[answered], self.log.column("angle")[answered])
-        return problem.rope.joints(recording.data, problem.arm.tip(angle))
+        return np.asarray(np.interp(t, self.log.column("received")[answered], self.log.column("angle")[answered]))
 
     @property
     def _stop(self) -> float:
         return float(self.motion.breaks[-1])
+
+    def cast_log(self) -> CastLog:
+        """Return what learning needs of the run; InvalidInput if the rope was not observed."""
+        if self.recording is None:
+            raise InvalidInput("the rope was not observed", fix="Give a source of its state, such as a camera")
+        return CastLog(self.recording, arm_angle=self._arm_angle(self.recording.t), wound=self.wound)
+
+    def plot(self) -> "Figure":
+        """Draw the drive and its goals, and how far the rope was from the plan: return a Matplotlib figure."""
+        from hyperflex.report import cast_run_figure
+
+        return cast_run_figure(self)
 
     def summary(self) -> dict[str, object]:
         """Return the run in figures, for JSON."""
@@ -278,6 +298,11 @@ class CastRun:
         notes = {"format": "hyperflex cast run 1", "rate": self.log.rate, "missed_cycles": self.log.missed}
         notes |= {"message": self.message, "interrupted": int(self.interrupted), "judged_by": self.judged_by}
         files.write_netcdf(path, NetCDF(drive, notes))
+
+
+def open_drive(address: str, limits: MotorLimits, zero: float = 0.0) -> Drive:
+    """Return the drive at an address, not yet connected; see :func:`hyperflex.hardware.open_link`."""
+    return Drive(open_link(address), limits, zero=zero)
 
 
 @interruptible()
@@ -340,7 +365,7 @@ def run_plan(
         if page is not None:
             page.attach(drive, lambda: watch.states[-1] if watch.states else None)
         with stoppable() as stopped:
-            _approach(drive, float(made.angle(0.0)), plan.problem.limits, chosen, say)
+            _approach(drive, float(made.angle(0.0)), plan.problem, chosen, say)
             _wait_until_still(drive, source, chosen, say)
             for k in range(math.ceil(chosen.countdown), 0, -1):
                 say(f"the cast begins in {k} s")
@@ -365,15 +390,17 @@ def run_plan(
 
 
 def _approach(
-    drive: MotionStream, start: float, limits: MotorLimits, options: RunOptions, say: Callable[[str], None]
+    drive: MotionStream, start: float, problem: Problem, options: RunOptions, say: Callable[[str], None]
 ) -> None:
-    """Switch the torque on, and bring the arm slowly to the start of the motion, rad."""
+    """Switch the torque on, and bring the arm to the start, rad, so slowly that the rope hardly swings."""
+    limits, rope = problem.limits, problem.rope
     now = drive.enable().angle
     way = abs(start - now)
     if way > 1e-4:
         # peak speed 1.875 way / T and acceleration 5.774 way / T^2 of minimum jerk
         slow = options.approach * limits.speed, options.approach * limits.acceleration
-        duration = max(1.875 * way / slow[0], math.sqrt(5.774 * way / slow[1]))
+        calm = CALM * math.tau * math.sqrt(rope.total_length / math.hypot(*rope.gravity))
+        duration = max(1.875 * way / slow[0], math.sqrt(5.774 * way / slow[1]), calm)
         say(f"the arm moves slowly from {now:.2f} to {start:.2f} rad, in {duration:.1f} s")
         begin = time.monotonic() + LEAD
         drive.start_clock(begin)

@@ -7,7 +7,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.hardware.drive import Drive, DriveState, Goal, Link, Reading
     from hyperflex.hardware.dynamixel import DynamixelLink
-    from hyperflex.hardware.links import open_link
+    from hyperflex.hardware.links import emulated_device, open_link
     from hyperflex.hardware.moteus import MoteusLink
     from hyperflex.hardware.odrive import ODriveLink
     from hyperflex.hardware.simulated import SAMPLE_TIME, SimulatedMotor

@@ -1,0 +1,163 @@
+"""``hyperflex run``: a planned cast carried out on a drive."""
+
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hyperflex import files
+from hyperflex.cli import output
+from hyperflex.cli.command import Given, OutFolder
+from hyperflex.cli.output import Rows
+from hyperflex.errors import InvalidInput, MissingPackage
+from hyperflex.execution import RunOptions
+
+if TYPE_CHECKING:
+    from hyperflex.execution import CastRun
+    from hyperflex.planning import CastPlan
+
+EMULATED = "EMULATED: motor and rope are simulated in real time behind the drive's protocol"
+
+
+def run(
+    plan: Annotated[Path, typer.Argument(help="Plan of a cast (cast.toml), as hyperflex cast wrote it.")],
+    options: Annotated[Given, RunOptions],
+    out: OutFolder,
+    *,
+    motor: Annotated[
+        str,
+        typer.Option(help="Make and port, such as moteus:/dev/ttyACM0; or emulator:moteus.", show_default=False),
+    ],
+    zero: Annotated[
+        float, typer.Option(help="Raw angle of the motor at which the arm hangs down, rad (hyperflex motor zero).")
+    ] = 0.0,
+    follow: Annotated[bool, typer.Option("--follow", help="Correct the moves while the rope swings.")] = False,
+    decision_time: Annotated[float, typer.Option(help="Time for such a correction, s.")] = 0.3,
+    repeat: Annotated[int, typer.Option(help="Casts at most.", min=1, max=100)] = 1,
+    learn: Annotated[
+        bool, typer.Option("--learn", help="Learn from each cast; stop when the rope winds three times running.")
+    ] = False,
+    page: Annotated[int | None, typer.Option(help="Show the run in a browser at this port; 0 for any.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the plan; connect nothing.")] = False,
+) -> None:
+    """Carry out a planned cast on a drive, and report whether the rope is wound.
+
+    The arm moves slowly to its start, the rope must hang still, and after a countdown a separate process streams the
+    motion to the drive. At the end, and on Ctrl-C, an error or a lost link, the torque is switched off: the arm falls.
+    Read the how-to page "Run a plan on a drive" before you connect a motor. All of this was tested on emulated drives
+    only.
+
+    With emulator:MAKE a process emulates drive, motor and rope in real time; its rope's true state is what is observed.
+    The command writes the log (NetCDF), the rope's angles (MCAP) and a figure. The exit code is 4 if the rope is not
+    wound, or nothing shows that it is.
+    """
+    from hyperflex.execution import EmulatedRope, RunPage, emulator_of, open_drive, run_plan
+    from hyperflex.hardware import Drive, open_link
+    from hyperflex.planning import CastPlan, FollowOptions, read_plan
+    from hyperflex.report import check_folder
+
+    check_folder(out)
+    planned, chosen = read_plan(plan), RunOptions(**options)
+    if not isinstance(planned, CastPlan):
+        raise InvalidInput(f"{plan} is no plan of a cast", got=planned.kind, allowed="a cast")
+    if not planned.success:
+        output.note(f"{plan} does not succeed in simulation: {planned.message}")
+    limits, emulated = planned.problem.limits, motor.startswith("emulator:")
+    address = motor
+    with ExitStack() as stack:
+        source: Any = None
+        if emulated:
+            make, emulator = emulator_of(planned, motor)
+            address = f"{make}:{'' if dry_run else stack.enter_context(emulator).port}"
+            source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope)
+            output.note(EMULATED)
+        if dry_run:
+            link = open_link(f"{address}none" if emulated else address)
+            Drive(link, limits, zero=zero).check_motion(planned.required(planned.motion, "motion"))
+            output.show({"success": True, "dry_run": True}, "The motion keeps to the limits. Nothing was connected.")
+            return
+        shown = None if page is None else stack.enter_context(RunPage(planned, page))
+        if shown is not None:
+            output.note(f"the run is shown at {shown.address}")
+
+        def say(phase: str) -> None:
+            output.note(phase)
+            if shown is not None:
+                shown.say(phase)
+
+        def once(motion: Any = None) -> "CastRun":
+            given = {"source": source, "options": chosen, "say": say, "page": shown, "motion": motion}
+            closed = FollowOptions(decision_time=decision_time) if follow else None
+            done = run_plan(planned, partial(open_drive, address, limits, zero), follow=closed, **given)
+            if shown is not None:
+                shown.say(done.message or "the rope is wound")
+            return done
+
+        _carry_out(planned, once, out, repeat=repeat, learn=learn, emulated=emulated)
+
+
+def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bool, emulated: bool) -> None:
+    """Carry out one or more casts, write and report them."""
+    from hyperflex.execution import learn_cast
+
+    runs: list[CastRun] = []
+    lines: list[str] = []
+
+    def cast(motion: Any = None) -> Any:
+        runs.append(once(motion))
+        written.update(_write(runs[-1], out, f"run-{len(runs)}" if repeat > 1 else "run"))
+        output.note(f"cast {len(runs)}: {runs[-1].message or 'the rope is wound'}")
+        return runs[-1].cast_log()
+
+    def keep(attempt: Any) -> None:
+        lines.append(str(attempt))
+        output.note(lines[-1])
+
+    written: dict[str, Path] = {}
+    learned: Any = None
+    if learn:
+        learned, stopped = output.run(lambda: learn_cast(plan, cast, attempts=repeat, report=keep))
+        good, message = learned.success, learned.message
+    else:
+
+        def several() -> None:
+            for _ in range(repeat):
+                cast()
+
+        stopped = output.run(several)[1] if runs or repeat else False
+        good, message = (
+            bool(runs) and all(each.success for each in runs),
+            runs[-1].message if runs else "nothing was cast",
+        )
+    result = {"emulated": emulated, "casts": [each.summary() for each in runs], "learned": lines, "message": message}
+    last = runs[-1].summary() if runs else {}
+    tiles = {name.replace("_", " "): str(value) for name, value in last.items() if name not in ("message", "decisions")}
+    output.show(
+        {**result, "success": good, "files": {name: str(path) for name, path in written.items()}},
+        Rows("Last cast (emulated)" if emulated else "Last cast", list(tiles.items())),
+        message or "The rope is wound.",
+        *lines,
+        Rows("Written", [(name, str(path)) for name, path in written.items()]),
+        interrupted="Interrupted; the torque was switched off." if stopped else "",
+        code=0 if good else output.NO_PLAN,
+    )
+
+
+def _write(run: "CastRun", out: Path, name: str) -> dict[str, Path]:
+    """Write the files of a run; return their paths."""
+    from hyperflex.exchange import write_mcap
+    from hyperflex.report import cast_run_figure, png
+
+    out.mkdir(parents=True, exist_ok=True)
+    paths = {f"{name} log": out / f"{name}.nc", f"{name} figure": out / f"{name}.png"}
+    run.to_netcdf(paths[f"{name} log"])
+    files.write_bytes(paths[f"{name} figure"], png(cast_run_figure(run)))
+    if run.recording is not None:
+        try:
+            write_mcap(run.recording, out / f"{name}.mcap")
+            paths[f"{name} rope"] = out / f"{name}.mcap"
+        except MissingPackage as error:
+            output.note(str(error))
+    return paths

@@ -1,0 +1,83 @@
+"""An emulated drive with the rope of a plan behind it, and that rope as a source of its state."""
+
+import time
+from typing import Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.hardware import emulated_device
+from hyperflex.hardware.emulate import Emulator, MotorModel
+from hyperflex.interfaces import RopeState
+from hyperflex.model import Rope
+from hyperflex.motion import Motion
+from hyperflex.planning import CastPlan
+
+
+def emulator_of(plan: CastPlan, address: str, model: MotorModel | None = None, **changes: Any) -> tuple[str, Emulator]:
+    """Return the make and the emulator of "emulator:MAKE" for a plan: its arm, its target, and its rope, cut near it.
+
+    The arm hangs down at first.
+
+    Parameters
+    ----------
+    plan : CastPlan
+    address : str
+        "emulator:moteus", for example.
+    model : MotorModel, optional
+        The emulated motor.
+    **changes
+        Further arguments of :class:`hyperflex.hardware.emulate.Emulator`, or another `rope` or `obstacles`.
+
+    Raises
+    ------
+    InvalidInput
+        If the address is none of an emulator.
+    """
+    found = emulated_device(address)
+    if found is None:
+        raise InvalidInput("the motor is not emulated", got=address, allowed="emulator:MAKE")
+    make, device = found
+    rope, pegs = plan.setup().rope, (plan.target, *plan.problem.obstacles)
+    given: dict[str, Any] = {"rope": rope, "arm": plan.problem.arm, "obstacles": pegs}
+    return make, Emulator(device, model or MotorModel(), **given | {"duration": 120.0} | changes)
+
+
+class EmulatedRope:
+    """The true state of an emulated rope, as that of the plan's rope (a :class:`ClockedSource`): no camera sees it.
+
+    Links of the emulated rope must be parts of those of `rope`, or of a rope of another length with as many links.
+    """
+
+    def __init__(self, emulator: Emulator, rope: Rope, emulated: Rope) -> None:
+        self.emulator, self.rope, self.emulated = emulator, rope, emulated
+        share = _parts(emulated) - 1e-9
+        self._ends = np.searchsorted(_parts(rope), share)  # the link of the plan's rope that each part belongs to
+        self._zero = time.monotonic()
+
+    def start_clock(self, at: float | None = None) -> None:
+        """Make a moment of the monotonic clock, s, or now, t = 0."""
+        self._zero = time.monotonic() if at is None else at
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the newest state; `t` and `motion` are not used."""
+        at, _, q, qd = self.emulator.rope_state()
+        return RopeState(at - self._zero, *self._joined(q, qd))
+
+    def _joined(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Angles and rates of the chords of the links that are made of parts."""
+        length, n = self.emulated.length, self.rope.n_links
+        x, y, u, v = (
+            np.bincount(self._ends, length * part, n)
+            for part in (np.sin(q), -np.cos(q), np.cos(q) * qd, np.sin(q) * qd)
+        )
+        angle = np.arctan2(x, -y)
+        whole = np.bincount(self._ends, q, n) / np.bincount(self._ends, minlength=n)
+        angle += 2.0 * np.pi * np.round((whole - angle) / (2.0 * np.pi))
+        return angle, (u * np.cos(angle) + v * np.sin(angle)) / np.hypot(x, y)
+
+
+def _parts(rope: Rope) -> Array:
+    """Ends of the links (n,) as parts of the rope's length."""
+    return np.cumsum(rope.length) / rope.total_length
