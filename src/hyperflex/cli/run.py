@@ -132,17 +132,42 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
             runs[-1].message if runs else "nothing was cast",
         )
     result = {"emulated": emulated, "casts": [each.summary() for each in runs], "learned": lines, "message": message}
-    last = runs[-1].summary() if runs else {}
-    tiles = {name.replace("_", " "): str(value) for name, value in last.items() if name not in ("message", "decisions")}
+    title = "Last cast (emulated)" if emulated else "Last cast"
     output.show(
         {**result, "success": good, "files": {name: str(path) for name, path in written.items()}},
-        Rows("Last cast (emulated)" if emulated else "Last cast", list(tiles.items())),
+        *([Rows(title, _figures(runs[-1]))] if runs else []),
         message or "The rope is wound.",
         *lines,
         Rows("Written", [(name, str(path)) for name, path in written.items()]),
         interrupted="Interrupted; the torque was switched off." if stopped else "",
         code=0 if good else output.NO_PLAN,
     )
+
+
+def _figures(run: "CastRun") -> list[tuple[str, str]]:
+    """Return the figures of a run for people."""
+    found = run.summary()
+    left, seen = run.left_plan, "" if run.recording is None else "never by 5 cm"
+    if left is not None:
+        seen = f"by 5 cm first at {left[0]:.2f} s, joint {left[1]} of {run.plan.problem.rope.n_links}"
+    rows = [
+        ("wound", {True: "yes", False: "no", None: "nothing shows it"}[run.wound]),
+        ("shown by", run.judged_by),
+        ("turns", "" if run.turns is None else f"{abs(run.turns):.2f}"),
+        (
+            "arm off its goal",
+            _milli("rms", found["tracking_error_rms"]) + _milli(", at most", found["tracking_error_max"]),
+        ),
+        ("rope off the plan", seen),
+        ("replies lost", f"{found['lost_replies']} of {found['cycles']}"),
+        ("cycles missed", str(found["missed_cycles"])),
+        ("decisions", ", ".join(each.action for each in run.follow.decisions) if run.follow else ""),
+    ]
+    return [(name, value) for name, value in rows if value]
+
+
+def _milli(name: str, value: Any) -> str:
+    return "" if value is None else f"{name} {1e3 * value:.1f} mrad"
 
 
 def _write(run: "CastRun", out: Path, name: str) -> dict[str, Path]:

@@ -1,0 +1,61 @@
+"""``hyperflex run`` against emulated drives, and what it refuses."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.planning.known import planned
+from tests.planning.known_whip import planned_whip
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plan") / "cast.toml"
+    planned().to_toml(path)
+    return path
+
+
+def test_a_dry_run_checks_the_plan_and_connects_nothing(hyperflex_json, plan, tmp_path):
+    code, result = hyperflex_json("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done", "--dry-run")
+    assert (code, result["dry_run"]) == (0, True)
+    assert not (tmp_path / "done").exists()
+
+
+@pytest.mark.parametrize(
+    ("motor", "message"),
+    [
+        ("moteus:/dev/none", "/dev/none"),
+        ("servo:/dev/ttyUSB0", "the motor's address is not known"),
+        ("moteus", "the motor's address"),
+        ("emulator:servo", "the motor's address"),
+    ],
+)
+def test_a_motor_that_is_not_there_is_one_line(hyperflex, plan, tmp_path, motor, message):
+    code, out, err = hyperflex("run", plan, "--motor", motor, "-o", tmp_path / "done")
+    assert (code != 0, out) == (True, "")
+    assert message in err.splitlines()[-1]
+
+
+def test_a_plan_of_a_whip_is_refused(refused, tmp_path):
+    planned_whip().to_toml(tmp_path / "whip.toml")
+    assert "no plan of a cast" in refused(
+        "run", tmp_path / "whip.toml", "--motor", "emulator:moteus", "-o", tmp_path / "x"
+    )
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("make", ["moteus", "dynamixel", "odrive"])
+def test_a_cast_on_an_emulated_drive_winds(hyperflex_json, plan, tmp_path, make):
+    code, result = hyperflex_json("run", plan, "--motor", f"emulator:{make}", "-o", tmp_path / "done", "--countdown", 0)
+    assert (code, result["success"], result["emulated"]) == (0, True, True)
+    (run,) = result["casts"]
+    assert abs(run["turns"]) >= 1.25
+    assert run["tracking_error_max"] < 0.3
+    assert all(Path(path).is_file() for path in result["files"].values())
+
+
+@pytest.mark.nightly
+def test_learning_stops_after_three_casts_that_wind(hyperflex_json, plan, tmp_path):
+    how = "--motor", "emulator:moteus", "--repeat", 5, "--learn", "--countdown", 0
+    code, result = hyperflex_json("run", plan, *how, "-o", tmp_path / "done")
+    assert (code, len(result["casts"]), len(result["learned"])) == (0, 3, 3)
