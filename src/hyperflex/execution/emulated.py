@@ -7,8 +7,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.hardware import emulated_device
-from hyperflex.hardware.emulate import Emulator, MotorModel
+from hyperflex.hardware import Emulator, MotorModel, emulated_device
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Rope
 from hyperflex.motion import Motion

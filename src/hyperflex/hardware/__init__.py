@@ -7,6 +7,8 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.hardware.drive import Drive, DriveState, Goal, Link, Reading
     from hyperflex.hardware.dynamixel import DynamixelLink
+    from hyperflex.hardware.emulate.plant import MotorModel
+    from hyperflex.hardware.emulate.process import Emulator
     from hyperflex.hardware.links import emulated_device, open_link
     from hyperflex.hardware.moteus import MoteusLink
     from hyperflex.hardware.odrive import ODriveLink
