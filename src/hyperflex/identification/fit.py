@@ -261,15 +261,14 @@ class Linear:
 
 
 def linearise(plant: Plant, window: Window, x: Array, state: Array, residual: Array, loss: Loss) -> Linear:
-    """Return a window's linear model at its residual (m C,)."""
+    """Return a window's linear model at its residual (m C,); of means its derivatives are those at their times."""
     weight = loss.weight(residual)
     seen = plant.jacobian(x, window.t, state)
     if seen is None:  # a window on the brink: leave it as it is in this round
         size = residual.size
         return Linear(np.zeros((size, state.size)), np.zeros((size, x.size)), weight * residual, known=False)
     scale = (weight * window.weight.ravel())[:, None]
-    slopes = (averaged(each, window.t, window.spread) for each in (seen.state, seen.shared))
-    by_state, shared = (scale * each.reshape(residual.size, -1) for each in slopes)
+    by_state, shared = (scale * slope.reshape(residual.size, -1) for slope in (seen.state, seen.shared))
     prior = window.prior
     return Linear(
         np.vstack([by_state, prior]),
