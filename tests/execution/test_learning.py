@@ -138,6 +138,19 @@ def test_a_log_with_too_little_data_says_so_and_changes_nothing():
     assert str(done.attempts[0]) == expected
 
 
+def test_a_strike_that_was_met_without_winding_is_refuted_and_planned_again(monkeypatch):
+    other = replace(MOVES, rests=MOVES.rests + np.array([0.05, 0.0]))
+    monkeypatch.setattr("hyperflex.execution.learning.plan_cast", lambda *_, **__: replace(PLAN, moves=other))
+
+    def carry_out(motion: Motion) -> CastLog:
+        return replace(Twin()(motion), wound=False)
+
+    done = learn_cast(PLAN, carry_out, attempts=2, options=replace(OPTIONS, replanning_time=1.0))
+    assert done.attempts[0].distance < OPTIONS.near
+    assert done.attempts[0].replanned
+    assert done.attempts[1].moves is other
+
+
 def test_angles_teach_as_markers_do():
     twin = Twin(scaled_rope(ROPE, 1.0, 1.0, 1.5))
 

@@ -33,14 +33,12 @@ from hyperflex.planning import (
     Moves,
     Problem,
     RolloutBatch,
-    Scenario,
     SearchOptions,
     fly_to_strikes,
     obstacle_gaps,
-    pieces_in_contact,
     plan_cast,
     refuse_behind,
-    scenario_scores,
+    verify_cast,
 )
 from hyperflex.recording import Recording
 from hyperflex.sensors import lever_arms
@@ -111,6 +109,9 @@ class LearningOptions:
         Samples in this window that a marker needs.
     caution : float
         Weight of changes of the motion, in its scales, against the distance from the state that winds.
+    near : float
+        Distance from the strike that it aimed at, in scales, below which a cast that misses refutes that strike: a new
+        plan is made, if parameters are learned.
     replanning_time : float
         Time for a new plan where no correction of the old one winds the rope in the model, s; 0 for none.
     correction : FollowOptions
@@ -129,6 +130,7 @@ class LearningOptions:
     strike_window: float = option(0.12, "time before the strike in which it is measured", unit="s", sign="positive")
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
     caution: float = option(0.1, "weight of changes of the motion", sign="nonnegative")
+    near: float = option(0.5, "distance from a strike below which a miss refutes it", sign="nonnegative")
     replanning_time: float = option(60.0, "time for a new plan where no correction winds", unit="s", sign="nonnegative")
     correction: FollowOptions = field(default_factory=FollowOptions)
     threads: int | None = None
@@ -297,8 +299,7 @@ def learn_cast(
     Notes
     -----
     The repeated error of the model is its mean over the casts, of which the newest has the weight `newest`; a cast that
-    winds leaves the motion as it is. Contact is not learned: a strike in the right state whose rope does not wind is
-    repeated. Tested in simulation only.
+    winds leaves the motion as it is. Contact is not learned. Tested in simulation only.
     """
     checks.instance("plan", plan, CastPlan)
     problem, moves = plan.problem, plan.required(plan.moves, "motion")
@@ -426,7 +427,8 @@ class _Learner:
             self._learn_parameters(log)
         flights = self._predictions()
         distance, position, speed = self._distance(made, _at_strike(cast, flights[-1], self.options))
-        replanned = self._aim(missed=not log.wound) if self.options.parameters else False
+        refuted = not log.wound and distance < self.options.near
+        replanned = self._aim(not log.wound, refuted) if self.options.parameters else False
         if not log.wound:
             correct = self.options.motion and not replanned
             self.moves = self._corrected(self._goal, self._repeated_error(flights)) if correct else self._goal.moves
@@ -543,20 +545,22 @@ class _Learner:
             return None
         return _Goal(moves, motion, problem.rope, float(found.t[0]), found.q, found.qd)
 
-    def _aim(self, missed: bool) -> bool:
+    def _aim(self, missed: bool, refuted: bool) -> bool:
         """Find moves that wind in the model as it is now, and their strike; return whether they were planned again.
 
         After a miss the moves so far are corrected for the planned strike. If they do not wind, those so far are tried,
-        and then a new plan; where all of these fail, what was corrected for the planned strike remains.
+        and then a new plan; a plan whose strike was `refuted` is replaced at once. Where all of these fail, what was
+        corrected for the planned strike remains.
         """
         options, now = self.options, self._goal.moves
         corrected = self._corrected(self._planned._replace(moves=now), None) if missed else now
-        for moves in [corrected, now] if missed else [now]:
+        for moves in [] if refuted else [corrected, now] if missed else [now]:
             if self._winds(moves) and (goal := self._strike(moves)):
                 self._goal = goal
                 return False
         if missed and options.replanning_time:
-            problem, search = self.model.problem, SearchOptions(seed=len(self._casts), threads=options.threads)
+            problem, seed = self.model.problem, len(self._casts)
+            search = SearchOptions(seed=seed, threads=options.threads, skip_feasibility=True)  # one plan was found
             given: dict[str, Any] = {"time_budget": options.replanning_time, "options": search}
             plan = plan_cast(problem.rope, problem.arm, self.model.peg, **given)
             if plan.success and plan.moves is not None and (goal := self._strike(plan.moves)):
@@ -566,12 +570,10 @@ class _Learner:
         return False
 
     def _winds(self, moves: Moves) -> bool:
-        """Whether moves wind the rope in the model, in contact."""
-        problem, peg = self.model.problem, self.model.peg
-        scenario = Scenario(problem.rope, peg, self.model.lag, np.zeros(1))
-        pieces = pieces_in_contact(problem, peg, SearchOptions().coarse)
-        found = scenario_scores(problem, moves, [scenario], [problem.rope], pieces, self.budget)
-        return bool(found.turns[0] >= problem.criteria.turns)
+        """Whether moves meet the criteria of the plan in the model, in a whole run with contact."""
+        return verify_cast(
+            self.model.problem, self.model.peg, self.model.motion(moves), time_budget=self.budget
+        ).success
 
     # ------------------------------------------------------------------ motion
 

@@ -8,12 +8,7 @@ if TYPE_CHECKING:
     from hyperflex.model import MotorLimits
     from hyperflex.planning.casting import plan_cast
     from hyperflex.planning.clearance import obstacle_gaps
-    from hyperflex.planning.ensemble import (
-        SuccessProbability,
-        estimate_success_probability,
-        pieces_in_contact,
-        scenario_scores,
-    )
+    from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
     from hyperflex.planning.feedback import (
         Decision,
