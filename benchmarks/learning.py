@@ -51,9 +51,9 @@ RESULTS = Path(__file__).parent / "results"
 ROPES = ("nominal", "weighted", "tapered", "cord")
 SEED = 311  # of the targets
 WAYS = {
-    "parameters": LearningOptions(wins=1, motion=False, threads=1),
+    "parameters": LearningOptions(wins=1, motion=False, replanning_time=20.0, threads=1),
     "motion": LearningOptions(wins=1, parameters=False, threads=1),
-    "both": LearningOptions(wins=1, threads=1),
+    "both": LearningOptions(wins=1, replanning_time=20.0, threads=1),
 }
 CASTS = 5
 LONGER, STIFFER, PIECES, LAG = 1.03, 1.20, 2, 0.015  # of the true rope and motor; factors, pieces of a link, s
