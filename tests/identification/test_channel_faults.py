@@ -87,5 +87,5 @@ def test_right_recordings_and_errors_of_the_model_are_no_fault_of_a_channel(kind
 def test_a_marker_that_errs_along_its_link_is_no_jump():
     """y of a marker hardly turns a link of a small swing: its pattern is that of the fit, not of noisy angles."""
     for seed in range(2):
-        data = swing(1, "markers", seed=seed, amplitude=0.1)
+        data = swing(1, "markers", seed=seed, amplitude=0.3)
         assert not any(map(identified(1, data, "markers").has, CHANNEL_FAULTS))
