@@ -12,7 +12,7 @@ import pytest
 from hyperflex.errors import DriveError, InvalidInput
 from hyperflex.hardware import Drive, Goal
 from hyperflex.model import MotorLimits
-from hyperflex.motion import hold_arm, move_arm, moving_pivot, sampled_motion, torque_profile
+from hyperflex.motion import arm_moves, hold_arm, move_arm, moving_pivot, sampled_motion, torque_profile
 from tests.hardware.fake import REQUEST, FakeLink, silent
 from tests.refusals import refuses
 
@@ -516,6 +516,28 @@ def test_a_motion_that_repeats_must_meet_its_beginning():
     there = SWING.then(back, at=0.6)
     limited().check_motion(dataclasses.replace(there, loop=0))
     refuses("angle jumps at t = 0.600", limited().check_motion, dataclasses.replace(SWING, loop=0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_motion_that_was_accepted_is_not_refused_on_the_way(seed):
+    """Moves that use the limits to the last; each goal is that of the time at which it is sent, up to 3 ms off."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-3.0, 3.0, 6) if seed else np.array([-6.0, 6.0])
+    count = angles.size - 1
+    durations, ramps = rng.uniform(0.5, 1.0, count), rng.uniform(0.1, 0.5, count) if seed else np.array([0.5])
+    motion = arm_moves(angles, rests=rng.uniform(0.0, 0.2, count), durations=durations, ramps=ramps)
+    speed, acceleration = (np.abs(motion.extrema(derivative)[1]).max() / 1.02 for derivative in (1, 2))
+    limits = MotorLimits(speed=speed, acceleration=acceleration, angles=(angles.min(), angles.max()))
+    link = FakeLink(angle=angles[0])
+    with Drive(link, limits) as drive:
+        drive.check_motion(motion)
+        drive.enable()
+        begin = link.now
+        for due in begin + np.arange(0.005, motion.breaks[-1] + 0.1, 0.005):
+            link.now = max(link.now, due + rng.uniform(-0.003, 0.003))
+            t = link.now - begin
+            state = drive.command(Goal(float(motion.angle(t)), float(motion.rate(t))))
+    assert state.angle == pytest.approx(angles[-1])
 
 
 def test_what_no_drive_of_a_shaft_can_carry_out_is_refused():

@@ -450,7 +450,7 @@ class Drive:
             raise InvalidInput("goal is too fast", got=goal.rate, allowed=f"up to {limits.speed:.4g} rad/s")
         if abs(goal.torque) > SLACK * limits.torque:
             raise InvalidInput("goal's torque is too large", got=goal.torque, allowed=f"up to {limits.torque:.4g} N m")
-        stop = goal.angle + 0.5 * goal.rate * abs(goal.rate) / limits.acceleration
+        stop = goal.angle + 0.5 * goal.rate * abs(goal.rate) / (SLACK * limits.acceleration)
         if not least - STEP <= stop <= greatest + STEP:
             allowed = f"a rate that can be braked within {least:.4g} to {greatest:.4g} rad"
             raise InvalidInput(f"goal at {goal.angle:.4g} rad leaves no room to brake", got=goal.rate, allowed=allowed)

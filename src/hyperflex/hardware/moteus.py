@@ -245,7 +245,7 @@ def _listener(vendor: Any) -> Any:
     """Return the vendor's serial device with a reader that a damaged line does not end."""
 
     class Listener(vendor.FdcanusbDevice):  # type: ignore[misc]
-        """`heard` are the lines received before the first valid reply."""
+        """`heard` are the last lines received."""
 
         def guard(self) -> None:
             """Keep other programs out, and let no write wait for a device that does not read."""
