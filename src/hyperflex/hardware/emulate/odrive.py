@@ -140,8 +140,8 @@ class ODriveDevice:
     def _request(self, state: int) -> None:
         if state == AxisState.CLOSED_LOOP and self._mode == (3, 1) and not self._active():
             self._state, self._reason = AxisState.CLOSED_LOOP, 0
+            self._goal = Goal(self.plant.angle)  # as the firmware does
             self.plant.set_enabled(True)
-            self.plant.set_goal(self._goal)
         elif state == AxisState.IDLE:
             self._disarm(0)
 
