@@ -83,8 +83,8 @@ def commands(page: Path) -> list[str]:
 def test_commands_of_a_page_have_options_that_exist(page):
     group = get_command(app)
     for words in commands(page):
-        name, *given = shlex.split(words.removesuffix("..."), comments=True)
-        command = group.get_command(None, name)
+        given = shlex.split(words.removesuffix("..."), comments=True)
+        _, command, given = group.resolve_command(None, given)
         parser = command.make_parser(command.context_class(command))
         assert parser.parse_args(given)[1] == [], words  # refuses an option that does not exist
 

@@ -16,7 +16,7 @@ from hyperflex.cli.app import COMMANDS
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_an_example_that_names_real_options(hyperflex, command):
-    code, out, _ = hyperflex(command, "--help")
+    code, out, _ = hyperflex(*command.split(), "--help")
     assert code == 0
     example = re.search(rf"Example:\n\s+(hyperflex {command}.*)\n", out)
     assert example, out

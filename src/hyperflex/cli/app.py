@@ -46,6 +46,9 @@ COMMANDS = {  # by name: the module with the function of this name, and an examp
     "watch": ("track", "0 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 --page 8080"),
     "reproduce": ("reproduce", "fig10 fig12 -o paper"),
     "demo": ("demo", "-o demo-output"),
+    "motor check": ("motor", "--motor XC330-M181 --rope rope.toml planned/cast.toml"),
+    "motor identify": ("motor", "--motor emulator:moteus --out drive.toml"),
+    "motor zero": ("motor", "--motor moteus:/dev/ttyACM0 --out zero.toml"),
     "warm": ("warm", ""),
     "doctor": ("doctor", "--source 0"),
 }
@@ -63,10 +66,14 @@ class _Commands(TyperGroup):
         if name not in COMMANDS:
             return None
         module, example = COMMANDS[name]
-        function = getattr(importlib.import_module(f"hyperflex.cli.{module}"), name.replace("-", "_"))
+        function = getattr(importlib.import_module(f"hyperflex.cli.{module}"), _function(name))
         single = typer.Typer(rich_markup_mode=None, add_completion=False)
         single.command(name, epilog=f"\b\nExample:\n  hyperflex {name} {example}")(command(function))
         return typer.main.get_command(single)
+
+    def resolve_command(self, context: Any, args: list[str]) -> Any:
+        """Find the command of one word or two."""
+        return super().resolve_command(context, _joined(args))
 
     def format_commands(self, context: Any, formatter: Any) -> None:
         """List the commands with the first line of their help, which is read without loading them."""
@@ -74,10 +81,21 @@ class _Commands(TyperGroup):
             formatter.write_dl([(name, _summary(name)) for name in COMMANDS])
 
 
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Return arguments with the name of a command of two words as one."""
+    name = " ".join(arguments[:2])
+    return [name, *arguments[2:]] if name in COMMANDS else list(arguments)
+
+
+def _function(name: str) -> str:
+    """Return the name of a command's function: its last word."""
+    return name.rpartition(" ")[2].replace("-", "_")
+
+
 def _summary(name: str) -> str:
     tree = ast.parse(Path(__file__).with_name(f"{COMMANDS[name][0]}.py").read_text("utf-8"))
     functions = (each for each in tree.body if isinstance(each, ast.FunctionDef))
-    function = next(each for each in functions if each.name == name.replace("-", "_"))
+    function = next(each for each in functions if each.name == _function(name))
     return (ast.get_docstring(function) or "").partition("\n")[0]
 
 
@@ -125,7 +143,7 @@ def run(arguments: Sequence[str]) -> int:
         group.main([], prog_name="hyperflex")  # answers, and ends the program
     named: Any = None
     try:
-        named = group.get_command(None, next(iter(arguments), ""))
+        named = group.get_command(None, next(iter(_joined(arguments)), ""))
         _check_empty(arguments)
         return _invoke(group, arguments)
     except KeyboardInterrupt:

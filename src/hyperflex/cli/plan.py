@@ -31,6 +31,7 @@ from hyperflex.planning import (
 )
 
 if TYPE_CHECKING:
+    from hyperflex.hardware import DriveFit
     from hyperflex.planning import CastPlan
     from hyperflex.report import PlanReport
 
@@ -86,7 +87,17 @@ class Source:
         float | None,
         typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
     ] = None
+    drive: Annotated[
+        Path | None,
+        typer.Option(help="File of hyperflex motor identify: its lag counts with --robust, its limits always."),
+    ] = None
     limits: Annotated[Given, MotorLimits]
+
+    def identified(self) -> "DriveFit | None":
+        """Return the identified drive; None without."""
+        from hyperflex.hardware import DriveFit
+
+        return None if self.drive is None else DriveFit.from_toml(self.drive)
 
     def read(self, conditions: Given, criteria: Given | None = None, aim: "Aim | None" = None) -> Problem:
         """Return what is planned for; options override the file.
@@ -110,10 +121,12 @@ class Source:
         else:
             first = next((each for each in obstacles if isinstance(each, Peg)), None)
             obstacles = [each for each in obstacles if each is not first]
+        drive = self.identified()
+        limits = found.limits if drive is None else drive.motor_limits(found.limits)
         return Problem(
             rope,
             arm,
-            replace(found.limits, **self.limits),
+            replace(limits, **self.limits),
             replace(found.criteria, **(criteria or {})),
             replace(found.conditions, obstacles=tuple(obstacles), **conditions),
             {**found.targets, "peg": first},
@@ -300,7 +313,9 @@ def cast(
     if first is not None and (peg.x, peg.y) != (first.x, first.y):
         moved = f"--target moves the first of [pegs] from ({first.x:g}, {first.y:g}) m, where no obstacle is left"
         output.note(f"{moved}. Obstacles come after it")
-    uncertainty = Uncertainty.from_rope_file(task.rope or task.setup or Path()) if robust else None
+    uncertainty = None
+    if robust:
+        uncertainty = replace(Uncertainty.from_rope_file(task.rope or task.setup or Path()), drive=task.identified())
     more = {"criteria": problem.criteria, "uncertainty": uncertainty, "on_plan": _report_plan, "search": search}
     plan = task.plan(plan_cast, problem, peg, time_budget=time_budget, **more)
 

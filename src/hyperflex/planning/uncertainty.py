@@ -10,6 +10,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.hardware import DriveFit
 from hyperflex.identification import perturbed
 from hyperflex.model import DAMPING, PROPERTIES, Peg, Rope, parse_label
 from hyperflex.motion import Motion, arm_moves, lagged
@@ -200,13 +201,15 @@ class Uncertainty:
         The same of the peg's friction coefficient.
     lag : float
         The motor follows with a first-order lag. Its time constant, s, is half-normal; this is the standard deviation
-        of that normal distribution.
+        of that normal distribution. With a `drive` it is not used.
     timing : float
         Standard deviation of each move's start, s; normal, independent; no move starts before the last one has ended.
     place : float
         Standard deviation of each coordinate of the target's place, m; normal, independent.
     posterior : RopePosterior, optional
         Identified rope: ropes are sampled from its covariance, and then multiplied by the factors above.
+    drive : DriveFit, optional
+        Identified drive: the lag is normal, with its value and standard deviation.
 
     Examples
     --------
@@ -227,18 +230,21 @@ class Uncertainty:
     timing: float = 0.002
     place: float = 0.0
     posterior: RopePosterior | None = None
+    drive: DriveFit | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            if field.name != "posterior":
+            if field.name not in ("posterior", "drive"):
                 value = checks.number(f"uncertainty of {field.name}", getattr(self, field.name), sign="nonnegative")
                 object.__setattr__(self, field.name, value)
         if self.posterior is not None and not isinstance(self.posterior, RopePosterior):
             fix = "Give Uncertainty.from_identification(what identify returned)"
             raise InvalidInput("posterior is no RopePosterior", got=self.posterior, fix=fix)
+        if self.drive is not None and checks.instance("drive", self.drive, DriveFit).message:
+            raise InvalidInput(f"the identified drive must not be used: {self.drive.message}")
 
     @classmethod
-    def from_identification(cls, fit: "Identification", **others: float) -> "Uncertainty":
+    def from_identification(cls, fit: "Identification", **others: Any) -> "Uncertainty":
         """Take the rope's uncertainty from the covariance of a `fit`; `others` are parameters of the class.
 
         Those of the rope are 0 by default, but for properties that the fit could not determine: these have the usual
@@ -246,7 +252,7 @@ class Uncertainty:
         """
         posterior = RopePosterior.from_identification(fit)
         undetermined = set(posterior.undetermined_properties)
-        known = {name: 0.0 for name, properties in REPLACED_BY.items() if not set(properties) & undetermined}
+        known: dict[str, Any] = {n: 0.0 for n, properties in REPLACED_BY.items() if not set(properties) & undetermined}
         return cls(**{**known, **others}, posterior=posterior)
 
     @classmethod
@@ -260,21 +266,27 @@ class Uncertainty:
         if posterior is None:
             return cls()
         known = set(posterior.fitted_properties), set(posterior.undetermined_properties)
-        zero = {n: 0.0 for n, each in REPLACED_BY.items() if set(each) & known[0] and not set(each) & known[1]}
-        return cls(**zero, posterior=posterior)
+        zero = [n for n, each in REPLACED_BY.items() if set(each) & known[0] and not set(each) & known[1]]
+        values: dict[str, Any] = dict.fromkeys(zero, 0.0)
+        return cls(**values, posterior=posterior)
 
     def describe(self) -> str:
         """Return as text which uncertainties count, and their source."""
         usual = [f"{name} {100 * getattr(self, name):.2g} %" for name in RELATIVE if getattr(self, name)]
-        usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if getattr(self, name)]
+        usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if self._assumed(name)]
         usual += [f"place {1e3 * self.place:.2g} mm"] if self.place else []
         assumed = f"typical of an identification: {', '.join(usual)}" if usual else ""
+        assumed = "; ".join(filter(None, (self.drive.describe() if self.drive else "", assumed)))
         if self.posterior is None:
             return assumed or "nothing"
         parts = [f"{', '.join(self.posterior.fitted_properties)} by the covariance in the rope's file"]
         if self.posterior.undetermined_properties:
             parts.append(f"not fully determined by the fit: {', '.join(self.posterior.undetermined_properties)}")
         return "; ".join([*parts, assumed] if assumed else parts)
+
+    def _assumed(self, name: str) -> bool:
+        """Whether a time is assumed."""
+        return bool(getattr(self, name)) and (name != "lag" or self.drive is None)
 
     def sample(self, count: int, problem: Problem, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Scenario]:
         """Return `count` scenarios sampled for a `problem` and a `peg`.
@@ -291,7 +303,8 @@ class Uncertainty:
         spreads = np.array([self.length, self.mass, self.friction, self.mu])
         sigma = np.sqrt(np.log1p(spreads**2))
         factors = np.exp(sigma * rng.standard_normal(4) - 0.5 * sigma**2)
-        lag = self.lag * abs(float(rng.standard_normal()))
+        drawn = float(rng.standard_normal())
+        lag = self.lag * abs(drawn) if self.drive is None else max(0.0, self.drive.lag + self.drive.lag_std * drawn)
         delays = self.timing * rng.standard_normal(MOVES)
         rope = problem.rope if self.posterior is None else self.posterior.sample(rng)
         planned, known = problem.rope, rope if self.posterior is None else self.posterior.rope

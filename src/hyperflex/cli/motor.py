@@ -1,0 +1,201 @@
+"""``hyperflex motor check``, ``identify`` and ``zero``: is it fast enough, how does it move, where is its zero."""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hyperflex.cli import output
+from hyperflex.cli.command import Given, check_destination, positive
+from hyperflex.cli.output import Rows
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, MotorLimits, Rope
+
+if TYPE_CHECKING:
+    from hyperflex.hardware import Drive
+
+RPM = 60.0 / math.tau  # rev/min per rad/s
+Address = Annotated[
+    str,
+    typer.Option("--motor", help="Make and port, such as moteus:/dev/ttyACM0, or emulator:moteus.", show_default=False),
+]
+ZeroFile = Annotated[
+    Path | None, typer.Option("--zero", help="File of hyperflex motor zero. [default: the device's own zero]")
+]
+
+
+def check(
+    plans: Annotated[
+        list[Path] | None, typer.Argument(help="Files of plans (cast.toml, ...) that the motor is to carry out.")
+    ] = None,
+    *,
+    rope: Annotated[Path, typer.Option(help="TOML file with the rope that hangs from the arm.")],
+    motor: Annotated[str | None, typer.Option(help="Name in the catalogue, such as XC330-M181.")] = None,
+    rpm: Annotated[
+        float | None, typer.Option(callback=positive("rev/min"), help="Speed without load, rev/min.")
+    ] = None,
+    torque: Annotated[float | None, typer.Option(callback=positive("N m"), help="Torque at rest (stall), N m.")] = None,
+    voltage: Annotated[
+        float | None,
+        typer.Option(callback=positive("V"), help="Voltage of your supply, V. [default: the data sheet's]"),
+    ] = None,
+    arm_length: Annotated[
+        float | None, typer.Option(callback=positive("m"), help="Length of the arm, m. [default: 0.105]")
+    ] = None,
+    move_time: Annotated[float, typer.Option(callback=positive("s"), help="Time of a half turn, s.")] = 0.5,
+) -> None:
+    """Check whether a motor is fast and strong enough, before anything is planned.
+
+    The motor is one of the catalogue, or given by its speed and torque. The torque falls linearly from stall to the
+    speed without load. The command compares it with a half turn of the arm under the hanging rope, and with plans. It
+    prints limits for the planner. The exit code is 4 if a half turn or a plan is not possible.
+    """
+    from hyperflex.hardware import MotorData, check_motor, find_motor
+    from hyperflex.planning import read_plan
+
+    if motor is not None:
+        data = find_motor(motor)
+        data = data if voltage is None else data.at(voltage)
+    elif rpm is None or torque is None:
+        raise InvalidInput("no motor is given", fix="Give --motor NAME, or --rpm and --torque")
+    else:
+        data = MotorData("your motor", rpm / RPM, torque, voltage or MotorData.voltage, source="given")
+    arm = Arm() if arm_length is None else Arm(length=arm_length)
+    motions: dict[str, Any] = {}
+    for path in plans or ():
+        plan = read_plan(path)
+        motions[str(path)] = plan.required(plan.moves, "motion").motion(plan.problem.limits)
+    found = check_motor(data, Rope.from_toml(rope), arm, move_time, motions=motions)
+    demands = {
+        each.name: f"{'possible' if each.possible else 'NOT possible'}: "
+        f"{each.speed * RPM:.0f} rev/min, {each.torque:.3g} N m, {100 * each.margin:.0f} % to spare"
+        for each in found.demands
+    }
+    limits = {"speed": found.limits.speed, "acceleration": found.limits.acceleration, "torque": found.limits.torque}
+    result = {
+        "motor": {**asdict(data), "rpm": data.speed * RPM},
+        "holding_torque_Nm": found.holding_torque,
+        "demands": [{**asdict(each), "possible": each.possible} for each in found.demands],
+        "limits": limits,
+    }
+    words = " ".join(f"--{name} {value:.4g}" for name, value in limits.items())
+    output.show(
+        result,
+        Rows(
+            f"{data.name}: {data.speed * RPM:.0f} rev/min, {data.stall_torque:.3g} N m ({data.source})",
+            [("holds the hanging rope with", f"{found.holding_torque:.3g} N m"), *demands.items()],
+        ),
+        f"Limits for cast, whip and insert: {words}",
+        code=0 if found.success else output.NO_PLAN,
+    )
+
+
+def identify(
+    motor: Address,
+    *,
+    out: Annotated[Path, typer.Option("--output", "--out", "-o", help="File for the identified drive, .toml.")],
+    zero: ZeroFile = None,
+    limits: Annotated[Given, MotorLimits],
+    picture: Annotated[Path | None, typer.Option(help="Picture of the test motion to write, .png.")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be done; open and move nothing.")
+    ] = False,
+) -> None:
+    """Make a small test motion and identify lag, limits, friction, inertia and backlash of a drive.
+
+    The arm must be free, without a rope. It moves by 0.3 rad, slowly and then faster, and makes strokes as fast as the
+    limits and angles given allow: these show the drive's own limit of speed. Torque is off before and after. Drives
+    have only been emulated so far.
+    """
+    from hyperflex.hardware import identify_drive, plan_test_motion, record_test_motion
+    from hyperflex.report import save_png
+
+    check_destination(out, ".toml", [])
+    check_destination(picture, ".png", [])
+    chosen = MotorLimits(**limits)
+    if dry_run:
+        motion = plan_test_motion(chosen, 0.0)
+        angles = motion.angle(motion.breaks)
+        plan = {
+            "duration_s": float(motion.breaks[-1]),
+            "least_angle": float(angles.min()),
+            "greatest_angle": float(angles.max()),
+        }
+        output.show(plan, output.rows("Test motion, from an arm that hangs", plan))
+        return
+    with _drive(motor, chosen, zero) as drive:
+        output.note(f"{drive.link.name}: the arm at {drive.read().angle:.3f} rad makes the test motion")
+        record = record_test_motion(drive)
+    fit = identify_drive(record)
+    fit.to_toml(out)
+    written = {"drive": out}
+    if picture is not None:
+        save_png(fit.plot(), picture)
+        written["picture"] = picture
+    rows = [
+        (name.replace("_", " "), f"{value:.4g} ({fit.intervals[name][0]:.4g} to {fit.intervals[name][1]:.4g})")
+        for name, value in fit.values.items()
+    ]
+    if "rate_limit" not in fit.values:
+        rows.append(("rate limit", f"not reached: above {fit.reached[0]:.3g} rad/s"))
+    result = {"values": fit.values, "intervals": fit.intervals, "reached": fit.reached, "files": written}
+    output.show(
+        result,
+        Rows("Identified drive, SI units, 95 % intervals", rows),
+        fit.message or f"Written to {out}.",
+        code=output.NOT_USABLE if fit.message else 0,
+    )
+
+
+def zero(
+    motor: Address,
+    *,
+    out: Annotated[Path, typer.Option("--output", "--out", "-o", help="File for the zero, .toml.")],
+    angle: Annotated[float, typer.Option(help="Angle at which the arm is now, rad; 0 hangs down.")] = 0.0,
+    direction: Annotated[int, typer.Option(help="-1 if the device's angle grows clockwise, else 1.")] = 1,
+) -> None:
+    """Set the zero of a drive from the arm as it hangs now, with its torque off; nothing moves.
+
+    The raw angle of the zero is kept in the file, which identify and run take with --zero. Check it again after the
+    drive was without power: some count turns only while they have it.
+    """
+    from hyperflex.hardware import DriveZero
+
+    check_destination(out, ".toml", [])
+    with _drive(motor, MotorLimits(), None, direction) as drive:
+        name, before = drive.link.name, drive.read().angle
+        raw = drive.set_zero(angle)
+    DriveZero(raw, direction, motor).to_toml(out)
+    result = {"motor": name, "raw_angle": raw, "angle": angle, "before": before, "files": {"zero": out}}
+    shown = [("raw angle of the zero", f"{raw:.4f} rad"), ("the arm is now at", f"{angle:.4f} rad")]
+    output.show(result, Rows(f"Zero of {name}", [*shown, ("written", str(out))]))
+
+
+@contextmanager
+def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int = 1) -> "Iterator[Drive]":
+    """Connect to a drive, or to an emulated one that runs as long as the block; its arm has no rope.
+
+    The shaft may fall behind its goals: this shows the drive's own limit of speed.
+    """
+    from hyperflex.hardware import Drive, DriveZero, emulated_device, open_link
+
+    known = DriveZero(0.0, direction) if zero is None else DriveZero.from_toml(zero)
+    device = emulated_device(address)
+    least, greatest = limits.angles
+    options: dict[str, Any] = {"zero": known.raw, "direction": known.direction, "max_deviation": greatest - least}
+    if device is None:
+        with Drive(open_link(address), limits, **options) as drive:
+            yield drive
+        return
+    from hyperflex.hardware.emulate import Emulator, MotorModel
+
+    make, kind = device
+    with (
+        Emulator(kind, MotorModel(), None, Arm(inertia=1e-3)) as emulator,
+        Drive(open_link(f"{make}:{emulator.port}"), limits, **options) as drive,
+    ):
+        yield drive

@@ -1,0 +1,465 @@
+"""Identification of a drive: lag, limits, friction, inertia and backlash from a recorded test motion."""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from hyperflex import checks, files
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.hardware.drive import Drive, Goal
+from hyperflex.hardware.drive_model import DriveModel, plan_test_motion
+from hyperflex.hardware.simulated import SimulatedMotor
+from hyperflex.interruption import raise_if_cancelled
+from hyperflex.model import MotorLimits
+from hyperflex.motion import Motion
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TABLE = "drive"  # of a file with an identified drive
+UNITS = {
+    "lag": "s",
+    "delay": "s",
+    "frequency": "rad/s",
+    "damping": "",
+    "feedforward": "",
+    "rate_limit": "rad/s",
+    "acceleration_limit": "rad/s^2",
+    "backlash": "rad",
+    "inertia": "kg m^2",
+    "friction": "N m s/rad",
+    "dry_friction": "N m",
+    "weight_torque": "N m",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DriveRecord:
+    """Goals that a drive was sent, and what it replied.
+
+    Attributes
+    ----------
+    sent, received : (N,) float64
+        Times of goal and reply, s, from the first goal on.
+    goal, goal_rate : (N,) float64
+        Arm angle and rate that were asked for, rad and rad/s.
+    angle, torque : (N,) float64
+        Arm angle and torque that were reported, rad and N m; NaN where a goal was not answered, or the torque not told.
+    """
+
+    sent: Array
+    received: Array
+    goal: Array
+    goal_rate: Array
+    angle: Array
+    torque: Array
+
+    def __post_init__(self) -> None:
+        count = checks.times("times of goals", self.sent, least=100).size
+        for each in fields(self):
+            value = np.asarray(getattr(self, each.name), dtype=np.float64)
+            if value.shape != (count,):
+                raise InvalidInput(f"{each.name} of a drive's record", got=value.shape, allowed=f"({count},), as sent")
+            object.__setattr__(self, each.name, value)
+        if np.isfinite(self.angle).sum() < 0.5 * count:
+            raise InvalidInput("drive answered fewer than half of the goals", got=int(np.isfinite(self.angle).sum()))
+
+    @property
+    def read_at(self) -> Array:
+        """Times (N,), s, for which the replies count: the middle between request and reply."""
+        return 0.5 * (self.sent + self.received)
+
+
+def record_test_motion(
+    drive: Drive,
+    motion: Motion | None = None,
+    *,
+    rate: float = 200.0,
+    sleep: Callable[[float], None] = time.sleep,
+) -> DriveRecord:
+    """Make a test motion on a drive that is connected; its torque is on during the motion, and off after it.
+
+    Parameters
+    ----------
+    drive : Drive
+        Its `max_deviation` must leave room for a shaft that falls behind at its own limit of speed.
+    motion : Motion, optional
+        By default :func:`plan_test_motion` within the drive's limits, from where the arm is.
+    rate : float
+        Goals a second, Hz.
+    sleep : callable
+        Waits for a time, s.
+
+    Raises
+    ------
+    InvalidInput
+        If the motion leaves the limits, before anything moves.
+    DriveError
+        As of :meth:`Drive.command`.
+    """
+    period = 1.0 / checks.number("rate", rate, sign="positive", unit="Hz")
+    chosen = motion or plan_test_motion(drive.limits, drive.read().angle)
+    drive.check_motion(chosen)
+    rows, clock = [], drive.link.clock
+    try:
+        drive.enable()
+        start = clock()
+        while (t := clock() - start) < chosen.breaks[-1] + 0.3:  # s, in which it comes to rest
+            raise_if_cancelled()
+            goal = Goal(*(float(each(t)) for each in (chosen.angle, chosen.rate)))
+            state = drive.command(goal)
+            known = not state.stale
+            angle, torque = (state.angle, state.torque) if known else (math.nan, math.nan)
+            received = state.received - start if known else t
+            rows.append((state.sent - start if known else t, received, goal.angle, goal.rate, angle, torque))
+            sleep(max(0.0, start + period * math.ceil((clock() - start) / period + 1e-6) - clock()))
+    finally:
+        drive.off()
+    return DriveRecord(*np.array(rows).T)
+
+
+@dataclass(frozen=True, eq=False)
+class DriveFit:
+    """An identified drive.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        By name, SI units: lag (at constant speed, in all, see :class:`DriveModel`), delay, frequency, damping,
+        feedforward, rate_limit, acceleration_limit, backlash, and where the drive tells its torque: inertia, friction,
+        dry_friction and weight_torque. What the test motion did not show is missing.
+    intervals : dict of str to (float, float)
+        95 % intervals of the values.
+    reached : (float, float)
+        Greatest speed, rad/s, and acceleration, rad/s^2, of the goals: limits that are missing lie above.
+    residual : float
+        Root mean square of measured less modelled angle, rad.
+    model : DriveModel
+    record : DriveRecord, optional
+        Not in files.
+    message : str
+        Why it must not be used; empty if it may.
+    """
+
+    values: dict[str, float]
+    intervals: dict[str, tuple[float, float]]
+    reached: tuple[float, float]
+    residual: float
+    model: DriveModel
+    record: DriveRecord | None = None
+    message: str = ""
+
+    @property
+    def success(self) -> bool:
+        """Whether the model explains the recording."""
+        return not self.message
+
+    @property
+    def lag(self) -> float:
+        """Lag at constant speed, s."""
+        return self.values["lag"]
+
+    @property
+    def lag_std(self) -> float:
+        """Standard deviation of the lag, s: a quarter of its 95 % interval."""
+        low, high = self.intervals["lag"]
+        return 0.25 * (high - low)
+
+    def motor_limits(self, limits: MotorLimits) -> MotorLimits:
+        """Return limits that the drive keeps: those given, or less where it was found to be slower."""
+        speed, rise = (self.intervals.get(name, (math.inf,))[0] for name in ("rate_limit", "acceleration_limit"))
+        least = max(speed, 1e-3), max(rise, 1e-3)
+        return replace(limits, speed=min(limits.speed, least[0]), acceleration=min(limits.acceleration, least[1]))
+
+    def motor(self, angle: float = 0.0) -> SimulatedMotor:
+        """Return a simulated motor with the identified lag, at rest at an angle, rad."""
+        return SimulatedMotor(angle, lag=self.lag)
+
+    def describe(self) -> str:
+        """Return the lag with its interval as text."""
+        low, high = self.intervals["lag"]
+        return f"identified lag {1e3 * self.lag:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f})"
+
+    def to_toml(self, path: files.PathLike) -> None:
+        """Write it to a TOML file, without the record."""
+        table = {
+            "values": self.values,
+            "intervals": {name: list(each) for name, each in self.intervals.items()},
+            "reached": list(self.reached),
+            "residual": self.residual,
+            "message": self.message,
+            "model": asdict(self.model),
+        }
+        files.write_toml(path, {TABLE: table})
+
+    @classmethod
+    def from_toml(cls, path: files.PathLike) -> Self:
+        """Read it from a file of :meth:`to_toml`. Raises FileProblem or InvalidInput."""
+        table: Any = files.read_toml(path).get(TABLE)
+        try:
+            return cls(
+                {name: float(value) for name, value in table["values"].items()},
+                {name: (float(low), float(high)) for name, (low, high) in table["intervals"].items()},
+                (float(table["reached"][0]), float(table["reached"][1])),
+                float(table["residual"]),
+                DriveModel(**{name: float(value) for name, value in table["model"].items()}),
+                None,
+                str(table["message"]),
+            )
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+            fix = "Make one with hyperflex motor identify"
+            raise InvalidInput(f"{path} has no identified drive", allowed=f"a table [{TABLE}]", fix=fix) from None
+
+    def plot(self) -> "Figure":
+        """Return a figure of goals, measured and modelled angle, and their difference; needs the record."""
+        from hyperflex.report import drive_figure
+
+        return drive_figure(self)
+
+
+@dataclass(frozen=True)
+class _Guess:
+    """Starts and bounds of what is fitted, as in DriveModel, with the lag, s, in place of the delay; offset rad."""
+
+    lag: tuple[float, float, float] = (1e-2, 0.0, 0.5)
+    frequency: tuple[float, float, float] = (60.0, 2.0, 2000.0)
+    damping: tuple[float, float, float] = (1.0, 0.05, 20.0)
+    feedforward: tuple[float, float, float] = (0.5, 0.0, 1.5)
+    dry: tuple[float, float, float] = (1.0, 0.0, 1e4)
+    weight: tuple[float, float, float] = (1.0, -1e4, 1e4)
+    backlash: tuple[float, float, float] = (2e-3, 0.0, 0.2)
+    rate_limit: tuple[float, float, float] = (10.0, 0.1, 1e3)
+    slope: tuple[float, float, float] = (50.0, 1.0, 5e3)
+    acceleration_limit: tuple[float, float, float] = (300.0, 1.0, 1e5)
+    offset: tuple[float, float, float] = (0.0, -0.2, 0.2)
+    inertia: tuple[float, float, float] = (1e-3, 1e-8, 1e3)
+    viscous: tuple[float, float, float] = (1.0, 0.0, 1e4)
+
+
+MODEL = tuple(each.name for each in fields(DriveModel) if each.name not in ("delay", "hold"))
+
+
+def identify_drive(record: DriveRecord) -> DriveFit:
+    """Identify a drive from the record of a test motion, by least squares.
+
+    Errors of the angle have a constant part (the encoder's steps) and one that grows with the speed (jitter of the
+    time stamps); both are estimated. The covariance is that of Gauss and Newton with the residuals' autocorrelation,
+    by the jackknife over blocks of time.
+
+    Raises
+    ------
+    InvalidInput
+        If the arm hardly moved.
+    """
+    period = float(np.median(np.diff(record.sent)))
+    fits = [_Fit(record, hold) for hold in ((period, 0.0) if record.goal_rate.any() else (period,))]
+    for each in fits:
+        each.start()
+        each.solve(15)
+    best = min(fits, key=lambda each: each.cost)
+    for _ in range(3):
+        best.weigh()
+        best.solve(30)
+    return best.result()
+
+
+class _Fit:
+    """Least squares of a record: `values` by name, of which those in `free` are fitted."""
+
+    def __init__(self, record: DriveRecord, hold: float) -> None:
+        self.cost, self.hold = math.inf, hold
+        self.record, self.bounds = record, vars(_Guess())
+        self.known = np.isfinite(record.angle)
+        if np.ptp(record.angle[self.known]) < 0.05:
+            raise InvalidInput("arm hardly moved in the test motion", got=float(np.ptp(record.angle[self.known])))
+        self.times, self.angles = record.read_at[self.known], record.angle[self.known]
+        self.torques = record.torque[self.known]
+        self.told = bool(np.isfinite(self.torques).all()) and float(np.ptp(self.torques)) > 0.0
+        self.values = {name: bound[0] for name, bound in self.bounds.items()}
+        self.sigma, self.sigma_torque = np.full(self.times.size, 1e-3), np.ones(self.times.size)
+        goal_rate = record.goal_rate
+        self.reached = (
+            float(np.abs(goal_rate).max()),
+            float(np.abs(np.diff(goal_rate) / np.diff(record.sent)).max()),
+        )
+        steps = np.diff(self.angles[::8]) / np.diff(self.times[::8])
+        self.values["rate_limit"] = 1.02 * float(np.abs(steps).max())
+        self.values["acceleration_limit"] = 2.0 * self.reached[1]
+        self.free: list[str] = []
+
+    def model(self, values: Mapping[str, float]) -> DriveModel:
+        """Return the model with these values."""
+        fast = DriveModel(0.0, **{name: values[name] for name in MODEL}, hold=self.hold)
+        return replace(fast, delay=values["lag"] - fast.lag)
+
+    def predicted(self, values: Mapping[str, float]) -> tuple[Array, ...]:
+        """Return reported angle, rate, torque and its rate of change (M,) at the times of the replies."""
+        record = self.record
+        model = self.model(values)
+        grid, angle, rate, effort = model.respond(record.sent, record.goal, record.goal_rate)
+        pushed = values["inertia"] * (effort + values["viscous"] * rate)
+        steep = np.abs(np.gradient(pushed, grid))
+        seen, *others = (np.interp(self.times, grid, each) for each in (angle, rate, pushed, steep))
+        return seen + values["offset"], *others
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """Return measured less predicted angles, and torques where they are told, over their deviations."""
+        angle, _, torque, _ = self.predicted(values)
+        rows = [(self.angles - angle) / self.sigma]
+        if self.told:
+            rows.append((self.torques - torque) / self.sigma_torque)
+        return np.concatenate(rows)
+
+    def start(self) -> None:
+        """Choose the best of a grid of loops as the start."""
+        starts = [
+            self.values | {"lag": lag, "frequency": frequency, "feedforward": part}
+            for lag in (5e-3, 1e-2, 2e-2, 4e-2)
+            for frequency in (15.0, 30.0, 60.0, 120.0, 240.0)
+            for part in (0.0, 0.5, 1.0)
+        ]
+        costs = [float(((self.predicted(each)[0] - self.angles) ** 2).sum()) for each in starts]
+        self.values = starts[int(np.argmin(costs))]
+        if self.told:
+            _, speed, torque, _ = self.predicted(self.values | {"inertia": 1.0, "viscous": 0.0})
+            pairs = np.stack([torque, speed], axis=1)
+            inertia, friction = np.linalg.lstsq(pairs, self.torques, rcond=None)[0]
+            self.values["inertia"] = max(float(inertia), 1e-7)
+            self.values["viscous"] = max(float(friction / self.values["inertia"]), 1e-3)
+            self.sigma_torque[:] = max(float(np.std(self.torques - pairs @ [inertia, friction])), 1e-9)
+
+    def jacobian(self, values: Mapping[str, float], names: list[str]) -> Array:
+        """Return derivatives of the residuals by the named values (rows, len(names)), by differences."""
+        here, columns = self.residuals(values), []
+        for name in names:
+            step = 1e-3 * max(abs(values[name]), {"lag": 0.01, "offset": 0.01, "backlash": 0.01}.get(name, 0.1))
+            step = step if values[name] + step < self.bounds[name][2] else -step
+            columns.append((self.residuals(dict(values) | {name: values[name] + step}) - here) / step)
+        return np.stack(columns, axis=1)
+
+    def solve(self, most: int) -> None:
+        """Fit what shows in the residuals, with at most so many evaluations."""
+        from scipy.optimize import least_squares
+
+        names = ["lag", *MODEL, "offset", *(("inertia", "viscous") if self.told else ())]
+        if not self.record.goal_rate.any():
+            names.remove("feedforward")
+        shown = np.abs(self.jacobian(self.values, names)).sum(axis=0) > 0.0
+        self.free = [name for name, each in zip(names, shown, strict=True) if each]
+
+        def full(x: Array) -> dict[str, float]:
+            return self.values | dict(zip(self.free, x.tolist(), strict=True))
+
+        bounds = np.array([self.bounds[name][1:] for name in self.free]).T
+        first = np.clip([self.values[name] for name in self.free], bounds[0] + 1e-9, bounds[1] - 1e-9)
+        found = least_squares(
+            lambda x: self.residuals(full(x)),
+            first,
+            jac=lambda x: self.jacobian(full(x), self.free),
+            bounds=bounds,
+            x_scale="jac",
+            ftol=1e-6,
+            xtol=1e-6,
+            max_nfev=most,
+        )
+        self.values, self.cost = full(found.x), float(found.cost)
+
+    def weigh(self) -> None:
+        """Estimate the deviation of each reading, which grows with how fast it changes: its time is not exact.
+
+        Readings at rest do not count.
+        """
+        angle, speed, torque, steep = self.predicted(self.values)
+        self.sigma = _deviations(self.angles - angle, speed)
+        if self.told:
+            self.sigma_torque = _deviations(self.torques - torque, steep)
+        resting = (
+            np.abs(speed) < 0.01 * np.abs(speed).max()
+        )  # where in its friction, or in a step of the encoder, is chance
+        self.sigma[resting] = math.inf
+        if self.told:
+            self.sigma_torque[resting] = math.inf
+
+    def result(self) -> DriveFit:
+        """Return the fit with intervals."""
+        residuals = self.residuals(self.values)
+        jacobian = self.jacobian(self.values, self.free)
+        seen = np.abs(jacobian).sum(axis=0) > 0.0
+        names = [name for name, each in zip(self.free, seen, strict=True) if each]
+        covariance = _covariance(jacobian[:, seen], residuals, self.times)
+        values, gradients = self._derived()
+        known, intervals = {}, {}
+        for name, value in values.items():
+            gradient = gradients[name]
+            if not gradient.keys() <= set(names):
+                continue
+            row = np.array([gradient.get(each, 0.0) for each in names])
+            std = math.sqrt(max(float(row @ covariance @ row), 0.0))
+            low, high = value - 1.96 * std, value + 1.96 * std
+            known[name], intervals[name] = value, (max(low, 0.0) if name != "weight_torque" else low, high)
+        unseen = {name: math.inf for name in _LIMITS if name not in names}
+        model = self.model(self.values | unseen)
+        angle = self.predicted(self.values)[0]
+        residual = float(np.sqrt(np.mean((self.angles - angle) ** 2)))
+        return DriveFit(known, intervals, self.reached, residual, model, self.record, _judged(self.angles, residual))
+
+    def _derived(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+        """Return what a user wants to know, and its derivatives by what was fitted."""
+        x = self.values
+        w, z, f, j = x["frequency"], x["damping"], x["feedforward"], x["inertia"]
+        loop = 2.0 * z * (1.0 - f) / w
+        values = {name: x[name] for name in UNITS if name in x}
+        gradients = {name: {name: 1.0} for name in values}
+        values["delay"] = x["lag"] - 0.5 * self.hold - loop
+        gradients["delay"] = {"lag": 1.0, "frequency": loop / w, "damping": -2.0 * (1.0 - f) / w}
+        if "feedforward" in self.free:
+            gradients["delay"]["feedforward"] = 2.0 * z / w
+        else:
+            values.pop("feedforward")
+        if self.told:
+            for name, part in (("friction", "viscous"), ("dry_friction", "dry"), ("weight_torque", "weight")):
+                values[name], gradients[name] = j * x[part], {"inertia": x[part], part: j}
+        else:
+            values.pop("inertia")
+        return {name: values[name] for name in UNITS if name in values}, gradients
+
+
+def _deviations(errors: Array, changes: Array) -> Array:
+    """Return the deviation (M,) of each error: var = a + b change^2 with a, b >= 0, by least squares."""
+    from scipy.optimize import nnls
+
+    squares = np.minimum(errors**2, 20.0 * np.mean(errors**2))  # a gross error is no measure of the usual one
+    basis = np.stack([np.ones_like(changes), changes**2 / max(float(np.mean(changes**2)), 1e-300)], axis=1)
+    parts, _ = nnls(basis, squares)
+    return np.asarray(np.sqrt(np.maximum(basis @ parts, 1e-4 * squares.mean() + 1e-16)))
+
+
+_LIMITS = ("rate_limit", "acceleration_limit")
+
+
+def _covariance(jacobian: Array, residuals: Array, times: Array, blocks: int = 40) -> Array:
+    """Return the covariance by the jackknife: each of the blocks of time is left out once, in one Gauss-Newton step.
+
+    So residuals may be correlated within a block, also those of angle and torque, and may be larger in some moves.
+    """
+    scale = np.linalg.norm(jacobian, axis=0)
+    rows = jacobian / scale
+    information = rows.T @ rows
+    block = np.tile(np.arange(times.size) * blocks // times.size, residuals.size // times.size)
+    changes = []
+    for k in range(blocks):
+        own = rows[block == k]
+        changes.append(np.linalg.lstsq(information - own.T @ own, own.T @ residuals[block == k], rcond=1e-12)[0])
+    spread = np.array(changes) / scale
+    return np.asarray((blocks - 1.0) / blocks * spread.T @ spread)
+
+
+def _judged(angles: Array, residual: float) -> str:
+    if residual > 0.05 * float(np.ptp(angles)):
+        return f"the model misses the measured angles by {residual:.3g} rad: is the record of this motion?"
+    return ""

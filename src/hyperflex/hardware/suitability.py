@@ -1,0 +1,225 @@
+"""Whether a motor is fast and strong enough for a half turn of the arm, and for given plans."""
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyperflex import checks, files
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, MotorLimits, Rope
+from hyperflex.motion import Motion, move_arm
+from hyperflex.options import check, option
+
+SAMPLES = 2001  # of a motion, at which speed and torque are compared with the motor's
+
+
+@dataclass(frozen=True)
+class MotorData:
+    """What a motor can do at its shaft, from its data sheet; the torque falls linearly with the speed.
+
+    Parameters
+    ----------
+    name : str
+    speed : float
+        Without load at the voltage used, rad/s.
+    stall_torque : float
+        At rest, N m; where the controller limits the torque, that limit.
+    voltage : float
+        V.
+    counts : int
+        Encoder steps per turn; 0 if not known.
+    watchdog : float
+        Shortest time, s, after which the device stops by itself; inf without one.
+    make : str
+        As in the address of :func:`hyperflex.hardware.open_link`; empty if it is of no make known here.
+    source : str
+        Where the figures are from.
+    """
+
+    name: str
+    speed: float = option(math.nan, "Speed without load.", "rad/s", sign="positive")
+    stall_torque: float = option(math.nan, "Torque at rest.", "N m", sign="positive")
+    voltage: float = option(12.0, "Voltage of the supply.", "V", sign="positive")
+    counts: int = 0
+    watchdog: float = math.inf
+    make: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        check(self, "motor")
+
+    def torque(self, speed: Array) -> Array:
+        """Return the greatest driving torque at speeds, rad/s, of any sign: N m."""
+        return self.stall_torque * np.maximum(0.0, 1.0 - np.abs(speed) / self.speed)
+
+    def at(self, voltage: float) -> "MotorData":
+        """Return the motor at another voltage, V: speed and stall torque in proportion."""
+        factor = checks.number("voltage", voltage, sign="positive", unit="V") / self.voltage
+        return replace(self, voltage=voltage, speed=factor * self.speed, stall_torque=factor * self.stall_torque)
+
+
+@functools.cache
+def motor_catalogue() -> Mapping[str, MotorData]:
+    """Return common drives by name, with the sources of their figures.
+
+    Examples
+    --------
+    >>> round(motor_catalogue()["XL430-W250"].speed, 2)
+    6.39
+    """
+    tables: dict[str, Any] = files.read_toml(Path(__file__).with_name("catalogue.toml"))
+    return {
+        name: MotorData(name, speed=table.pop("speed_rpm") * math.tau / 60.0, **table) for name, table in tables.items()
+    }
+
+
+def find_motor(name: str) -> MotorData:
+    """Return a motor of the catalogue; letters of either case. Raises InvalidInput with the names there are."""
+    motors = {each.lower(): motor for each, motor in motor_catalogue().items()}
+    if name.lower() not in motors:
+        fix = "Or give speed, torque and voltage"
+        raise InvalidInput("motor is not in the catalogue", got=name, allowed=", ".join(motor_catalogue()), fix=fix)
+    return motors[name.lower()]
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What a motion asks of a motor.
+
+    Attributes
+    ----------
+    name : str
+        The motion's.
+    speed : float
+        Greatest speed, rad/s.
+    torque : float
+        Greatest torque, N m: inertia of the arm, and weight of arm and rope, which hangs straight down.
+    margin : float
+        Least of what the motor has left over what it has, of speed and of torque at the speed of each instant; negative
+        if the motion is not possible.
+    """
+
+    name: str
+    speed: float
+    torque: float
+    margin: float
+
+    @property
+    def possible(self) -> bool:
+        """Whether the motor can make the motion."""
+        return self.margin >= 0.0
+
+
+@dataclass(frozen=True)
+class Suitability:
+    """Result of :func:`check_motor`.
+
+    Attributes
+    ----------
+    motor : MotorData
+    holding_torque : float
+        That holds the hanging rope and the arm at a quarter turn, N m.
+    demands : tuple of Demand
+        Of a half turn, bang-bang and with minimum jerk, then of the given motions.
+    limits : MotorLimits
+        What a planner may ask of the motor: see :func:`check_motor`.
+    """
+
+    motor: MotorData
+    holding_torque: float
+    demands: tuple[Demand, ...]
+    limits: MotorLimits
+
+    @property
+    def success(self) -> bool:
+        """Whether a half turn is possible in one of the two ways, and every given motion."""
+        return any(each.possible for each in self.demands[:2]) and all(each.possible for each in self.demands[2:])
+
+
+def check_motor(
+    motor: MotorData,
+    rope: Rope,
+    arm: Arm | None = None,
+    move_time: float = 0.5,
+    *,
+    rotor_inertia: float = 0.0,
+    motions: Mapping[str, Motion] | None = None,
+) -> Suitability:
+    """Check whether a motor can turn an arm with a rope by half a turn in a time, and make given motions.
+
+    Parameters
+    ----------
+    motor : MotorData
+        Of :func:`find_motor`, or made from a data sheet.
+    rope : Rope
+    arm : Arm, optional
+        By default the paper's.
+    move_time : float
+        Time of a half turn, s.
+    rotor_inertia : float
+        Of motor and gear at the shaft, kg m^2; data sheets of servos seldom tell it.
+    motions : dict of str to Motion, optional
+        Motions of plans by name.
+
+    Returns
+    -------
+    Suitability
+        Its limits are speed and acceleration of the fastest half turn, bang-bang, with a tenth of the motor unused.
+
+    Notes
+    -----
+    The rope's pull is its weight at the arm's tip; that of a swinging rope is up to some times as large, which a plan's
+    own torque shows.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, friction=5e-4)
+    >>> found = check_motor(find_motor("XL430-W250"), cable, move_time=0.5)
+    >>> [round(each.speed * 60 / (2 * math.pi), 1) for each in found.demands], round(found.holding_torque, 3)
+    ([120.0, 112.5], 0.129)
+    """
+    arm = arm or Arm()
+    move_time = checks.number("move_time", move_time, sign="positive", unit="s")
+    rotor = checks.number("rotor_inertia", rotor_inertia, sign="nonnegative", unit="kg m^2")
+    gravity = math.hypot(*rope.gravity)
+    hanging = gravity * (rope.total_mass * arm.length + arm.mass * arm.com)
+    inertia = arm.inertia + arm.mass * arm.com**2 + rotor
+    half = (-0.5 * math.pi, 0.5 * math.pi, move_time)
+    profiles = {"bang-bang": "half turn, bang-bang", "minimum-jerk": "half turn, minimum jerk"}
+    wanted = {text: move_arm(*half, profile) for profile, text in profiles.items()}  # type: ignore[arg-type]
+    demands = []
+    for name, motion in {**wanted, **(motions or {})}.items():
+        times = np.linspace(motion.breaks[0], motion.breaks[-1], SAMPLES)
+        speed = motion.rate(times)
+        torque = inertia * motion.acceleration(times) + hanging * np.sin(motion.angle(times) - rope.hanging_angle)
+        torque += arm.friction * speed + arm.dry_friction * np.sign(speed)
+        driving = torque * speed > 0.0  # a braking torque is not limited by the speed
+        most = np.where(driving, motor.torque(speed), motor.stall_torque)
+        left = np.minimum(1.0 - np.abs(torque) / np.maximum(most, 1e-12), 1.0 - np.abs(speed) / motor.speed)
+        demands.append(Demand(name, float(np.abs(speed).max()), float(np.abs(torque).max()), float(left.min())))
+    return Suitability(motor, hanging, tuple(demands), _limits(motor, hanging, inertia))
+
+
+def _limits(motor: MotorData, hanging: float, inertia: float, used: float = 0.9) -> MotorLimits:
+    """Return the limits of the fastest half turn (bang-bang) that a part `used` of the motor's torque can make.
+
+    At its greatest speed v it takes the torque inertia v^2 / pi + hanging, which must be left there.
+    """
+    torque = used * motor.stall_torque
+    if torque <= hanging:
+        raise InvalidInput(
+            "motor is too weak to hold the hanging rope",
+            got=motor.stall_torque,
+            allowed=f"more than {hanging / used:.3g} N m",
+            fix="Use a shorter arm or a lighter rope",
+        )
+    slope, spare = torque / (used * motor.speed), torque - hanging
+    speed = 2.0 * spare / (slope + math.sqrt(slope**2 + 4.0 * inertia / math.pi * spare))
+    return MotorLimits(speed=speed, acceleration=speed**2 / math.pi, torque=torque)

@@ -1,0 +1,65 @@
+"""``hyperflex motor``: check, identify, zero."""
+
+import json
+import tomllib
+
+import pytest
+
+import hyperflex as hf
+
+
+@pytest.fixture
+def rope(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    hf.Rope.uniform(length=2.0, mass=0.125, n_links=10, friction=5e-4).to_toml("rope.toml")
+
+
+@pytest.mark.usefixtures("rope")
+def test_check_says_what_is_possible_and_gives_limits(hyperflex):
+    code, out, _ = hyperflex("motor", "check", "--motor", "XL430-W250", "--rope", "rope.toml", "--json")
+    found = json.loads(out)
+    assert code == 4
+    assert [each["speed"] * 9.5493 for each in found["demands"]] == pytest.approx([120.0, 112.5], abs=0.1)
+    assert found["holding_torque_Nm"] == pytest.approx(0.129, abs=5e-4)
+    code, out, _ = hyperflex("motor", "check", "--rpm", 300, "--torque", 3, "--rope", "rope.toml")
+    assert code == 0
+    assert "Limits for cast" in out
+
+
+@pytest.mark.usefixtures("rope")
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("check", "--rope", "rope.toml"), "no motor is given"),
+        (("check", "--motor", "nothing", "--rope", "rope.toml"), "not in the catalogue"),
+        (("identify", "--motor", "nothing", "-o", "drive.toml"), "address is not known"),
+        (("zero", "--motor", "moteus:/dev/not-there", "-o", "zero.toml"), "/dev/not-there"),
+        (("zero", "--motor", "moteus:/dev/ttyACM0", "-o", "zero.txt"), "suffix"),
+    ],
+)
+def test_wrong_use_has_one_clear_line(hyperflex, words, told):
+    code, out, err = hyperflex("motor", *words)
+    assert (code, out) == (2, "")
+    assert told in err
+
+
+def test_dry_run_opens_nothing(hyperflex, tmp_path):
+    code, out, _ = hyperflex(
+        "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run", "--json"
+    )
+    assert code == 0
+    assert json.loads(out)["greatest_angle"] > 0.3
+
+
+@pytest.mark.nightly
+def test_an_emulated_drive_is_identified_and_zeroed(hyperflex, tmp_path):
+    drive, picture, zero = tmp_path / "drive.toml", tmp_path / "drive.png", tmp_path / "zero.toml"
+    code, out, _ = hyperflex("motor", "zero", "--motor", "emulator:moteus", "-o", zero)
+    assert (code, "raw angle" in out) == (0, True)
+    words = ("--speed", 6, "--acceleration", 60, "--zero", zero, "--picture", picture, "--json")
+    code, out, err = hyperflex("motor", "identify", "--motor", "emulator:moteus", "-o", drive, *words)
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["intervals"]["lag"][0] <= found["values"]["lag"] <= 0.05
+    assert tomllib.loads(drive.read_text())["drive"]["values"]["lag"] == found["values"]["lag"]
+    assert picture.exists()

@@ -1,0 +1,154 @@
+"""Identification of a drive, against a finer one: current loop, encoder steps, jitter, torque and speed limits."""
+
+import math
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import DriveError, FileProblem, InvalidInput
+from hyperflex.hardware import (
+    Drive,
+    DriveFit,
+    DriveModel,
+    DriveZero,
+    Goal,
+    SimulatedMotor,
+    identify_drive,
+    plan_test_motion,
+    record_test_motion,
+)
+from hyperflex.motion import move_arm
+from hyperflex.planning import MotorLimits, Uncertainty
+from tests.hardware.twin import LIMITS, Truth, Twin, drawn, record_of
+
+
+@pytest.fixture(scope="module")
+def fit() -> DriveFit:
+    return identify_drive(record_of(Truth()))
+
+
+def truths(truth: Truth) -> dict[str, float]:
+    found = {"lag": truth.lag, "rate_limit": truth.rate_limit, "backlash": truth.backlash}
+    if truth.tells_torque:
+        found |= {"inertia": truth.inertia, "friction": truth.friction, "dry_friction": truth.dry_friction}
+        found["weight_torque"] = truth.weight
+    return found
+
+
+def test_lag_and_rate_limit_are_found(fit):
+    """Within 1 ms and 2 %: what a cast feels; an encoder step is 1.5 mrad, and stamps jitter by 1 ms."""
+    assert fit.success
+    assert fit.lag == pytest.approx(Truth().lag, abs=1e-3)
+    assert fit.values["rate_limit"] == pytest.approx(Truth().rate_limit, rel=0.02)
+    assert fit.values["inertia"] == pytest.approx(Truth().inertia, rel=0.1)
+    assert fit.residual < 2.0 * math.tau / 4096
+
+
+@pytest.mark.nightly
+def test_twenty_drives():
+    inside = []
+    for seed in range(20):
+        truth = drawn(seed)
+        fit = identify_drive(record_of(truth))
+        assert fit.lag == pytest.approx(truth.lag, abs=1e-3), seed
+        assert fit.values["rate_limit"] == pytest.approx(truth.rate_limit, rel=0.02), seed
+        known = truths(truth)
+        inside += [fit.intervals[name][0] <= known[name] <= fit.intervals[name][1] for name in known]
+    assert np.mean(inside) > 0.85
+
+
+def test_lag_of_the_model_is_its_delay_at_constant_speed():
+    model = DriveModel(0.01, 50.0, 1.2, 0.3, hold=0.005)
+    t = np.arange(0.0, 3.0, 0.005)
+    grid, angle, *_ = model.respond(t, 2.0 * t, np.full(t.size, 2.0))
+    late = grid[-1] - angle[-1] / 2.0
+    at = np.arange(2.0, 2.9, 1e-3)  # over many periods of the held goal
+    late = float(np.mean(at - np.interp(at, grid, angle) / 2.0))
+    assert late == pytest.approx(model.lag, abs=1e-4)  # a step of the model is 0.37 ms
+    assert model.lag == pytest.approx(0.01 + 0.0025 + 2.0 * 1.2 * 0.7 / 50.0)
+
+
+def test_without_reaching_it_the_rate_limit_is_not_told():
+    slow = MotorLimits(speed=3.0, acceleration=40.0, torque=5.0, angles=(-1.0, 1.0))
+    fit = identify_drive(record_of(Truth(), slow))
+    assert "rate_limit" not in fit.values
+    assert fit.reached[0] == pytest.approx(0.95 * 3.0, rel=0.05)
+    assert math.isinf(fit.model.rate_limit)
+
+
+def test_the_identified_drive_is_the_planners_motor(fit):
+    assert isinstance(fit.motor(), SimulatedMotor)
+    assert fit.motor().lag == fit.lag
+    limits = fit.motor_limits(hf.MotorLimits(speed=20.0))
+    assert 0.97 * Truth().rate_limit < limits.speed < 1.01 * Truth().rate_limit
+    problem = hf.Problem(hf.Rope.uniform(1.0, 0.05, n_links=5, friction=0.0), hf.Arm(), hf.MotorLimits())
+    lags = [each.lag for each in Uncertainty(drive=fit).sample(50, problem, hf.Peg(0.5, -0.5, 0.03))]
+    assert np.mean(lags) == pytest.approx(fit.lag, abs=2.0 * fit.lag_std)
+    assert "identified lag" in Uncertainty(drive=fit).describe()
+    assert "lag 10 ms" not in Uncertainty(drive=fit).describe()
+
+
+def test_a_file_gives_the_same_drive(fit, tmp_path):
+    fit.to_toml(tmp_path / "drive.toml")
+    again = DriveFit.from_toml(tmp_path / "drive.toml")
+    assert (again.values, again.intervals, again.model) == (fit.values, fit.intervals, fit.model)
+    (tmp_path / "other.toml").write_text("[drive]\nvalues = 3\n")
+    with pytest.raises(InvalidInput, match="no identified drive"):
+        DriveFit.from_toml(tmp_path / "other.toml")
+    with pytest.raises(FileProblem):
+        DriveFit.from_toml(tmp_path / "none.toml")
+    with pytest.raises(InvalidInput, match="no record"):
+        again.plot()
+
+
+def test_picture(fit):
+    assert len(fit.plot().axes) == 3
+
+
+def test_the_test_motion_keeps_to_its_limits():
+    limits = MotorLimits(speed=6.0, acceleration=60.0, angles=(-0.2, 1.0))
+    motion = plan_test_motion(limits, 0.1)
+    t = np.linspace(0.0, motion.breaks[-1], 20000)
+    assert (motion.angle(t) >= -0.2).all()
+    assert (motion.angle(t) <= 1.0).all()
+    assert np.abs(motion.rate(t)).max() <= 6.0
+    assert np.abs(motion.acceleration(t)).max() <= 60.0
+    assert motion.angle(t[-1:])[0] == pytest.approx(0.1)
+    with pytest.raises(InvalidInput, match="no room"):
+        plan_test_motion(MotorLimits(angles=(-0.1, 0.2)), 0.0)
+
+
+def test_a_motion_beyond_the_limits_moves_nothing():
+    twin = Twin(Truth())
+    with Drive(twin, LIMITS) as drive:
+        with pytest.raises(InvalidInput, match="beyond the limits"):
+            record_test_motion(drive, move_arm(0.0, 2.0, duration=0.1), sleep=twin.sleep)
+        assert not twin.enabled
+
+
+def test_torque_is_off_after_the_motion_and_after_a_refusal():
+    twin = Twin(Truth())
+    twin.send = lambda goal: (_ for _ in ()).throw(DriveError("no"))
+    with Drive(twin, LIMITS) as drive:
+        with pytest.raises(DriveError):
+            record_test_motion(drive, sleep=twin.sleep)
+        assert not twin.enabled
+
+
+def test_zero_file(tmp_path):
+    DriveZero(1.5, -1, "moteus:/dev/ttyACM0").to_toml(tmp_path / "zero.toml")
+    assert DriveZero.from_toml(tmp_path / "zero.toml") == DriveZero(1.5, -1, "moteus:/dev/ttyACM0")
+    (tmp_path / "other.toml").write_text("[zero]\nangle = 3\n")
+    with pytest.raises(InvalidInput, match="no zero of a drive"):
+        DriveZero.from_toml(tmp_path / "other.toml")
+    with pytest.raises(InvalidInput, match="direction"):
+        DriveZero(0.0, 2)
+
+
+def test_goals_reach_the_link_in_raw_angles():
+    twin = Twin(Truth())
+    with Drive(twin, LIMITS, zero=0.01, direction=-1) as drive:
+        drive.enable()
+        drive.command(Goal(0.0))
+        assert twin._queue[-1][1] == pytest.approx(0.01)
