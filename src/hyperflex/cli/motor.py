@@ -191,11 +191,11 @@ def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int 
         with Drive(open_link(address), limits, **options) as drive:
             yield drive
         return
-    from hyperflex.hardware.emulate import Emulator, MotorModel
+    from hyperflex.hardware import emulate
 
     make, kind = device
     with (
-        Emulator(kind, MotorModel(), None, Arm(inertia=1e-3)) as emulator,
+        emulate.Emulator(kind, emulate.MotorModel(), None, Arm(inertia=1e-3)) as emulator,
         Drive(open_link(f"{make}:{emulator.port}"), limits, **options) as drive,
     ):
         yield drive
