@@ -396,13 +396,14 @@ class _Fit:
         known, intervals = {}, {}
         for name, value in values.items():
             gradient = gradients[name]
-            if not gradient.keys() <= set(names):
+            beyond = name in _LIMITS and value > self.reached[_LIMITS.index(name)]  # of what was asked for
+            if beyond or not gradient.keys() <= set(names):
                 continue
             row = np.array([gradient.get(each, 0.0) for each in names])
             std = math.sqrt(max(float(row @ covariance @ row), 0.0))
             low, high = value - 1.96 * std, value + 1.96 * std
             known[name], intervals[name] = value, (max(low, 0.0) if name != "weight_torque" else low, high)
-        unseen = {name: math.inf for name in _LIMITS if name not in names}
+        unseen = {name: math.inf for name in _LIMITS if name not in known}
         model = self.model(self.values | unseen)
         angle = self.predicted(self.values)[0]
         residual = float(np.sqrt(np.mean((self.angles - angle) ** 2)))
