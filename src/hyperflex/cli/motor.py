@@ -181,7 +181,7 @@ def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int 
 
     The shaft may fall behind its goals: this shows the drive's own limit of speed.
     """
-    from hyperflex.hardware import Drive, DriveZero, emulated_device, open_link
+    from hyperflex.hardware import Drive, DriveZero, Emulator, MotorModel, emulated_device, open_link
 
     known = DriveZero(0.0, direction) if zero is None else DriveZero.from_toml(zero)
     device = emulated_device(address)
@@ -191,11 +191,10 @@ def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int 
         with Drive(open_link(address), limits, **options) as drive:
             yield drive
         return
-    from hyperflex.hardware import emulate
 
     make, kind = device
     with (
-        emulate.Emulator(kind, emulate.MotorModel(), None, Arm(inertia=1e-3)) as emulator,
+        Emulator(kind, MotorModel(), None, Arm(inertia=1e-3)) as emulator,
         Drive(open_link(f"{make}:{emulator.port}"), limits, **options) as drive,
     ):
         yield drive
