@@ -176,7 +176,8 @@ class ODriveLink:
 
         options: dict[str, Any] = {"bitrate": self.bitrate}
         if self.interface == "slcan":
-            options["sleep_after_open"] = 0.1  # s; python-can waits 2 s, for adapters that reset when they are opened
+            # s; python-can waits 2 s after opening, for adapters that reset then, and 1 ms whenever nothing is there
+            options |= {"sleep_after_open": 0.1, "timeout": 1e-4}
         try:
             return can.Bus(channel=self.channel, interface=self.interface, **options)
         except (OSError, ValueError, can.CanError) as error:
