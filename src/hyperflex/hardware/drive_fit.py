@@ -397,6 +397,7 @@ class _Fit:
         for name, value in values.items():
             gradient = gradients[name]
             beyond = name in _LIMITS and value > self.reached[_LIMITS.index(name)]  # of what was asked for
+            beyond |= name == "delay" and value < 0.0  # how the lag is divided was not seen
             if beyond or not gradient.keys() <= set(names):
                 continue
             row = np.array([gradient.get(each, 0.0) for each in names])
