@@ -193,7 +193,7 @@ class Attempt:
         known = [f"{word.partition(':')[0]} {value - 1.0:+.1%}" for word, value in self.factors.items()]
         known.append(f"lag {1e3 * self.lag:.0f} ms")
         left = f"the model is off by {1e3 * self.residual:.0f} mm in flight"
-        strike = f"{1e3 * self.position:.0f} mm and {self.speed:.2g} m/s from the strike that winds"
+        strike = f"{1e3 * self.position:.0f} mm and {self.speed:.2g} m/s from the strike aimed at"
         return f"{head}, {strike}; {', '.join(known)}; {left}{'; planned again' if self.replanned else ''}"
 
 

@@ -29,7 +29,8 @@ def learning_figure(ways: "Mapping[str, Sequence[Attempt]]") -> "Figure":
                 axis.scatter(number[some], distance[some], s=46, facecolor=face, edgecolor=colour, zorder=3)
         for face, label in ((INK, "wound"), ("white", "missed")):
             axis.scatter([], [], s=46, facecolor=face, edgecolor=INK, label=label)
-        axis.set(xlabel="cast", ylabel="distance from the strike that winds, mm", yscale="log")
+        axis.set(xlabel="cast", ylabel="distance from the strike aimed at, mm", yscale="log")
+        axis.yaxis.set_major_formatter("{x:g}")
         axis.set_xticks(range(1, 1 + max(len(attempts) for attempts in ways.values())))
-        legend(figure, axis, columns=5)
+        legend(figure, axis, place="lower center", columns=6)
     return figure
