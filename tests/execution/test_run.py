@@ -10,14 +10,14 @@ import pytest
 import hyperflex as hf
 from hyperflex.control import TrueState
 from hyperflex.errors import InvalidInput
-from hyperflex.execution import RunOptions, run_plan
+from hyperflex.execution import RunOptions, observed_turns, run_plan
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, Moves, WindCriteria, check_feasibility
 from tests.execution.ideal_link import ideal_drive
 
-ROPE = hf.Rope.uniform(length=0.8, mass=0.05, n_links=8, radius=0.0025, friction=1e-3)
-QUICK = RunOptions(wait=0.1, countdown=0.0, approach=1.0)
+ROPE = hf.Rope.uniform(length=0.8, mass=0.05, n_links=10, radius=0.0025, friction=1e-3)
+QUICK = RunOptions(wait=0.1, countdown=0.0, approach=1.0, calm=0.0)
 
 
 def short_plan() -> CastPlan:
@@ -45,6 +45,9 @@ class SeenRope:
         if len(self.starts) == 1:
             return RopeState(t, np.zeros(n), np.full(n, self.swings))
         return self.rope.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion"))
+
+    def turns(self, state: RopeState, arm_angle: float, peg: hf.Peg) -> float:
+        return observed_turns(ROPE, self.plan.problem.arm, state, arm_angle, peg)
 
 
 def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def run(
         if emulated:
             make, emulator = emulator_of(planned, motor)
             address = f"{make}:{'' if dry_run else stack.enter_context(emulator).port}"
-            source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope)
+            source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope, planned.problem.arm)
             output.note(EMULATED)
         if dry_run:
             link = open_link(f"{address}none" if emulated else address)

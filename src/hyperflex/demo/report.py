@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 from dataclasses import dataclass, field, replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -11,6 +12,9 @@ import numpy as np
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.demo import twin
+from hyperflex.errors import DriveError, MissingPackage
+from hyperflex.execution import CastRun, EmulatedRope, RunOptions, emulator_of, open_drive, run_plan
+from hyperflex.hardware import MotorModel
 from hyperflex.identification import Identification
 from hyperflex.interruption import interruptible
 from hyperflex.model import PROPERTIES, Peg
@@ -25,6 +29,7 @@ from hyperflex.report import (
     Progress,
     Section,
     TextTable,
+    cast_run_figure,
     check_folder,
     fit_figure,
     png,
@@ -58,6 +63,10 @@ _MAPPED = (
     f"Without noise: what the same fit finds in the same swing without a camera, the best that {twin.COARSE} links can "
     f"do for a rope of {twin.FINE}. To move like it, coarse links need other inertia and friction than the rope simply "
     "cut into as many pieces (plain cut); that bias is no error of the camera."
+)
+_CARRIED_OUT = (
+    "The planned motion, streamed to an emulated moteus drive: a process that simulates motor, arm and the rope that "
+    "made the recording in real time, behind the drive's own protocol. No real drive was used."
 )
 _SEEN = "Two frames as tracked, in part: crosses are markers seen, circles where each was expected, blue the rope."
 _FILES = {
@@ -109,6 +118,7 @@ class Demo:
     plan: CastPlan  # how the identified rope is wound round a target
     held: HoldingForce | None  # result of a tug at the wound rope
     proof: CastOutcome | None  # the same cast by the rope that made the recording
+    run: CastRun | None = None  # and carried out on an emulated drive; None if that was not possible
     files: dict[str, Path] = field(default_factory=dict)  # of its report, by what they are: "page", "plan", "rope", ...
 
     @property
@@ -133,13 +143,24 @@ class Demo:
     def verdicts(self) -> tuple[tuple[bool, str], ...]:
         """Whether the planned cast succeeds, and the same cast of the rope that was recorded, in sentences."""
         planned = (self.plan.success, CastReport(self.plan).verdict)
+        carried = () if self.run is None else ((self.run.success, self._carried_out(self.run)),)
         if self.proof is None:
-            return (planned,)
+            return planned, *carried
         text = f"winds {abs(self.proof.turns):.2f} turns and holds too."
         if not self.proof.success:
             text = f"does not: {self.proof.message}. The identified rope differs a little from that rope."
         rope = f"The rope that made the recording ({twin.FINE} links), cast by the same motion"
-        return planned, (self.proof.success, f"{rope}, {text}")
+        return planned, (self.proof.success, f"{rope}, {text}"), *carried
+
+    @staticmethod
+    def _carried_out(run: CastRun) -> str:
+        wound = (
+            f"winds {abs(run.turns or 0.0):.2f} turns" if run.success else f"does not wind: {run.message.rstrip('.')}"
+        )
+        error = 1e3 * float(np.nanmax(np.abs(run.log.tracking_error), initial=0.0))
+        return (
+            f"Carried out on an emulated drive, that rope {wound}; the arm was at most {error:.0f} mrad off its goal."
+        )
 
 
 def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
@@ -159,11 +180,29 @@ def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
     progress("planning how to wind the rope round a target")
     plan = plan_cast(found.rope, casting_arm(), TARGET, time_budget=180.0)  # it usually ends after some seconds
     progress("pulling at the wound rope")
-    held, proof = plan.measure_holding_force(), None
+    held, proof, run = plan.measure_holding_force(), None, None
     if plan.motion is not None:
         progress("casting the rope that made the recording")
-        proof = verify_cast(Problem(twin.fine_rope(), casting_arm(), plan.problem.limits), TARGET, plan.motion)
-    return Demo(recording, track.seen, found, _parameters(found), scale, plan, held, proof)
+        recorded = Problem(twin.fine_rope(), casting_arm(), plan.problem.limits)
+        proof = verify_cast(recorded, TARGET, plan.motion)
+        run = _carried_out(plan, recorded, progress)
+    return Demo(recording, track.seen, found, _parameters(found), scale, plan, held, proof, run)
+
+
+def _carried_out(plan: CastPlan, recorded: Problem, progress: Progress) -> CastRun | None:
+    """Carry the plan out on an emulated drive with the rope of a problem; None if the drive cannot be emulated here."""
+    rope = replace(plan, problem=recorded).setup().rope
+    try:
+        make, emulator = emulator_of(plan, "emulator:moteus", MotorModel(extrapolates=True), rope=rope)
+        with emulator:
+            source = EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
+            connect = partial(open_drive, f"{make}:{emulator.port}", plan.problem.limits)
+            options = RunOptions(wait=30.0, countdown=0.0)
+            return run_plan(
+                plan, connect, source=source, options=options, say=lambda phase: progress(f"drive: {phase}")
+            )
+    except (DriveError, MissingPackage):
+        return None
 
 
 def _parameters(found: Identification) -> tuple[Parameter, ...]:
@@ -211,6 +250,8 @@ def _write(folder: Path, demo: Demo, progress: Progress) -> dict[str, str]:
     shown = cast.pictures()
     shown["seen"] = Picture(_frames(folder / _FILES["tracked"]), _SEEN, chart=False)
     shown["prediction"] = Picture(png(fit_figure(view)), "Angles of a link in the middle and of the last one.")
+    if demo.run is not None:
+        shown["carried-out"] = Picture(png(cast_run_figure(demo.run)), "Arm, torque and rope on the emulated drive.")
     pictures = write_pictures(folder, shown)
     demo.recording.to_netcdf(folder / _FILES["markers"])
     shutil.copy(twin.BUNDLED, folder / _FILES["video"])
@@ -226,8 +267,9 @@ def _write(folder: Path, demo: Demo, progress: Progress) -> dict[str, str]:
 
 def _sections(demo: Demo, cast: CastReport, shown: dict[str, Picture | Film]) -> list[Section]:
     """Return the sections of the page: the cast, the identification, details of the cast."""
-    film, seen, prediction = (
-        tuple(shown.pop(kind) for kind in kinds & shown.keys()) for kinds in ({"film"}, {"seen"}, {"prediction"})
+    film, seen, prediction, carried = (
+        tuple(shown.pop(kind) for kind in {kind} & shown.keys())
+        for kind in ("film", "seen", "prediction", "carried-out")
     )
     tracked = _TRACKED.format(frames=demo.recording.t.size, seen=100.0 * demo.seen)
     recording = f"Recording: {demo.recording.source}; {demo.recording.gaps} coordinates are missing."
@@ -247,6 +289,7 @@ def _sections(demo: Demo, cast: CastReport, shown: dict[str, Picture | Film]) ->
             table=cast.texts.table("checks"),
             notes=(cast.texts.text("search"),),
         ),
+        *([Section("Carried out on an emulated drive", text=(_CARRIED_OUT,), pictures=carried)] if carried else []),
     ]
 
 

@@ -7,9 +7,10 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.execution.run import observed_turns
 from hyperflex.hardware import Emulator, MotorModel, emulated_device
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Rope
+from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan
 
@@ -49,20 +50,29 @@ class EmulatedRope:
     Links of the emulated rope must be parts of those of `rope`, or of a rope of another length with as many links.
     """
 
-    def __init__(self, emulator: Emulator, rope: Rope, emulated: Rope) -> None:
-        self.emulator, self.rope, self.emulated = emulator, rope, emulated
-        share = _parts(emulated) - 1e-9
-        self._ends = np.searchsorted(_parts(rope), share)  # the link of the plan's rope that each part belongs to
+    def __init__(self, emulator: Emulator, rope: Rope, emulated: Rope, arm: Arm) -> None:
+        self.emulator, self.rope, self.emulated, self.arm = emulator, rope, emulated, arm
+        self._parts: dict[float, tuple[RopeState, float]] = {}  # states of all parts, and the arm's angle, by time
+        share = _ends(emulated) - 1e-9
+        self._ends = np.searchsorted(_ends(rope), share)  # the link of the plan's rope that each part belongs to
         self._zero = time.monotonic()
 
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0."""
         self._zero = time.monotonic() if at is None else at
+        self._parts = {}
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the newest state; `t` and `motion` are not used."""
-        at, _, q, qd = self.emulator.rope_state()
-        return RopeState(at - self._zero, *self._joined(q, qd))
+        at, arm_angle, q, qd = self.emulator.rope_state()
+        now = at - self._zero
+        self._parts[now] = RopeState(now, q, qd), arm_angle
+        return RopeState(now, *self._joined(q, qd))
+
+    def turns(self, state: RopeState, arm_angle: float, peg: Peg) -> float:
+        """Return the turns of the emulated rope about a peg when its `state` was returned."""
+        parts, true_angle = self._parts[state.t]
+        return observed_turns(self.emulated, self.arm, parts, true_angle, peg)
 
     def _joined(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Angles and rates of the chords of the links that are made of parts."""
@@ -77,6 +87,6 @@ class EmulatedRope:
         return angle, (u * np.cos(angle) + v * np.sin(angle)) / np.hypot(x, y)
 
 
-def _parts(rope: Rope) -> Array:
+def _ends(rope: Rope) -> Array:
     """Ends of the links (n,) as parts of the rope's length."""
     return np.cumsum(rope.length) / rope.total_length

@@ -20,7 +20,7 @@ from hyperflex.files import NetCDF, PathLike, Variable
 from hyperflex.hardware import Drive, open_link
 from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import MotorLimits, Rope
+from hyperflex.model import Arm, MotorLimits, Peg, Rope
 from hyperflex.motion import Motion, hold_arm, move_arm
 from hyperflex.options import check, option
 from hyperflex.planning import CastPlan, FollowOptions, FollowResult, Problem, follow_plan
@@ -33,17 +33,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
-CALM = 3.0  # periods of a pendulum as long as the rope, in which minimum jerk leaves hardly any swing
 POLL = 0.01  # s between two checks while waiting
 LEFT = 0.05  # m from the plan at which the rope counts as having left it: the radius of a usual target
 NEAR_PLAN = 0.25  # of the difference between a wound and a hanging rope's torque, within which a torque decides
 
 
 class ClockedSource(StateSource, Protocol):
-    """A source of the rope's state whose t = 0 can be set, such as :class:`hyperflex.estimate.CameraStateSource`."""
+    """A source of the rope's state whose t = 0 can be set, such as :class:`EmulatedRope`."""
 
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0."""
+
+    def turns(self, state: RopeState, arm_angle: float, peg: Peg) -> float:
+        """Return the signed turns of the rope about a peg in a state; NaN if its links are too long to tell."""
+
+
+def observed_turns(rope: Rope, arm: Arm, state: RopeState, arm_angle: float, peg: Peg) -> float:
+    """Return the signed turns of a rope's links about a peg, from the arm's tip to its end.
+
+    NaN if a link is longer than half the way round the peg: then turns between two joints do not show.
+    """
+    if rope.length.max() > math.pi * (peg.radius + rope.radius):
+        return math.nan
+    joints = rope.joints(state.q, arm.tip(arm_angle))
+    return float(swept(joints - np.array([peg.x, peg.y])).sum() / math.tau)
 
 
 @dataclass(frozen=True)
@@ -56,6 +69,9 @@ class RunOptions:
         Goals a second, Hz.
     approach : float
         Part of the motor's speed with which the arm goes to its start.
+    calm : float
+        Least time of that move in periods of a pendulum as long as the rope: a minimum-jerk move of three leaves hardly
+        any swing.
     still : float
         Greatest rate of a link, rad/s, of a rope that counts as hanging still.
     wait : float
@@ -72,6 +88,7 @@ class RunOptions:
 
     rate: float = option(200.0, "goals a second", unit="Hz", sign="positive")
     approach: float = option(0.1, "part of the motor's speed with which the arm goes to its start", sign="positive")
+    calm: float = option(3.0, "least time of that move, in periods of the rope", sign="nonnegative")
     still: float = option(0.1, "greatest rate of a link that hangs still", unit="rad/s", sign="positive")
     wait: float = option(20.0, "time to wait for the rope to hang still", unit="s", sign="nonnegative")
     countdown: float = option(3.0, "time between the last warning and the motion", unit="s", sign="nonnegative")
@@ -128,6 +145,8 @@ class CastRun:
         The simulated run of the plan; None if it cannot be simulated.
     recording : Recording or None
         Absolute link angles as the source of the rope's state gave them; None without a source.
+    observed : (T,) float64, or None
+        Turns of the observed rope about the target at the recording's times; NaN where they do not show.
     follow : FollowResult or None
         The decisions, if the plan was followed in closed loop.
     stopped : str
@@ -141,6 +160,7 @@ class CastRun:
     log: StreamLog
     prediction: "Prediction | None" = None
     recording: Recording | None = None
+    observed: Array | None = None
     follow: FollowResult | None = None
     stopped: str = ""
     interrupted: bool = False
@@ -185,16 +205,15 @@ class CastRun:
             return "state"
         return "" if self._wound_by_torque is None else "torque"
 
-    @cached_property
+    @property
     def turns(self) -> float | None:
-        """Least turns of the observed rope about the target while it is watched; None where it was not observed."""
-        if self.recording is None:
+        """Least turns of the observed rope about the target while it is watched; None where nothing shows them."""
+        if self.recording is None or self.observed is None:
             return None
         watched = self.recording.t >= self._stop + self.plan.problem.criteria.settle
-        if not watched.any():
+        found = self.observed[watched]
+        if not found.size or not np.isfinite(found).all():
             return None
-        peg = self.plan.target
-        found = swept(self._joints[watched] - np.array([peg.x, peg.y])).sum(axis=1) / math.tau
         return float(found[np.argmin(np.sign(found[-1]) * found)])
 
     @cached_property
@@ -240,12 +259,7 @@ class CastRun:
         recording = self.recording
         assert recording is not None  # noqa: S101 callers have asked
         problem, t = self.plan.problem, recording.t
-        return problem.rope.joints(recording.data, problem.arm.tip(self._arm_angle(t)))
-
-    def _arm_angle(self, t: Array) -> Array:
-        """Angle of the arm (K,) at times t (K,), s, as the drive told it, rad."""
-        answered = self.log.column("lost") == 0
-        return np.asarray(np.interp(t, self.log.column("received")[answered], self.log.column("angle")[answered]))
+        return problem.rope.joints(recording.data, problem.arm.tip(self.log.angle(t)))
 
     @property
     def _stop(self) -> float:
@@ -255,7 +269,7 @@ class CastRun:
         """Return what learning needs of the run; InvalidInput if the rope was not observed."""
         if self.recording is None:
             raise InvalidInput("the rope was not observed", fix="Give a source of its state, such as a camera")
-        return CastLog(self.recording, arm_angle=self._arm_angle(self.recording.t), wound=self.wound)
+        return CastLog(self.recording, arm_angle=self.log.angle(self.recording.t), wound=self.wound)
 
     def plot(self) -> "Figure":
         """Draw the drive and its goals, and how far the rope was from the plan: return a Matplotlib figure."""
@@ -384,7 +398,9 @@ def run_plan(
                     _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive, chosen)
             except (DriveError, EstimatorLost, SimulationError) as error:
                 stop = str(error)
-        run = CastRun(plan, made, drive.log(), prediction, watch.recording(), found, stop, stopped.received)
+        log, recording = drive.log(), watch.recording()
+        turns = None if recording is None or source is None else watch.turns(source, log, plan.target)
+        run = CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received)
     say("the torque is off")
     return stopped.deliver(run)
 
@@ -399,7 +415,7 @@ def _approach(
     if way > 1e-4:
         # peak speed 1.875 way / T and acceleration 5.774 way / T^2 of minimum jerk
         slow = options.approach * limits.speed, options.approach * limits.acceleration
-        calm = CALM * math.tau * math.sqrt(rope.total_length / math.hypot(*rope.gravity))
+        calm = options.calm * math.tau * math.sqrt(rope.total_length / math.hypot(*rope.gravity))
         duration = max(1.875 * way / slow[0], math.sqrt(5.774 * way / slow[1]), calm)
         say(f"the arm moves slowly from {now:.2f} to {start:.2f} rad, in {duration:.1f} s")
         begin = time.monotonic() + LEAD
@@ -489,6 +505,11 @@ class _Watch:
             noise = np.maximum(np.array(stds)[:, : self.states[0].q.size], 1e-9)
         t, q = np.array([each.t for each in self.states]), np.array([each.q for each in self.states])
         return Recording(t, q, "angles", noise, name="a cast carried out")
+
+    def turns(self, source: ClockedSource, log: StreamLog, peg: Peg) -> Array:
+        """Return the turns of the observed rope about a peg at the recording's times (T,)."""
+        angles = log.angle(np.array([each.t for each in self.states]))
+        return np.array([source.turns(*each, peg) for each in zip(self.states, angles.tolist(), strict=True)])
 
     def _record(self) -> None:
         due = self.begin

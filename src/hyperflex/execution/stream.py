@@ -66,6 +66,11 @@ class StreamLog:
         """Return a column (T,) by its name, as in FIELDS."""
         return self.rows[:, FIELDS.index(checks.choice("column", name, FIELDS))]
 
+    def angle(self, t: float | Array) -> Array:
+        """Angle of the arm (K,) at times t (K,), s, as the drive reported it, interpolated, rad."""
+        answered = self.column("lost") == 0
+        return np.asarray(np.interp(t, self.column("received")[answered], self.column("angle")[answered]))
+
     @property
     def jitter(self) -> Array:
         """Time (T,) from the due time to the sending of each goal, s."""
@@ -170,11 +175,8 @@ class MotionStream:
 
     def angle(self, t: float) -> float:
         """Return the encoder's angle at a time `t` (s), rad, interpolated; the newest one for later times."""
-        rows = self.log().rows
-        if not rows.size:
-            return float(self.state().angle)
-        received, angle = rows[:, FIELDS.index("received")], rows[:, FIELDS.index("angle")]
-        return float(np.interp(t, received, angle))
+        log = self.log()
+        return float(log.angle(t)) if log.rows.size else float(self.state().angle)
 
     def log(self) -> StreamLog:
         """Return all cycles so far, also after the end."""

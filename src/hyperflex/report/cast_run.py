@@ -17,11 +17,12 @@ def cast_run_figure(run: "CastRun") -> "Figure":
     sent, stop = run.log.column("sent"), float(run.motion.breaks[-1])
     some = sent >= 0.0
     t = sent[some]
-    with new_figure(7.2, 6.4, run.message or "The rope is wound") as figure:
+    with new_figure(7.2, 6.4) as figure:
         angle, error, torque, away = figure.subplots(4, 1, sharex=True, height_ratios=[2, 1, 1, 1.5])
         angle.plot(t, run.log.column("goal_angle")[some], color=GREY, linewidth=2.5, label="goal")
         angle.plot(t, run.log.column("angle")[some], color=BLUE, linewidth=1.2, label="arm")
         angle.set(ylabel="angle, rad")
+        angle.set_title(run.message or "The rope is wound", loc="left", wrap=True)
         error.plot(t, 1e3 * run.log.tracking_error[some], color=BLUE, linewidth=1.0)
         error.set(ylabel="error, mrad")
         torque.plot(t, run.log.column("torque")[some], color=BLUE, linewidth=1.0)
@@ -39,5 +40,5 @@ def cast_run_figure(run: "CastRun") -> "Figure":
         for axis in (angle, error, torque, away):
             axis.axvline(stop, color=GREY, linewidth=0.8, linestyle=":")
         angle.set_xlim(0.0, max(float(np.max(t, initial=stop)), stop))
-        legend(figure, angle, torque, away, columns=5)
+        legend(figure, angle, torque, away, place="lower center", columns=5)
     return figure
