@@ -9,7 +9,7 @@ import typer
 
 from hyperflex import files
 from hyperflex.cli import output
-from hyperflex.cli.command import Given, OutFolder
+from hyperflex.cli.command import Given, OutFolder, positive
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
@@ -31,8 +31,11 @@ def run(
         typer.Option(help="Make and port, such as moteus:/dev/ttyACM0; or emulator:moteus.", show_default=False),
     ],
     zero: Annotated[
-        float, typer.Option(help="Raw angle of the motor at which the arm hangs down, rad (hyperflex motor zero).")
-    ] = 0.0,
+        Path | None, typer.Option(help="File of hyperflex motor zero. [default: the device's own zero]")
+    ] = None,
+    max_deviation: Annotated[
+        float, typer.Option(callback=positive("rad"), help="Angle between arm and goal that stops a run, rad.")
+    ] = 0.3,
     follow: Annotated[bool, typer.Option("--follow", help="Correct the moves while the rope swings.")] = False,
     decision_time: Annotated[float, typer.Option(help="Time for such a correction, s.")] = 0.3,
     repeat: Annotated[int, typer.Option(help="Casts at most.", min=1, max=100)] = 1,
@@ -54,7 +57,7 @@ def run(
     wound, or nothing shows that it is.
     """
     from hyperflex.execution import EmulatedRope, RunPage, emulator_of, open_drive, run_plan
-    from hyperflex.hardware import Drive, open_link
+    from hyperflex.hardware import Drive, DriveZero, MotorModel, open_link
     from hyperflex.planning import CastPlan, FollowOptions, read_plan
     from hyperflex.report import check_folder
 
@@ -65,17 +68,17 @@ def run(
     if not planned.success:
         output.note(f"{plan} does not succeed in simulation: {planned.message}")
     limits, emulated = planned.problem.limits, motor.startswith("emulator:")
-    address = motor
+    address, known = motor, None if zero is None else DriveZero.from_toml(zero)
     with ExitStack() as stack:
         source: Any = None
         if emulated:
-            make, emulator = emulator_of(planned, motor)
+            make, emulator = emulator_of(planned, motor, MotorModel(extrapolates=motor.endswith("moteus")))
             address = f"{make}:{'' if dry_run else stack.enter_context(emulator).port}"
             source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope, planned.problem.arm)
             output.note(EMULATED)
         if dry_run:
             link = open_link(f"{address}none" if emulated else address)
-            Drive(link, limits, zero=zero).check_motion(planned.required(planned.motion, "motion"))
+            Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
             output.show({"success": True, "dry_run": True}, "The motion keeps to the limits. Nothing was connected.")
             return
         shown = None if page is None else stack.enter_context(RunPage(planned, page))
@@ -90,7 +93,7 @@ def run(
         def once(motion: Any = None) -> "CastRun":
             given = {"source": source, "options": chosen, "say": say, "page": shown, "motion": motion}
             closed = FollowOptions(decision_time=decision_time) if follow else None
-            done = run_plan(planned, partial(open_drive, address, limits, zero), follow=closed, **given)
+            done = run_plan(planned, partial(open_drive, address, limits, known, max_deviation), follow=closed, **given)
             if shown is not None:
                 shown.say(done.message or "the rope is wound")
             return done

@@ -17,7 +17,7 @@ from hyperflex.execution.learning import CastLog
 from hyperflex.execution.page import RunPage
 from hyperflex.execution.stream import FIELDS, MotionStream, StreamLog
 from hyperflex.files import NetCDF, PathLike, Variable
-from hyperflex.hardware import Drive, open_link
+from hyperflex.hardware import Drive, DriveZero, open_link
 from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, MotorLimits, Peg, Rope
@@ -80,8 +80,6 @@ class RunOptions:
         Time between the last warning and the motion, s.
     feed_forward : bool
         Whether the torque that the plan's simulation needs is sent along, to a drive that takes it.
-    max_tracking_error : float
-        Angle between arm and goal at which the run is stopped, rad.
     sampling : float
         Rate at which the rope's state is recorded, Hz.
     """
@@ -93,7 +91,6 @@ class RunOptions:
     wait: float = option(20.0, "time to wait for the rope to hang still", unit="s", sign="nonnegative")
     countdown: float = option(3.0, "time between the last warning and the motion", unit="s", sign="nonnegative")
     feed_forward: bool = option(True, "send the torque that the simulation needs along")
-    max_tracking_error: float = option(0.3, "angle between arm and goal that stops a run", unit="rad", sign="positive")
     sampling: float = option(60.0, "rate at which the rope's state is recorded", unit="Hz", sign="positive")
 
     def __post_init__(self) -> None:
@@ -314,9 +311,21 @@ class CastRun:
         files.write_netcdf(path, NetCDF(drive, notes))
 
 
-def open_drive(address: str, limits: MotorLimits, zero: float = 0.0) -> Drive:
-    """Return the drive at an address, not yet connected; see :func:`hyperflex.hardware.open_link`."""
-    return Drive(open_link(address), limits, zero=zero)
+def open_drive(address: str, limits: MotorLimits, zero: DriveZero | None = None, max_deviation: float = 0.3) -> Drive:
+    """Return the drive at an address, not yet connected.
+
+    Parameters
+    ----------
+    address : str
+        As of :func:`hyperflex.hardware.open_link`.
+    limits : MotorLimits
+    zero : DriveZero, optional
+        By default the device's own zero.
+    max_deviation : float
+        Angle between arm and goal, rad, at which the torque is switched off.
+    """
+    known = zero or DriveZero(0.0)
+    return Drive(open_link(address), limits, zero=known.raw, direction=known.direction, max_deviation=max_deviation)
 
 
 @interruptible()
@@ -383,7 +392,7 @@ def run_plan(
             _wait_until_still(drive, source, chosen, say)
             for k in range(math.ceil(chosen.countdown), 0, -1):
                 say(f"the cast begins in {k} s")
-                _sleep_until(time.monotonic() + min(1.0, chosen.countdown), drive, chosen)
+                _sleep_until(time.monotonic() + min(1.0, chosen.countdown), drive)
             begin = time.monotonic() + LEAD
             drive.start_clock(begin)
             drive.set_motion(made, 0.0, sent_along)
@@ -395,7 +404,7 @@ def run_plan(
                         found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
                         made = found.motion
                     criteria = plan.problem.criteria
-                    _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive, chosen)
+                    _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive)
             except (DriveError, EstimatorLost, SimulationError) as error:
                 stop = str(error)
         log, recording = drive.log(), watch.recording()
@@ -421,13 +430,7 @@ def _approach(
         begin = time.monotonic() + LEAD
         drive.start_clock(begin)
         drive.set_motion(move_arm(now, start, duration, "minimum-jerk"), 0.0)
-        _sleep_until(begin + duration + LEAD, drive, options)
-    away = abs(drive.state().angle - start)
-    if away > options.max_tracking_error:
-        raise DriveError(
-            f"The arm is {away:.2f} rad from its start. Allowed: {options.max_tracking_error:g} rad. "
-            "Check its load, its gains and its zero."
-        )
+        _sleep_until(begin + duration + LEAD, drive)
 
 
 def _wait_until_still(
@@ -436,7 +439,7 @@ def _wait_until_still(
     if source is None:
         if options.wait:
             say(f"nothing shows whether the rope hangs still: waiting {options.wait:g} s")
-        _sleep_until(time.monotonic() + options.wait, drive, options)
+        _sleep_until(time.monotonic() + options.wait, drive)
         return
     say("waiting until the rope hangs still")
     begin = time.monotonic()
@@ -447,21 +450,14 @@ def _wait_until_still(
             fix = "Hold it still, allow a longer wait, or a higher rate"
             raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {options.still:g} rad/s", fix=fix)
         rate = float(np.abs(source.state(t, hold_arm(0.0)).qd).max())
-        _sleep_until(time.monotonic() + 10.0 * POLL, drive, options)
+        _sleep_until(time.monotonic() + 10.0 * POLL, drive)
 
 
-def _sleep_until(end: float, drive: MotionStream, options: RunOptions) -> None:
-    """Wait until a moment of the monotonic clock, s; stop where the arm leaves its goals."""
+def _sleep_until(end: float, drive: MotionStream) -> None:
+    """Wait until a moment of the monotonic clock, s; raise what ended the drive's process."""
     while (rest := end - time.monotonic()) > 0.0:
         time.sleep(min(POLL, rest))
         drive.raise_if_ended()
-        error = drive.log().tracking_error[-1:]
-        if error.size and abs(error[0]) > options.max_tracking_error:
-            drive.off()
-            raise DriveError(
-                f"The arm is {abs(error[0]):.2f} rad from its goal. Allowed: {options.max_tracking_error:g} rad. "
-                "The torque is off."
-            )
 
 
 class _Watch:
