@@ -104,7 +104,6 @@ def test_a_port_that_does_not_open_leaves_nothing_behind(link):
     [
         (Goal(3.2), "outside the motor's angles"),
         (Goal(0.0, 10.5), "too fast"),
-        (Goal(0.0, 0.0, 1.1), "torque is too large"),
         (Goal(0.1), "far from the shaft"),
         (Goal(0.0, 5.0), "changes its rate too fast"),
         (Goal(math.nan), "goal angle"),
@@ -115,6 +114,32 @@ def test_a_port_that_does_not_open_leaves_nothing_behind(link):
 def test_a_goal_beyond_a_limit_is_not_sent(drive, link, goal, words):
     refuses(words, drive.command, goal)
     assert link.goals() == []
+
+
+def test_a_torque_beyond_its_limit_is_clipped(link):
+    with ready(link, direction=-1) as drive:
+        drive.command(Goal(0.0, 0.0, 1.5))
+        drive.command(Goal(0.0, 0.0, -1.5))
+    assert [torque for *_, torque in link.goals()] == [-1.0, 1.0]
+
+
+def test_a_goal_is_judged_by_its_own_time(link):
+    """A full stroke at the limits; the host pauses for 6 ms between one goal's evaluation and its sending."""
+    motion = move_arm(0.0, 2.0, duration=2.0 * math.sqrt(2.0 / LIMITS.acceleration), profile="bang-bang")
+    with ready(link) as drive:
+        start = link.now
+        for k in range(91):
+            link.now = at = max(start + 0.005 * k, link.now)
+            link.now += 0.006 if k == 10 else 0.0
+            drive.command(Goal(float(motion.angle(at - start)), float(motion.rate(at - start))), at)
+    assert link.goals()[-1][0] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("ago", [0.051, -0.002, math.nan])
+def test_a_goal_of_another_time_is_not_sent(drive, link, ago):
+    refuses("goal's time is not now|at ", drive.command, Goal(0.0), link.now - ago)
+    drive.command(Goal(0.0), link.now - 0.049)
+    assert len(link.goals()) == 1
 
 
 def test_a_goal_that_cannot_be_braked_before_the_limit_is_not_sent(link):

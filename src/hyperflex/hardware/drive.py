@@ -175,8 +175,8 @@ class Drive:
     Raises
     ------
     InvalidInput
-        For a goal beyond a limit, or a first goal more than 0.05 rad from the shaft; nothing is sent, and the arm holds
-        the last goal until the watchdog expires.
+        For a goal beyond a limit of angle, speed or acceleration, or a first goal more than 0.05 rad from the shaft;
+        nothing is sent, and the arm holds the last goal until the watchdog expires.
     DriveError
         If the device is in fault, cannot be reached, or does not answer. The torque is off and the fault stays latched
         until :meth:`acknowledge`.
@@ -185,9 +185,9 @@ class Drive:
     -----
     Guards, in the order in which they act: the device must be free of faults on connection; when its torque is switched
     on, its angle must lie within the limits (a counter that wrapped is named, if the limits span less than a turn); a
-    goal must lie within all limits, leave room to brake before those of the angle, and lie near the shaft if it is the
-    first; each reply is checked for faults, temperature, torque, an angle outside the limits, deviation and jumps; the
-    device's own watchdog stops it when the host falls silent.
+    goal must lie within the limits, leave room to brake before those of the angle, and lie near the shaft if it is the
+    first, and its feed-forward torque is clipped; each reply is checked for faults, temperature, torque, an angle
+    outside the limits, deviation and jumps; the device's own watchdog stops it when the host falls silent.
 
     While it is connected, SIGTERM and SIGHUP end a program that does not handle them through the same exit as an
     exception. No signal, so no Ctrl-C, interrupts an exchange with the device or the switching off of its torque: it is
@@ -345,12 +345,16 @@ class Drive:
                 raise
             return state
 
-    def command(self, goal: Goal) -> DriveState:
+    def command(self, goal: Goal, at: float | None = None) -> DriveState:
         """Check a goal against all limits, send it, and return the state that answers it.
 
+        `at` is the time, s, on the link's monotonic clock for which the goal was evaluated; now without it. It must not
+        be older than 50 ms, nor more than 1 ms ahead. A goal that the host sends late is then judged by its own time.
+
         The first goal after :meth:`enable` must lie within 0.05 rad of the shaft. Later ones may differ from the one
-        before by what the limits of speed and acceleration allow in the time since then (of which 50 ms count at most);
-        together they may be ahead of that by 0.05 rad.
+        before by what the limits of speed and acceleration allow in the time between them (of which 50 ms count at
+        most); together they may be ahead of that by 0.05 rad. A feed-forward torque beyond its limit is clipped to it:
+        to refuse it would let the arm fall in the middle of a motion.
         """
         with self._whole():
             self._require_connection()
@@ -358,10 +362,18 @@ class Drive:
                 why = self._fault or "its torque is off. Enable it first"
                 raise DriveError(f"{self.link.name}: {why}.")
             now = self.link.clock()
-            self._check_goal(goal, now)
+            at = now if at is None else checks.number("at", at, unit="s")
+            if not now - SILENCE <= at <= now + 1e-3:
+                raise InvalidInput(
+                    "goal's time is not now",
+                    got=f"{1e3 * (at - now):.1f} ms from now",
+                    allowed=f"{-1e3 * SILENCE:g} to 1 ms",
+                )
+            self._check_goal(goal, now, at)
+            torque = max(-self.limits.torque, min(self.limits.torque, goal.torque))
             sign = self.direction
-            raw = Goal(self.zero + sign * goal.angle, sign * goal.rate, sign * goal.torque)
-            self._goal, self._sent = goal, now
+            raw = Goal(self.zero + sign * goal.angle, sign * goal.rate, sign * torque)
+            self._goal, self._sent = goal, at
             return self._exchange(lambda: self.link.send(raw))
 
     def off(self) -> None:
@@ -396,7 +408,7 @@ class Drive:
     def check_motion(self, motion: Motion) -> None:
         """Check a whole motion against the limits of angle, speed and acceleration, before it is run.
 
-        The extrema of its polynomials are exact. Feed-forward torques are checked when they are sent.
+        The extrema of its polynomials are exact. Feed-forward torques are clipped when they are sent.
 
         Raises
         ------
@@ -437,7 +449,7 @@ class Drive:
                     allowed="a motion that starts and ends at rest, without jumps",
                 )
 
-    def _check_goal(self, goal: Goal, now: float) -> None:
+    def _check_goal(self, goal: Goal, now: float, at: float) -> None:
         limits = self.limits
         for name, value in (("angle", goal.angle), ("rate", goal.rate), ("torque", goal.torque)):
             checks.number(f"goal {name}", value)
@@ -448,8 +460,6 @@ class Drive:
             )
         if abs(goal.rate) > SLACK * limits.speed:
             raise InvalidInput("goal is too fast", got=goal.rate, allowed=f"up to {limits.speed:.4g} rad/s")
-        if abs(goal.torque) > SLACK * limits.torque:
-            raise InvalidInput("goal's torque is too large", got=goal.torque, allowed=f"up to {limits.torque:.4g} N m")
         stop = goal.angle + 0.5 * goal.rate * abs(goal.rate) / (SLACK * limits.acceleration)
         if not least - STEP <= stop <= greatest + STEP:
             allowed = f"a rate that can be braked within {least:.4g} to {greatest:.4g} rad"
@@ -458,8 +468,8 @@ class Drive:
         if self._sent is None:
             self._check_first(goal, now)
         else:
-            dt = min(now - self._sent, SILENCE)
-            since = f"from a goal {1e3 * (now - self._sent):.1f} ms before"
+            dt = min(at - self._sent, SILENCE)
+            since = f"from a goal {1e3 * (at - self._sent):.1f} ms before"
         way, change = abs(goal.angle - self._goal.angle), abs(goal.rate - self._goal.rate)
         for name, moved, pace, unit in (
             ("jumps", way, self._angle_pace, "rad"),
