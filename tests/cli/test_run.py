@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from hyperflex.hardware import DriveZero
 from tests.planning.known import planned
 from tests.planning.known_whip import planned_whip
 
@@ -31,9 +32,15 @@ def test_a_dry_run_checks_the_plan_and_connects_nothing(hyperflex_json, plan, tm
     ],
 )
 def test_a_motor_that_is_not_there_is_one_line(hyperflex, plan, tmp_path, motor, message):
-    code, out, err = hyperflex("run", plan, "--motor", motor, "-o", tmp_path / "done")
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    how = "--zero", tmp_path / "zero.toml", "--yes"
+    code, out, err = hyperflex("run", plan, "--motor", motor, "-o", tmp_path / "done", *how)
     assert (code != 0, out) == (True, "")
     assert message in err.splitlines()[-1]
+
+
+def test_a_real_motor_needs_its_zero(refused, plan, tmp_path):
+    assert "needs its zero" in refused("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done")
 
 
 def test_a_plan_of_a_whip_is_refused(refused, tmp_path):

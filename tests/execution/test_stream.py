@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -63,19 +64,47 @@ def test_a_motion_that_replaces_another_begins_at_its_time(tmp_path: Path) -> No
     assert goal[-1] == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("how", ["fault_after", "silent_after"])
-def test_a_fault_and_a_lost_link_switch_the_torque_off_and_are_raised(tmp_path: Path, how: str) -> None:
-    with MotionStream(partial(ideal_drive, tmp_path / "notes", **{how: 40})) as stream:
+def test_a_fault_switches_the_torque_off_and_is_raised(tmp_path: Path) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes", fault_after=40)) as stream:
         stream.enable()
-        with pytest.raises(DriveError, match=r"over-temperature|no valid reply|did not confirm"):
+        with pytest.raises(DriveError, match="over-temperature"):
             wait(stream)
     assert "off" in lines(tmp_path / "notes")
+
+
+def test_a_link_that_never_confirms_is_an_error_at_the_end_as_well(tmp_path: Path) -> None:
+    stream = MotionStream(partial(ideal_drive, tmp_path / "notes", silent_after=40)).__enter__()
+    stream.enable()
+    with pytest.raises(DriveError, match="no valid reply"):
+        wait(stream)
+    with pytest.raises(DriveError, match="did not confirm that its torque is off"):
+        stream.__exit__()
+
+
+def test_a_stop_from_another_thread_is_confirmed_by_the_device(tmp_path: Path) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
+        stream.enable()
+        with ThreadPoolExecutor(1) as pool:
+            assert pool.submit(stream.stop).result()
+        assert lines(tmp_path / "notes")[-2:] == ["off", "closed"]
+
+
+def test_a_motion_that_comes_too_late_is_not_jumped_to(tmp_path: Path) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
+        stream.enable()
+        stream.start_clock(time.monotonic() + 0.1)
+        stream.set_motion(move_arm(0.3, 0.8, duration=0.6), 0.0)
+        time.sleep(0.5)
+        stream.set_motion(move_arm(0.3, 0.8, duration=0.5), 0.0)
+        time.sleep(0.5)
+        assert stream.late == 1
+        assert stream.log().column("goal_angle")[-1] == pytest.approx(0.8)
 
 
 def test_a_goal_beyond_the_limits_ends_the_stream(tmp_path: Path) -> None:
     with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
         stream.enable()
-        stream.start_clock()
+        stream.start_clock(time.monotonic() + 0.1)
         stream.set_motion(hold_arm(1.0), 0.0)
         with pytest.raises(InvalidInput, match=r"far from the shaft|jumps"):
             wait(stream)

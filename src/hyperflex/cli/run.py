@@ -11,11 +11,12 @@ from hyperflex import files
 from hyperflex.cli import output
 from hyperflex.cli.command import Given, OutFolder, positive
 from hyperflex.cli.output import Rows
-from hyperflex.errors import InvalidInput, MissingPackage
+from hyperflex.errors import DriveError, InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
 
 if TYPE_CHECKING:
     from hyperflex.execution import CastRun
+    from hyperflex.hardware import DriveZero
     from hyperflex.planning import CastPlan
 
 EMULATED = "EMULATED: motor and rope are simulated in real time behind the drive's protocol"
@@ -43,6 +44,7 @@ def run(
         bool, typer.Option("--learn", help="Learn from each cast; stop when the rope winds three times running.")
     ] = False,
     page: Annotated[int | None, typer.Option(help="Show the run in a browser at this port; 0 for any.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not wait for Enter before each cast on a real motor.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the plan; connect nothing.")] = False,
 ) -> None:
     """Carry out a planned cast on a drive, and report whether the rope is wound.
@@ -57,7 +59,7 @@ def run(
     wound, or nothing shows that it is.
     """
     from hyperflex.execution import EmulatedRope, RunPage, emulator_of, open_drive, run_plan
-    from hyperflex.hardware import Drive, DriveZero, MotorModel, open_link
+    from hyperflex.hardware import Drive, MotorModel, open_link
     from hyperflex.planning import CastPlan, FollowOptions, read_plan
     from hyperflex.report import check_folder
 
@@ -68,7 +70,7 @@ def run(
     if not planned.success:
         output.note(f"{plan} does not succeed in simulation: {planned.message}")
     limits, emulated = planned.problem.limits, motor.startswith("emulator:")
-    address, known = motor, None if zero is None else DriveZero.from_toml(zero)
+    address, known = motor, None if emulated else _zero(motor, zero, dry_run)
     with ExitStack() as stack:
         source: Any = None
         if emulated:
@@ -91,6 +93,8 @@ def run(
                 shown.say(phase)
 
         def once(motion: Any = None) -> "CastRun":
+            if not (emulated or yes):
+                typer.prompt("Keep clear of arm and rope. Press Enter to switch the torque on", default="", err=True)
             given = {"source": source, "options": chosen, "say": say, "page": shown, "motion": motion}
             closed = FollowOptions(decision_time=decision_time) if follow else None
             done = run_plan(planned, partial(open_drive, address, limits, known, max_deviation), follow=closed, **given)
@@ -99,6 +103,18 @@ def run(
             return done
 
         _carry_out(planned, once, out, repeat=repeat, learn=learn, emulated=emulated)
+
+
+def _zero(motor: str, path: Path | None, dry_run: bool) -> "DriveZero":
+    """Return the zero of a real motor."""
+    from hyperflex.hardware import DriveZero, open_link
+
+    open_link(motor)  # refuses what is no address
+    if path is None:
+        if dry_run:
+            return DriveZero(0.0)
+        raise InvalidInput("a real motor needs its zero", fix="Make a file with hyperflex motor zero, and give --zero")
+    return DriveZero.from_toml(path)
 
 
 def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bool, emulated: bool) -> None:
@@ -112,7 +128,9 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
         runs.append(once(motion))
         written.update(_write(runs[-1], out, f"run-{len(runs)}" if repeat > 1 else "run"))
         output.note(f"cast {len(runs)}: {runs[-1].message or 'the rope is wound'}")
-        return runs[-1].cast_log()
+        if learn and runs[-1].stopped:
+            raise DriveError(runs[-1].stopped)
+        return runs[-1].cast_log() if learn else None
 
     def keep(attempt: Any) -> None:
         lines.append(str(attempt))
@@ -126,7 +144,7 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
     else:
 
         def several() -> None:
-            for _ in range(repeat):
+            while len(runs) < repeat and not (runs and runs[-1].stopped):
                 cast()
 
         stopped = output.run(several)[1] if runs or repeat else False

@@ -20,7 +20,9 @@ POINTS = 200  # of it
 
 
 class RunPage(LocalServer):
-    """Serves a run to browsers on this machine; its stop button acts as Ctrl-C does: the torque is switched off.
+    """Serves a run to browsers on this machine. Its stop button ends the drive's process: the torque is switched off.
+
+    It is no emergency stop: that is a switch that cuts the supply.
 
     Parameters
     ----------
@@ -53,6 +55,13 @@ class RunPage(LocalServer):
         """Show how the run ended; there is nothing to stop any more."""
         self.phase, self.over = verdict, True
 
+    def stop(self) -> bool:
+        """Switch the torque off at once, then end the run as Ctrl-C does; return whether the device confirmed."""
+        confirmed = self._drive is None or self._drive.stop()
+        if not self.over:
+            os.kill(os.getpid(), signal.SIGINT)
+        return confirmed
+
     def answer(self, request: BaseHTTPRequestHandler) -> None:
         """Answer with the page or the newest figures, or stop the run."""
         if request.path == "/":
@@ -60,9 +69,7 @@ class RunPage(LocalServer):
         elif request.path == "/state":
             send(request, json.dumps(self.figures()), "application/json")
         elif request.path == "/stop" and request.command == "POST":
-            if not self.over:
-                os.kill(os.getpid(), signal.SIGINT)
-            send(request, "{}", "application/json")
+            send(request, json.dumps({"off": self.stop()}), "application/json")
         else:
             request.send_error(HTTPStatus.NOT_FOUND)
 

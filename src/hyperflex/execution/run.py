@@ -12,12 +12,12 @@ import numpy as np
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.errors import DriveError, EstimatorLost, InvalidInput, SimulationError
+from hyperflex.errors import DriveError, HyperflexError, InvalidInput, SimulationError
 from hyperflex.execution.learning import CastLog
 from hyperflex.execution.page import RunPage
 from hyperflex.execution.stream import FIELDS, MotionStream, StreamLog
 from hyperflex.files import NetCDF, PathLike, Variable
-from hyperflex.hardware import Drive, DriveZero, open_link
+from hyperflex.hardware import STEP, Drive, DriveZero, open_link
 from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, MotorLimits, Peg, Rope
@@ -28,11 +28,13 @@ from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import swept
+from hyperflex.winding import measure_winding
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
+LOST = 0.3  # s without a state of the rope after which a cast is stopped: some ten frames of a camera
 POLL = 0.01  # s between two checks while waiting
 LEFT = 0.05  # m from the plan at which the rope counts as having left it: the radius of a usual target
 NEAR_PLAN = 0.25  # of the difference between a wound and a hanging rope's torque, within which a torque decides
@@ -80,6 +82,8 @@ class RunOptions:
         Time between the last warning and the motion, s.
     feed_forward : bool
         Whether the torque that the plan's simulation needs is sent along, to a drive that takes it.
+    clear_fault : bool
+        Clear a fault of the device at the start.
     sampling : float
         Rate at which the rope's state is recorded, Hz.
     """
@@ -91,6 +95,7 @@ class RunOptions:
     wait: float = option(20.0, "time to wait for the rope to hang still", unit="s", sign="nonnegative")
     countdown: float = option(3.0, "time between the last warning and the motion", unit="s", sign="nonnegative")
     feed_forward: bool = option(True, "send the torque that the simulation needs along")
+    clear_fault: bool = option(False, "clear a fault of the device at the start")
     sampling: float = option(60.0, "rate at which the rope's state is recorded", unit="Hz", sign="positive")
 
     def __post_init__(self) -> None:
@@ -101,11 +106,15 @@ class RunOptions:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The simulated run of a plan: times (T,), s, joints (T, n + 1, 2), m, and the motor's torque (T,), N m."""
+    """The simulated run of a plan: times (T,), s, joints (T, n + 1, 2), m, and the motor's torque (T,), N m.
+
+    `touch` is the time at which the rope first touches the target, s; inf if it never does.
+    """
 
     t: Array
     places: Array
     torque: Array
+    touch: float
 
     @classmethod
     def of(cls, plan: CastPlan, motion: Motion) -> "Prediction | None":
@@ -118,7 +127,15 @@ class Prediction:
         except SimulationError:
             return None
         shared = np.searchsorted(_arcs(run.setup.rope) + 1e-9, _arcs(problem.rope))  # links may be cut near pegs
-        return cls(run.t, run.joints[:, shared], run.motor_torque)
+        touched = np.isfinite(measure_winding(run, plan.target).before)
+        touch = float(run.t[touched.argmax()]) if touched.any() else math.inf
+        return cls(run.t, run.joints[:, shared], run.motor_torque, touch)
+
+    @property
+    def free_torque(self) -> tuple[Array, Array] | None:
+        """Times, s, and torques, N m, of the free flight: blows of the contact are not sent to a motor."""
+        free = self.t < self.touch
+        return (self.t[free], self.torque[free]) if np.count_nonzero(free) > 1 else None
 
     def joints(self, t: Array) -> Array:
         """Return the joints (K, n + 1, 2) at times t (K,), s, interpolated."""
@@ -150,6 +167,8 @@ class CastRun:
         What stopped the run before its end; empty if it came to its end.
     interrupted : bool
         Whether the user stopped it.
+    late : int
+        Corrections that came too late to be carried out.
     """
 
     plan: CastPlan
@@ -161,6 +180,7 @@ class CastRun:
     follow: FollowResult | None = None
     stopped: str = ""
     interrupted: bool = False
+    late: int = 0
 
     @property
     def message(self) -> str:
@@ -291,6 +311,7 @@ class CastRun:
             "left_plan": self.left_plan,
             "cycles": len(self.log.rows),
             "missed_cycles": self.log.missed,
+            "late_corrections": self.late,
             "lost_replies": int((self.log.column("lost") > 0).sum()),
             "jitter_p99": float(np.quantile(jitter, 0.99)) if jitter.size else None,
             "decisions": [] if self.follow is None else [each.action for each in self.follow.decisions],
@@ -381,37 +402,41 @@ def run_plan(
         raise InvalidInput("a motion in place of the plan's is not followed in closed loop", fix="Leave out follow")
     connect().check_motion(made)
     say("simulating the plan")
-    prediction, stop, found = Prediction.of(plan, made), "", None
+    prediction, stop, found, turns = Prediction.of(plan, made), "", None, None
     watch = _Watch(None, 0.0, chosen.sampling)
-    sent_along = (prediction.t, prediction.torque) if prediction is not None and chosen.feed_forward else None
-    with MotionStream(connect, rate=chosen.rate, duration=120.0 + 2.0 * float(made.breaks[-1])) as drive:
+    duration = 120.0 + 2.0 * float(made.breaks[-1])
+    drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
+    with stoppable() as stopped, drive:
         if page is not None:
             page.attach(drive, lambda: watch.states[-1] if watch.states else None)
-        with stoppable() as stopped:
-            _approach(drive, float(made.angle(0.0)), plan.problem, chosen, say)
-            _wait_until_still(drive, source, chosen, say)
-            for k in range(math.ceil(chosen.countdown), 0, -1):
-                say(f"the cast begins in {k} s")
-                _sleep_until(time.monotonic() + min(1.0, chosen.countdown), drive)
-            begin = time.monotonic() + LEAD
-            drive.start_clock(begin)
-            drive.set_motion(made, 0.0, sent_along)
-            watch = _Watch(source, begin, chosen.sampling)
-            say("the cast runs")
-            try:
-                with watch:
-                    if follow is not None:
-                        found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
-                        made = found.motion
-                    criteria = plan.problem.criteria
-                    _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive)
-            except (DriveError, EstimatorLost, SimulationError) as error:
-                stop = str(error)
-        log, recording = drive.log(), watch.recording()
-        turns = None if recording is None or source is None else watch.turns(source, log, plan.target)
-        run = CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received)
+        _approach(drive, float(made.angle(0.0)), plan.problem, chosen, say)
+        _wait_until_still(drive, source, chosen, say)
+        for k in range(math.ceil(chosen.countdown), 0, -1):
+            say(f"the cast begins in {k} s")
+            _sleep_until(time.monotonic() + min(1.0, chosen.countdown), drive)
+        begin = time.monotonic() + LEAD
+        drive.start_clock(begin)
+        drive.set_motion(made, 0.0, None if prediction is None or not chosen.feed_forward else prediction.free_torque)
+        watch = _Watch(source, begin, chosen.sampling)
+        say("the cast runs")
+        try:
+            watch.start()
+            if follow is not None:
+                found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
+                made = found.motion
+            criteria = plan.problem.criteria
+            _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive, watch)
+            drive.off()
+        except HyperflexError as error:
+            stop = str(error)
     say("the torque is off")
-    return stopped.deliver(run)
+    watch.stop()
+    log, recording = drive.log(), watch.recording()
+    if recording is not None and source is not None:
+        turns = watch.turns(source, log, plan.target)
+    return stopped.deliver(
+        CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received, drive.late)
+    )
 
 
 def _approach(
@@ -421,6 +446,9 @@ def _approach(
     limits, rope = problem.limits, problem.rope
     now = drive.enable().angle
     way = abs(start - now)
+    if way > math.pi:
+        fix = "Let the arm hang and set the zero again, or turn the arm nearer by hand"
+        raise InvalidInput("the way to the start is more than half a turn", got=[now, start], allowed="half", fix=fix)
     if way > 1e-4:
         # peak speed 1.875 way / T and acceleration 5.774 way / T^2 of minimum jerk
         slow = options.approach * limits.speed, options.approach * limits.acceleration
@@ -431,6 +459,10 @@ def _approach(
         drive.start_clock(begin)
         drive.set_motion(move_arm(now, start, duration, "minimum-jerk"), 0.0)
         _sleep_until(begin + duration + LEAD, drive)
+        there = drive.state().angle
+        if abs(there - start) > STEP:
+            what = f"The arm is at {there:.3f} rad, not at its start at {start:.3f} rad"
+            raise DriveError(f"{what}. Allowed: {STEP:g} rad. Check its load, its gains and its zero.")
 
 
 def _wait_until_still(
@@ -453,11 +485,13 @@ def _wait_until_still(
         _sleep_until(time.monotonic() + 10.0 * POLL, drive)
 
 
-def _sleep_until(end: float, drive: MotionStream) -> None:
-    """Wait until a moment of the monotonic clock, s; raise what ended the drive's process."""
+def _sleep_until(end: float, drive: MotionStream, watch: "_Watch | None" = None) -> None:
+    """Wait until a moment of the monotonic clock, s; raise what ended the drive's process, or why the rope is lost."""
     while (rest := end - time.monotonic()) > 0.0:
         time.sleep(min(POLL, rest))
         drive.raise_if_ended()
+        if watch is not None:
+            watch.raise_if_lost()
 
 
 class _Watch:
@@ -469,17 +503,25 @@ class _Watch:
         self._motion: Motion | None = None
         self._lock, self._over = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._record, name="rope recorder", daemon=True)
-        self._failed: EstimatorLost | SimulationError | None = None
+        self._failed: HyperflexError | None = None  # since the last state
+        self._seen = begin
 
-    def __enter__(self) -> None:
+    def start(self) -> None:
+        """Begin to record."""
         if self.source is not None:
             self.source.start_clock(self.begin)
             self._thread.start()
 
-    def __exit__(self, *_: object) -> None:
+    def stop(self) -> None:
+        """End the recording; a source that hangs is left alone."""
         self._over.set()
-        if self.source is not None:
-            self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join(1.0)
+
+    def raise_if_lost(self) -> None:
+        """Raise why the rope has not been seen for LOST, s."""
+        if self._failed is not None and time.monotonic() - self._seen > LOST:
+            raise self._failed
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the state at a time, s, once that time has come."""
@@ -516,8 +558,10 @@ class _Watch:
                 with self._lock:
                     assert self.source is not None  # noqa: S101 the thread runs with a source alone
                     state = self.source.state(t, self._motion or hold_arm(0.0))
-            except (EstimatorLost, SimulationError):
+            except HyperflexError as error:
+                self._failed = error
                 continue
+            self._failed, self._seen = None, time.monotonic()
             if not self.states or state.t > self.states[-1].t:
                 self.states.append(state)
 

@@ -26,6 +26,7 @@ from hyperflex.motion import Motion
 SPIN = 3e-4  # s before a deadline from which the process waits awake: a sleep may end so much too late
 START = 60.0  # s that the process may take to start: imports, and the link
 ANSWER = 2.0  # s within which the process answers a request
+MEET = 2e-3, 0.05  # rad and rad/s by which goals of a motion that comes late may differ from those of the one before
 FIELDS = (
     "scheduled",
     "sent",
@@ -99,41 +100,77 @@ class MotionStream:
         Goals a second, Hz.
     duration : float
         Longest time for which rows are logged, s; later cycles replace the oldest.
+    clear : bool
+        Clear a fault of the device at the start.
+
+    Attributes
+    ----------
+    late : int
+        Motions that arrived too late to be taken up without a jump; the one before went on.
 
     Raises
     ------
     DriveError
-        If the drive cannot be connected, or later, from any method, once it is in fault or the process has ended.
+        If the drive cannot be connected; later, from any method, once it is in fault or the process has ended; at the
+        end of the block, if the device did not confirm that its torque is off.
     """
 
-    def __init__(self, connect: Callable[[], Drive], *, rate: float = 200.0, duration: float = 300.0) -> None:
-        self.connect = connect
+    def __init__(
+        self, connect: Callable[[], Drive], *, rate: float = 200.0, duration: float = 300.0, clear: bool = False
+    ) -> None:
+        self.connect, self.clear = connect, clear
         self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
         rows = math.ceil(self.rate * checks.number("duration", duration, sign="positive", unit="s"))
         context = multiprocessing.get_context("spawn")
         self._shared = Shared(context.RawArray("d", rows * len(FIELDS)), context.RawArray("q", 2))
-        self._context, self._zero = context, 0.0
+        self._context, self._zero, self._number, self.late = context, 0.0, 0, 0
         self._worker: Any = None
 
     def __enter__(self) -> Self:
         self._link, theirs = self._context.Pipe()
-        arguments = (self.connect, 1.0 / self.rate, theirs, self._shared)
+        arguments = (self.connect, self.clear, 1.0 / self.rate, theirs, self._shared)
         self._worker = self._context.Process(target=stream, args=arguments, name="motion stream", daemon=True)
         self._worker.start()
         theirs.close()
-        self._receive(START)
-        self.start_clock()
+        try:
+            self._receive(0, START)
+            self.start_clock()
+        except BaseException:
+            self._end()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        worker, self._worker = self._worker, None
         with suppress(OSError):
-            self._link.send(("end",))
+            self._link.send((0, "end"))
+        self._end()
+
+    def stop(self) -> bool:
+        """Switch the torque off at once and end the process; return whether the device confirmed it. For any thread."""
+        worker = self._worker
+        if worker is None:
+            return True
+        with suppress(ProcessLookupError):
+            os.kill(worker.pid, signal.SIGTERM)
         worker.join(ANSWER)
-        if worker.is_alive():
-            worker.terminate()  # its drive catches the signal and switches the torque off
+        return bool(worker.exitcode == 0)
+
+    def _end(self) -> None:
+        """Wait for the end of the process; raise if it did not confirm that the torque is off."""
+        worker, self._worker = self._worker, None
+        for hasten in (worker.terminate, worker.kill, None):
             worker.join(ANSWER)
+            if not worker.is_alive() or hasten is None:
+                break
+            hasten()
+        why = ""
+        with suppress(EOFError, OSError):
+            while self._link.poll():
+                _, answer = self._link.recv()
+                why = f" {answer}" if isinstance(answer, Exception) else why
         self._link.close()
+        if worker.exitcode != 0:
+            raise DriveError(f"The drive did not confirm that its torque is off.{why} Cut its power.")
 
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0; what is held then is held until the next motion."""
@@ -171,7 +208,7 @@ class MotionStream:
             times = checks.times("torque times", torque[0])
             values = checks.array("torque", torque[1], times.shape, unit="N m")
         path = Path(motion.breaks.tolist(), motion.coef[:, ANGLE].tolist(), times.tolist(), values.tolist())
-        self._ask("motion", checks.number("at", at, unit="s"), path)
+        self.late += not self._ask("motion", checks.number("at", at, unit="s"), path)
 
     def angle(self, t: float) -> float:
         """Return the encoder's angle at a time `t` (s), rad, interpolated; the newest one for later times."""
@@ -190,31 +227,37 @@ class MotionStream:
 
     def _ask(self, *request: Any) -> Any:
         self.raise_if_ended()
-        try:
-            self._link.send(request)
-        except OSError:
-            self.raise_if_ended()
-            raise
-        return self._receive(ANSWER)
+        self._number += 1
+        with suppress(OSError):  # why it has ended is received
+            self._link.send((self._number, *request))
+        return self._receive(self._number, ANSWER)
 
-    def _receive(self, patience: float) -> Any:
-        if not self._link.poll(patience):
-            raise DriveError(f"The process of the drive has not answered for {patience:g} s.")
+    def _receive(self, number: int, patience: float) -> Any:
+        """Return the answer to a request; those to earlier ones, which came late, are dropped."""
+        until = time.monotonic() + patience
+        while self._link.poll(max(0.0, until - time.monotonic())):
+            answered, value = self._take()
+            if answered == number:
+                return value
+        raise DriveError(f"The process of the drive has not answered for {patience:g} s.")
+
+    def _take(self) -> tuple[int, Any]:
+        """Return the next answer and the number of its request; raise an error that the process sent, or its end."""
         try:
-            kind, value = self._link.recv()
+            number, value = self._link.recv()
         except (EOFError, OSError):
             self._worker.join(ANSWER)
             raise DriveError(f"The process of the drive ended with code {self._worker.exitcode}.") from None
-        if kind == "error":
+        if isinstance(value, Exception):
             raise value
-        return value
+        return number, value
 
     def raise_if_ended(self) -> None:
         """Raise what ended the process, if it has ended."""
         if self._worker is None:
             raise InvalidInput("the motion stream is closed", fix="Use it within its with block")
-        if self._link.poll():  # nothing was asked: it has ended
-            self._receive(ANSWER)
+        while self._link.poll():  # a late answer, or why it has ended
+            self._take()
 
 
 class Path(NamedTuple):
@@ -273,22 +316,34 @@ class Shared:
         return StreamLog(found, rate, int(self._counts[1]))
 
 
-def stream(connect: Callable[[], Drive], period: float, link: Connection, shared: Shared) -> None:
-    """Serve requests and, with the torque on, send a goal each period, s, until the parent ends or asks for the end."""
+def stream(connect: Callable[[], Drive], clear: bool, period: float, link: Connection, shared: Shared) -> None:
+    """Serve requests and, with the torque on, send a goal each period, s, until the parent ends or asks for the end.
+
+    The exit code is 0 if the torque is off for certain.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
-    with suppress(OSError):  # the parent has ended
-        try:
-            with connect() as drive:
-                link.send(("ready", None))
-                gc.collect()
-                gc.freeze()
-                gc.disable()
-                with suppress(OSError, AttributeError):  # only with the right to do so
-                    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-                _Cycle(drive, period, link, shared).run()
-        except (HyperflexError, SystemExit) as error:
-            ended = DriveError(f"The process of the drive was ended by a signal ({error}).")
-            link.send(("error", ended if isinstance(error, SystemExit) else error))
+    drive, ended = connect(), None
+    try:
+        drive.connect(clear=clear)
+        with drive:
+            link.send((0, None))
+            gc.collect()
+            gc.freeze()
+            gc.disable()
+            with suppress(OSError, AttributeError):  # only with the right to do so
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+            _Cycle(drive, period, link, shared).run()
+    except HyperflexError as error:
+        ended = error
+    except SystemExit as error:
+        ended = DriveError(f"The process of the drive was ended by a signal ({error}).")
+    except OSError:  # the parent has ended
+        pass
+    if ended is not None:
+        with suppress(OSError):
+            link.send((0, ended))
+    link.close()
+    raise SystemExit(int(drive.enabled))
 
 
 class _Cycle:
@@ -337,19 +392,18 @@ class _Cycle:
         try:
             if not self.link.poll():
                 return True
-            kind, *values = self.link.recv()
+            number, kind, *values = self.link.recv()
         except (EOFError, OSError):  # the parent has ended
             return False
         if kind == "end":
             return False
-        answer = None
+        answer: Any = None
         if kind == "clock":
             if self.paths:
                 self.hold(self.goal(time.monotonic() - self.zero).angle)
             self.zero = values[0]
         elif kind == "motion":
-            at, path = values
-            self.paths = [*(each for each in self.paths if each[0] < at), (at, path)]
+            answer = self.take(*values)
         elif kind == "enable":
             answer = self.drive.enable()
             self.hold(answer.angle)
@@ -357,7 +411,17 @@ class _Cycle:
             self.drive.off()
         elif kind == "state":
             answer = self.drive.read()
-        self.link.send(("answer", answer))
+        self.link.send((number, answer))
+        return True
+
+    def take(self, at: float, path: Path) -> bool:
+        """Stream a path from a time `at`, s, on; refuse one that has begun and would make the goal jump."""
+        now = time.monotonic() - self.zero
+        if at <= now and self.paths:
+            old, new = self.goal(now), path.goal(now)
+            if abs(new.angle - old.angle) > MEET[0] or abs(new.rate - old.rate) > MEET[1]:
+                return False
+        self.paths = [*(each for each in self.paths if each[0] < at), (at, path)]
         return True
 
 

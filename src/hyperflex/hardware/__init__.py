@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.hardware.drive import Drive, DriveState, Goal, Link, Reading
+    from hyperflex.hardware.drive import STEP, Drive, DriveState, Goal, Link, Reading
     from hyperflex.hardware.drive_fit import DriveFit, DriveRecord, identify_drive, record_test_motion
     from hyperflex.hardware.drive_model import DriveModel, plan_test_motion
     from hyperflex.hardware.dynamixel import DynamixelLink
