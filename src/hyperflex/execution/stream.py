@@ -373,7 +373,7 @@ class _Cycle:
         """Send the goal of now, and log it with the answer."""
         now = time.monotonic()
         goal = self.goal(now - self.zero)
-        state = self.drive.command(goal)
+        state = self.drive.command(goal, at=now)
         measured = (state.angle, state.rate, state.torque, state.voltage, state.temperature, float(state.lost))
         self.write((due, now, state.received, goal.angle, goal.rate, goal.torque, *measured))
 
