@@ -1,6 +1,6 @@
 """``hyperflex run``: a planned cast carried out on a drive."""
 
-from contextlib import ExitStack
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -70,20 +70,16 @@ def run(
     if not planned.success:
         output.note(f"{plan} does not succeed in simulation: {planned.message}")
     limits, emulated = planned.problem.limits, motor.startswith("emulator:")
-    address, known = motor, None if emulated else _zero(motor, zero, dry_run)
-    with ExitStack() as stack:
-        source: Any = None
-        if emulated:
-            make, emulator = emulator_of(planned, motor, MotorModel(extrapolates=motor.endswith("moteus")))
-            address = f"{make}:{'' if dry_run else stack.enter_context(emulator).port}"
-            source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope, planned.problem.arm)
-            output.note(EMULATED)
-        if dry_run:
-            link = open_link(f"{address}none" if emulated else address)
-            Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
-            output.show({"success": True, "dry_run": True}, "The motion keeps to the limits. Nothing was connected.")
-            return
-        shown = None if page is None else stack.enter_context(RunPage(planned, page))
+    known = None if emulated else _zero(motor, zero, dry_run)
+    if dry_run:
+        link = open_link("moteus:none" if emulated else motor)
+        Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
+        output.show({"success": True, "dry_run": True}, "The motion keeps to the limits. Nothing was connected.")
+        return
+    if emulated:
+        output.note(EMULATED)
+    closed = FollowOptions(decision_time=decision_time) if follow else None
+    with nullcontext() if page is None else RunPage(planned, page) as shown:
         if shown is not None:
             output.note(f"the run is shown at {shown.address}")
 
@@ -92,17 +88,24 @@ def run(
             if shown is not None:
                 shown.say(phase)
 
-        def once(motion: Any = None) -> "CastRun":
-            if not (emulated or yes):
-                typer.prompt("Keep clear of arm and rope. Press Enter to switch the torque on", default="", err=True)
-            given = {"source": source, "options": chosen, "say": say, "page": shown, "motion": motion}
-            closed = FollowOptions(decision_time=decision_time) if follow else None
-            done = run_plan(planned, partial(open_drive, address, limits, known, max_deviation), follow=closed, **given)
-            if shown is not None:
-                shown.say(done.message or "the rope is wound")
-            return done
+        given: dict[str, Any] = {"follow": closed, "options": chosen, "say": say, "page": shown}
 
-        _carry_out(planned, once, out, repeat=repeat, learn=learn, emulated=emulated)
+        def real(motion: Any = None) -> "CastRun":
+            if not yes:
+                typer.prompt("Unwind the rope and keep clear. Enter switches the torque on", default="", err=True)
+            connect = partial(open_drive, motor, limits, known, max_deviation)
+            return run_plan(planned, connect, motion=motion, **given)
+
+        def emulate(motion: Any = None) -> "CastRun":
+            make, emulator = emulator_of(planned, motor, MotorModel(extrapolates=motor.endswith("moteus")))
+            with emulator:  # a new one for each cast: nobody unwinds the rope
+                source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope, planned.problem.arm)
+                connect = partial(open_drive, f"{make}:{emulator.port}", limits, None, max_deviation)
+                return run_plan(planned, connect, motion=motion, source=source, **given)
+
+        _carry_out(planned, emulate if emulated else real, out, repeat=repeat, learn=learn, emulated=emulated)
+        if shown is not None:
+            shown.end("the casts are over")
 
 
 def _zero(motor: str, path: Path | None, dry_run: bool) -> "DriveZero":

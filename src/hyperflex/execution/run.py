@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
+HANGS = 0.2  # rad from the vertical at which a link hangs: a rope that is still wound does not
 LOST = 0.3  # s without a state of the rope after which a cast is stopped: some ten frames of a camera
 POLL = 0.01  # s between two checks while waiting
 LEFT = 0.05  # m from the plan at which the rope counts as having left it: the radius of a usual target
@@ -410,7 +411,7 @@ def run_plan(
         if page is not None:
             page.attach(drive, lambda: watch.states[-1] if watch.states else None)
         _approach(drive, float(made.angle(0.0)), plan.problem, chosen, say)
-        _wait_until_still(drive, source, chosen, say)
+        _wait_until_still(drive, source, plan.problem.rope, chosen, say)
         for k in range(math.ceil(chosen.countdown), 0, -1):
             say(f"the cast begins in {k} s")
             _sleep_until(time.monotonic() + min(1.0, chosen.countdown), drive)
@@ -466,7 +467,7 @@ def _approach(
 
 
 def _wait_until_still(
-    drive: MotionStream, source: ClockedSource | None, options: RunOptions, say: Callable[[str], None]
+    drive: MotionStream, source: ClockedSource | None, rope: Rope, options: RunOptions, say: Callable[[str], None]
 ) -> None:
     if source is None:
         if options.wait:
@@ -476,12 +477,17 @@ def _wait_until_still(
     say("waiting until the rope hangs still")
     begin = time.monotonic()
     source.start_clock(begin)
-    rate = math.inf
-    while rate > options.still:
-        if (t := time.monotonic() - begin) > options.wait:
+    while True:
+        t = time.monotonic() - begin
+        state = source.state(t, hold_arm(0.0))
+        rate, away = float(np.abs(state.qd).max()), float(np.abs(state.q - rope.hanging_angle).max())
+        if rate <= options.still and away <= HANGS:
+            return
+        if t > options.wait:
             fix = "Hold it still, allow a longer wait, or a higher rate"
+            if away > HANGS and rate <= options.still:
+                raise InvalidInput("the rope does not hang down", got=away, allowed=f"{HANGS:g} rad", fix="Unwind it")
             raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {options.still:g} rad/s", fix=fix)
-        rate = float(np.abs(source.state(t, hold_arm(0.0)).qd).max())
         _sleep_until(time.monotonic() + 10.0 * POLL, drive)
 
 
