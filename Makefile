@@ -16,7 +16,7 @@ help: ## this list
 	@echo "  PYTHON=python3.12 picks the interpreter, WORKERS=4 the processes of the tests,"
 	@echo "  REQUIRE_DATA=1 makes tests fail where real recordings are missing."
 
-demo: $(INSTALLED) ## video -> identified rope -> cast: a folder of figures, an animation and a report
+demo: $(INSTALLED) ## video -> identified rope -> cast on an emulated drive: a folder of figures, an animation and a report
 	$(BIN)/hyperflex demo
 
 PYTEST = $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(if $(filter 1,$(REQUIRE_DATA)),--require-data)
