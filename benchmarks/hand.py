@@ -3,9 +3,9 @@
 python -m benchmarks.hand planned/*.toml            plans of hyperflex cast
 python -m benchmarks.hand planned/*.toml --motor emulator:dynamixel
 
-Planner and drive are separate processes. The rope in the emulator is 1.5 % longer and heavier than the planner's, has
-10 % more friction and links that are cut as in a verified run. The motor acts 15 ms late, and the target is 1 cm aside. The
-closed loop and the learning get the true state of the emulated rope: there is no camera in the loop.
+Planner and drive are separate processes. The rope in the emulator is 1.5 % longer and heavier than the planner's and
+has 10 % more friction; its links are cut as in a verified run. The motor acts 15 ms late, and the target is 1 cm aside.
+The closed loop and the learning get the true state of the emulated rope: there is no camera in the loop.
 """
 
 import argparse
