@@ -33,6 +33,7 @@ def test_check_says_what_is_possible_and_gives_limits(hyperflex):
         (("check", "--rope", "rope.toml"), "no motor is given"),
         (("check", "--motor", "nothing", "--rope", "rope.toml"), "not in the catalogue"),
         (("identify", "--motor", "nothing", "-o", "drive.toml"), "address is not known"),
+        (("identify", "--motor", "moteus:/dev/not-there", "-o", "drive.toml"), "limit of torque"),
         (("zero", "--motor", "moteus:/dev/not-there", "-o", "zero.toml"), "/dev/not-there"),
         (("zero", "--motor", "moteus:/dev/ttyACM0", "-o", "zero.txt"), "suffix"),
     ],
@@ -48,7 +49,13 @@ def test_dry_run_opens_nothing(hyperflex, tmp_path):
         "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run", "--json"
     )
     assert code == 0
-    assert json.loads(out)["greatest_angle"] > 0.3
+    assert json.loads(out)["greatest_angle"] == pytest.approx(0.3)
+
+
+def test_the_strokes_are_small_unless_they_are_asked_for(hyperflex_json, tmp_path):
+    how = "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run", "--speed", 8
+    angles = [hyperflex_json(*how, *more)[1]["greatest_angle"] for more in ((), ("--stroke", 1.5))]
+    assert angles == pytest.approx([0.3, 1.5])
 
 
 @pytest.mark.nightly

@@ -19,7 +19,8 @@ class Make:
 
     `device` makes the device from its motor; `address` is that of its link on a port; `passive` says whether its
     watchdog has fired; `fail` puts it into a fault; `resolution` is that of an angle on its wire, rad, `fine` that of
-    rates and torques; `faults` are those of its wire that somebody can notice.
+    rates and torques; `faults` are those of its wire that somebody can notice. At `pace` its watchdog waits for a
+    second of ours.
     """
 
     name: str
@@ -30,10 +31,11 @@ class Make:
     resolution: float
     fine: float = 1e-5
     faults: WireFaults = FAULTS
+    pace: float = 0.1
 
     def rig(self, angle=0.0, **options):
         """A device with a motor at an angle, on a wire."""
-        return Rig(self.device(Servo(angle)), **options)
+        return Rig(self.device(Servo(angle)), pace=self.pace, **options)
 
     def link(self, rig, patience=1.0):
         """A link to it, not open yet. It waits for long, unless a test spoils the wire."""
@@ -48,6 +50,7 @@ MAKES = [
         passive=lambda device: device.mode == 11 and not device.plant.enabled,
         fail=lambda device: device.fail(33),
         resolution=1e-5,
+        pace=0.03,
     ),
     Make(
         "dynamixel",
@@ -60,7 +63,8 @@ MAKES = [
     Make(
         "odrive",
         partial(ODriveDevice, heartbeat=1e-3),
-        "odrive:{port}?trial=0",  # at the pace of the rig the watchdog takes longer than a trial waits
+        # At the pace of the rig the watchdog takes longer than a trial waits.
+        "odrive:{port}?trial=0&torque_constant=0.1",
         passive=lambda device: device.expired and not device.plant.enabled,
         fail=lambda device: device.fail(1 << 26),
         resolution=1e-5,

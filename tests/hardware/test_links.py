@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from hyperflex.hardware import DynamixelLink, MoteusLink, ODriveLink, open_link
+from hyperflex.hardware import DriveZero, DynamixelLink, MoteusLink, ODriveLink, open_link
 from hyperflex.hardware.emulate import DynamixelDevice, MoteusDevice, ODriveDevice
 from hyperflex.hardware.links import emulated_device
 from tests.refusals import refuses
@@ -14,6 +14,8 @@ def test_an_address_names_make_port_and_options():
     link = open_link("moteus:/dev/ttyACM0?id=2&baud=115200", watchdog=0.05)
     assert isinstance(link, MoteusLink)
     assert (link.port, link.number, link.baud, link.watchdog) == ("/dev/ttyACM0", 2, 115_200, 0.05)
+    assert open_link("moteus:/dev/ttyACM0?watchdog=0.05").watchdog == 0.05
+    assert open_link("odrive:can0?torque_constant=0.083").torque_constant == 0.083
     link = open_link("dynamixel:/dev/ttyUSB0?baud=57600")
     assert isinstance(link, DynamixelLink)
     assert (link.number, link.baud) == (1, 57_600)
@@ -47,11 +49,21 @@ def test_an_emulated_drive_is_a_device_and_no_port():
         ("emulator:servo", "not known.*emulator:moteus"),
         ("moteus:/dev/ttyACM0?number=1", "does not know this key"),
         ("odrive:can0?baud=1000", "does not know this key.*bitrate"),
-        ("moteus:/dev/ttyACM0?id=one", "id .* is not a whole number"),
-        ("moteus:/dev/ttyACM0?id=", "id .* is not a whole number"),
+        ("moteus:/dev/ttyACM0?id=one", "id .* is not a number"),
+        ("moteus:/dev/ttyACM0?id=", "id .* is not a number"),
+        ("moteus:/dev/ttyACM0?id=1.5", "moteus id"),
+        ("odrive:can0?torque_constant=-1", "torque_constant .* is not a number"),
         ("moteus:/dev/ttyACM0?id=127", "moteus id"),
         (3, "not text"),
     ],
 )
 def test_a_bad_address_is_refused(address, words):
     refuses(words, open_link, address)
+
+
+def test_a_zero_is_that_of_its_motor():
+    zero = DriveZero(0.3, motor="odrive:can0?id=2")
+    zero.check("odrive:can0?torque_constant=0.05&id=2")
+    DriveZero(0.3).check("odrive:can0")
+    for other in ("odrive:can0", "odrive:can1?id=2", "moteus:/dev/ttyACM0"):
+        refuses("zero belongs to another motor.*odrive:can0.id=2", zero.check, other)

@@ -128,7 +128,7 @@ def test_the_limits_go_with_every_goal(rig, device):
     turn = 6.283185307
     for values in seen:
         assert values[register.COMMAND_POSITION_MAX_TORQUE] == pytest.approx(0.7)
-        assert values[register.COMMAND_TIMEOUT] == pytest.approx(0.1)
+        assert values[register.COMMAND_TIMEOUT] == pytest.approx(0.03)
         assert values[register.COMMAND_VELOCITY_LIMIT] == pytest.approx(6.0 / turn)
         assert values[register.COMMAND_ACCEL_LIMIT] == pytest.approx(24.0 / turn)
     assert seen[-1][register.COMMAND_POSITION] == pytest.approx(0.5 / turn)
@@ -143,21 +143,48 @@ def test_without_a_limit_of_torque_the_controllers_own_holds(rig, device):
     assert link._vendor.Register.COMMAND_POSITION_MAX_TORQUE not in seen[-1]
 
 
-def test_a_controller_whose_watchdog_fired_is_enabled_again(rig, device):
+def test_a_controller_in_timeout_may_hold_with_torque_and_is_stopped_first(rig, device):
     device._enter(11)
-    with Drive(MoteusLink(rig.port, patience=1.0), MotorLimits()) as drive:
-        assert not drive.read().enabled
+    link = opened(rig)
+    state = link.read()
+    link.close()
+    assert (state.enabled, state.fault) == (True, "watchdog expired (mode 11)")
+    with pytest.raises(DriveError, match=r"watchdog expired \(mode 11\).*clear=True"):
+        Drive(MoteusLink(rig.port, patience=1.0), MotorLimits()).connect()
+    assert device.mode == 0
+    device._enter(11)
+    drive = Drive(MoteusLink(rig.port, patience=1.0, watchdog=0.1), MotorLimits())
+    drive.connect(clear=True)
+    with drive:
+        drive.set_zero(0.0)
+        device._enter(11)
+        with pytest.raises(DriveError, match="torque off"):
+            drive.set_zero(0.0)
+        device._enter(0)
         assert drive.enable().enabled
         drive.command(Goal(0.0))
     assert device.mode == 0
 
 
-def test_the_hotter_of_board_and_motor_counts(rig, device):
-    value = device._value
-    device._value = lambda index, resolution: struct.pack("<f", 80.0) if index == 10 else value(index, resolution)
+@pytest.mark.parametrize("board", [25.0, float("nan")])
+def test_the_hotter_of_board_and_motor_counts(rig, device, board):
+    shown, value = {10: 80.0, 14: board}, device._value
+    device._value = lambda index, resolution: (
+        struct.pack("<f", shown[index]) if index in shown else value(index, resolution)
+    )
     link = opened(rig)
     assert link.read().temperature == 80.0
     link.close()
+
+
+def test_after_an_error_in_a_callback_the_stop_still_arrives(rig, device):
+    link = MoteusLink(rig.port, patience=1.0, watchdog=1.0)
+    with Drive(link, MotorLimits()) as drive:
+        drive.enable()
+        link._loop.call_soon(lambda: 1 / 0)
+        with pytest.raises(DriveError, match=r"the port failed: division by zero.*Torque is off"):
+            drive.command(Goal(0.0))
+        assert device.mode == 0
 
 
 def test_a_device_that_stops_reading_holds_nobody_up(rig, monkeypatch):

@@ -5,19 +5,19 @@ import struct
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import can
 import pytest
 
 from hyperflex.errors import DriveError, MissingPackage
-from hyperflex.hardware import Goal, ODriveLink, odrive
+from hyperflex.hardware import Drive, Goal, ODriveLink, odrive
 from hyperflex.hardware.drive import NoReply
 from hyperflex.hardware.emulate import MotorModel, ODriveDevice, Plant
 from hyperflex.model import Arm, MotorLimits
 from tests.hardware.wire import Wire
 
-LIMITS = MotorLimits(torque=1.5)
+LIMITS = MotorLimits(speed=40.0, torque=1.5)  # a step of half a radian is faster than an arm may be
 
 
 def axis(**options) -> ODriveDevice:
@@ -27,7 +27,7 @@ def axis(**options) -> ODriveDevice:
 
 @contextmanager
 def link_to(wire: Wire, **options):
-    link = ODriveLink(wire.port, **{"patience": 0.3} | options)
+    link = ODriveLink(wire.port, **{"patience": 0.3, "torque_constant": 0.1} | options)
     link.open()
     try:
         yield link
@@ -125,7 +125,7 @@ def test_the_same_over_the_virtual_bus_of_python_can():
     link = ODriveLink("arm", 3, interface="virtual", torque_constant=0.05, patience=0.3)
     link.open()
     link.enable(LIMITS)
-    assert device._speed == pytest.approx(1.02 * LIMITS.speed)
+    assert device._speed == pytest.approx(2.0 * LIMITS.speed)
     wait_for(lambda: link.read().fault)  # nobody feeds the watchdog
     assert link.read().fault == "watchdog expired (error 0x1000000)"
     assert not device.plant.enabled
@@ -152,6 +152,59 @@ def test_an_axis_in_fault_does_not_switch_its_torque_on():
         with pytest.raises(DriveError, match=r"does not switch its torque on \(dc bus under voltage \(error 0x200\)\)"):
             link.enable(LIMITS)
         assert not device.plant.enabled
+
+
+def test_a_limit_of_torque_needs_the_torque_constant_and_a_torque_that_is_told():
+    device = axis()
+    with Wire(device) as wire, link_to(wire, torque_constant=0.0) as link:
+        with pytest.raises(DriveError, match=r"keeps no limit of torque .*\?torque_constant=0.05$"):
+            link.enable(LIMITS)
+        link.torque_constant = 0.1
+        wire.spoil = lambda reply: [reply.replace(b"t01C8", b"t01D8")]
+        link._messages.clear()
+        wait_for(lambda: link._listen(0.01, lambda *_: link._beat > 0.0) and len(link._messages) > 1)
+        with pytest.raises(DriveError, match=r"does not tell its torque.*torques_msg_rate_ms = 10"):
+            link.enable(LIMITS)
+    assert not device.plant.enabled
+
+
+@pytest.mark.parametrize("errors", [0, 1 << 26])
+def test_an_axis_that_turns_in_a_calibration_is_switched_off(errors):
+    device = axis(watchdog=0.0)
+    device._state, device._reason = 4, errors
+    with Wire(device) as wire:
+        link = ODriveLink(wire.port, patience=0.3)
+        drive = Drive(link, MotorLimits())
+        with suppress(DriveError):  # of the errors
+            drive.connect()
+        drive.close()
+    assert device._state == 1
+
+
+def test_each_try_to_switch_the_torque_on_reads_the_angle_anew():
+    device, seen = axis(), []
+    with Wire(device) as wire, link_to(wire, trial=False) as link:
+        request = device._request
+
+        def refuse_once(state):
+            if state == 8:
+                seen.append(device._goal.angle)
+            if len(seen) > 1:
+                request(state)
+            else:
+                device.plant.impose(encoder_turns=1.0)
+
+        device._request = refuse_once
+        link.enable(LIMITS)
+    assert seen == pytest.approx([0.0, math.tau])
+
+
+def test_a_missing_thermistor_does_not_hide_a_temperature():
+    device = axis()
+    measured = device._measured
+    device._measured = lambda kind: struct.pack("<ff", math.nan, 80.0) if kind == 0x15 else measured(kind)
+    with Wire(device) as wire, link_to(wire) as link:
+        wait_for(lambda: link.read().temperature == 80.0)
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,12 @@ def identify(
     out: Annotated[Path, typer.Option("--output", "--out", "-o", help="File for the identified drive, .toml.")],
     zero: ZeroFile = None,
     limits: Annotated[Given, MotorLimits],
+    stroke: Annotated[
+        float,
+        typer.Option(
+            callback=positive("rad"), help="Size of the fast strokes; large ones show the limit of speed, rad."
+        ),
+    ] = 0.3,
     picture: Annotated[Path | None, typer.Option(help="Picture of the test motion to write, .png.")] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print what would be done; open and move nothing.")
@@ -108,17 +114,17 @@ def identify(
     """Make a small test motion and identify lag, limits, friction, inertia and backlash of a drive.
 
     The arm must be free, without a rope. It moves by 0.3 rad, slowly and then faster, and makes strokes as fast as the
-    limits and angles given allow: these show the drive's own limit of speed. Torque is off before and after. Drives
-    have only been emulated so far.
+    limits allow; large ones (--stroke) show the drive's own limit of speed. A real drive needs a limit of --torque.
+    Torque is off before and after. Drives have only been emulated so far.
     """
-    from hyperflex.hardware import identify_drive, plan_test_motion, record_test_motion
+    from hyperflex.hardware import emulated_device, identify_drive, plan_test_motion, record_test_motion
     from hyperflex.report import save_png
 
     check_destination(out, ".toml", [])
     check_destination(picture, ".png", [])
     chosen = MotorLimits(**limits)
     if dry_run:
-        motion = plan_test_motion(chosen, 0.0)
+        motion = plan_test_motion(chosen, 0.0, stroke=stroke)
         angles = motion.angle(motion.breaks)
         plan = {
             "duration_s": float(motion.breaks[-1]),
@@ -127,9 +133,12 @@ def identify(
         }
         output.show(plan, output.rows("Test motion, from an arm that hangs", plan))
         return
+    if emulated_device(motor) is None and not math.isfinite(chosen.torque):
+        raise InvalidInput("a real drive is tried with a limit of torque only", fix="Give --torque, N m")
     with _drive(motor, chosen, zero) as drive:
-        output.note(f"{drive.link.name}: the arm at {drive.read().angle:.3f} rad makes the test motion")
-        record = record_test_motion(drive)
+        angle = drive.read().angle
+        output.note(f"{drive.link.name}: the arm at {angle:.3f} rad makes the test motion")
+        record = record_test_motion(drive, plan_test_motion(chosen, angle, stroke=stroke))
     fit = identify_drive(record)
     fit.to_toml(out)
     written = {"drive": out}
@@ -179,14 +188,15 @@ def zero(
 def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int = 1) -> "Iterator[Drive]":
     """Connect to a drive, or to an emulated one that runs as long as the block; its arm has no rope.
 
-    The shaft may fall behind its goals: this shows the drive's own limit of speed.
+    The shaft may be late by 50 ms at the speed limit, and 0.5 rad more: this shows the drive's own limit of speed.
     """
     from hyperflex.hardware import Drive, DriveZero, Emulator, MotorModel, emulated_device, open_link
 
     known = DriveZero(0.0, direction) if zero is None else DriveZero.from_toml(zero)
+    known.check(address)
     device = emulated_device(address)
-    least, greatest = limits.angles
-    options: dict[str, Any] = {"zero": known.raw, "direction": known.direction, "max_deviation": greatest - least}
+    late = 0.5 + 0.05 * limits.speed
+    options: dict[str, Any] = {"zero": known.raw, "direction": known.direction, "max_deviation": late}
     if device is None:
         with Drive(open_link(address), limits, **options) as drive:
             yield drive

@@ -9,7 +9,7 @@ import atexit
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import FrameType
@@ -86,6 +86,11 @@ class DriveState(Reading):
     lost: int = 0
 
 
+def hottest(temperatures: Iterable[float]) -> float:
+    """Return the greatest of the temperatures that are known; NaN if none is."""
+    return max((each for each in temperatures if not math.isnan(each)), default=math.nan)
+
+
 class NoReply(DriveError):
     """A single request got no valid reply in time: lost, late, garbled or truncated. Links raise it."""
 
@@ -101,7 +106,8 @@ class Link(Protocol):
     name : str
         Make, number and port, as messages name it ("moteus 1 on /dev/ttyACM0").
     watchdog : float
-        Time, s, after which the device itself goes passive without a request.
+        Time, s, after which the device itself stops without a request. What that means differs: an ODrive is without
+        torque then, a moteus damps the arm unless its setting servo.timeout_mode is 0, a Dynamixel holds it.
     takes : frozenset of {"rate", "torque"}
         What it takes with an angle.
     clock : callable
@@ -187,7 +193,8 @@ class Drive:
     on, its angle must lie within the limits (a counter that wrapped is named, if the limits span less than a turn); a
     goal must lie within the limits, leave room to brake before those of the angle, and lie near the shaft if it is the
     first, and its feed-forward torque is clipped; each reply is checked for faults, temperature, torque, an angle
-    outside the limits, deviation and jumps; the device's own watchdog stops it when the host falls silent.
+    outside the limits, deviation and jumps (temperature, torque and deviation act once seen in three readings in a row,
+    or for 15 ms); the device's own watchdog stops it when the host falls silent.
 
     While it is connected, SIGTERM and SIGHUP end a program that does not handle them through the same exit as an
     exception. No signal, so no Ctrl-C, interrupts an exchange with the device or the switching off of its torque: it is
@@ -216,7 +223,8 @@ class Drive:
         self._connected = self._enabled = False  # enabled: the torque may be on
         self._silent: float | None = None  # since when requests have not been answered
         self._goal = Goal(0.0)  # the last one, or the angle at which the torque came on
-        self._sent: float | None = None  # when it was sent; None before the first one
+        self._sent: float | None = None  # its time, s; None before the first one
+        self._beyond: list[float] = []  # when readings in a row were received that were beyond a limit, s
         self._lock = threading.RLock()
         self._signals: dict[int, Any] = {}  # handlers of before
         self._whole_blocks = self._pending = 0
@@ -299,9 +307,8 @@ class Drive:
         angle = checks.number("angle", angle, unit="rad")
         with self._whole():
             self._require_connection()
-            if self._enabled:
+            if self._enabled or (now := self._first_reading()).enabled:
                 raise DriveError("The zero of a drive is set with its torque off.")
-            now = self._first_reading()
             self.zero += self.direction * (now.angle - angle)
             self._state = replace(now, angle=angle)
             return self.zero
@@ -330,7 +337,7 @@ class Drive:
             if before.fault:
                 self._latch(f"the device reports {before.fault}")
             self._check_turn(before)
-            self._goal, self._sent = Goal(before.angle), None
+            self._goal, self._sent, self._beyond = Goal(before.angle), None, []
             limits = self.limits
             self._angle_pace = _Pace(limits.speed, STEP)
             self._rate_pace = _Pace(limits.acceleration, STEP * limits.acceleration / limits.speed)
@@ -515,24 +522,31 @@ class Drive:
     def _check_state(self, state: DriveState, before: DriveState | None) -> None:
         if not self._enabled:
             return
-        limits, wrong = self.limits, ""
-        least, greatest = limits.angles
+        least, greatest = self.limits.angles
+        wrong, beyond = "", self._beyond_limits(state)
+        self._beyond = [*self._beyond, state.received] if beyond else []
         if state.fault:
             wrong = f"the device reports {state.fault}"
         elif not state.enabled:
             wrong = "the device switched its torque off (its watchdog or a limit of its own)"
-        elif state.temperature > self.max_temperature:
-            wrong = f"temperature {state.temperature:.0f} C is above {self.max_temperature:g} C"
-        elif abs(state.torque) > 1.2 * limits.torque:  # measured torque is rough: a fifth is not yet a fault
-            wrong = f"torque {state.torque:.3g} N m is above the limit of {limits.torque:.3g} N m"
         elif not least - STEP <= state.angle <= greatest + STEP:
             wrong = f"the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
         elif before is not None and self._jumped(state, before):
             wrong = f"the shaft's angle jumped from {before.angle:.3f} to {state.angle:.3f} rad"
-        elif abs(state.angle - self._goal.angle) > self.max_deviation:
-            wrong = f"the shaft is at {state.angle:.3f} rad, the goal at {self._goal.angle:.3f} rad: it does not follow"
+        elif len(self._beyond) >= 3 or (beyond and state.received - self._beyond[0] >= 0.015):
+            wrong = beyond
         if wrong:
             self._latch(wrong)
+
+    def _beyond_limits(self, state: DriveState) -> str:
+        """Return which limit a reading is beyond that one reading alone may be beyond by a disturbance, or nothing."""
+        if state.temperature > self.max_temperature:
+            return f"temperature {state.temperature:.0f} C is above {self.max_temperature:g} C"
+        if abs(state.torque) > 1.2 * self.limits.torque:  # measured torque is rough: a fifth is not yet a fault
+            return f"torque {state.torque:.3g} N m is above the limit of {self.limits.torque:.3g} N m"
+        if abs(state.angle - self._goal.angle) > self.max_deviation:
+            return f"the shaft is at {state.angle:.3f} rad, the goal at {self._goal.angle:.3f} rad: it does not follow"
+        return ""
 
     def _jumped(self, state: DriveState, before: DriveState) -> bool:
         return abs(state.angle - before.angle) > 2.0 * self.limits.speed * (state.received - before.sent) + STEP

@@ -139,11 +139,12 @@ class DynamixelLink:
     It follows positions only: rate and torque of a goal are ignored. With a torque limit, and on models that measure
     their current, it runs in current-based position mode, which holds the limit in the servo; else in extended
     position mode. Torque is current times stall torque over stall current: rough, within about 30 %, and worse near
-    zero because of the gear's friction. Models without a current sensor (XL430, XC430) report NaN.
+    zero because of the gear's friction. Models without a current sensor (XL430, XC430) report NaN: no limit of
+    torque is kept on them.
 
-    The bus watchdog does not switch the torque off: the servo stops and holds where it is, and refuses goals until its
-    torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it counts its turns
-    from zero again.
+    The bus watchdog does not switch the torque off: the servo stops and **holds with torque** where it is, and refuses
+    goals until its torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it
+    counts its turns from zero again.
 
     Each exchange is a write without reply and a read. Replies bear no number, but reads may differ in length: a length
     whose reply is missing is not used for 0.1 s, so that a late reply cannot pass for the answer to a later request.

@@ -1,6 +1,7 @@
 """Drives by their addresses: "moteus:/dev/ttyACM0?id=2", "emulator:moteus"."""
 
 import importlib
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,13 +21,18 @@ class Make:
     link: str
     device: str
     port: str
-    options: dict[str, str] = field(default_factory=lambda: {"id": "number", "baud": "baud"})
+    options: dict[str, str] = field(default_factory=lambda: {"id": "number", "baud": "baud", "watchdog": "watchdog"})
 
 
 MAKES = {
     "moteus": Make("MoteusLink", "MoteusDevice", "/dev/ttyACM0"),
     "dynamixel": Make("DynamixelLink", "DynamixelDevice", "/dev/ttyUSB0"),
-    "odrive": Make("ODriveLink", "ODriveDevice", "can0", {"id": "number", "bitrate": "bitrate", "trial": "trial"}),
+    "odrive": Make(
+        "ODriveLink",
+        "ODriveDevice",
+        "can0",
+        {"id": "number"} | {name: name for name in ("bitrate", "trial", "torque_constant", "watchdog")},
+    ),
 }
 
 
@@ -36,9 +42,9 @@ def open_link(address: str, **options: Any) -> Link:
     Parameters
     ----------
     address : str
-        Make and port, then options with whole numbers: "moteus:/dev/ttyACM0?id=2".
+        Make and port, then options with numbers: "moteus:/dev/ttyACM0?id=2", "odrive:can0?torque_constant=0.083".
     **options
-        Further arguments of the link, such as `watchdog`, s.
+        Further arguments of the link, such as `patience`, s.
 
     Raises
     ------
@@ -63,9 +69,10 @@ def open_link(address: str, **options: Any) -> Link:
     given = dict(parse_qsl(query, keep_blank_values=True))
     checks.keys(f"an address of {name}", given, make.options)
     for key, value in given.items():
-        if not value.isdecimal():
-            raise InvalidInput(f"{key} in the motor's address is not a whole number", got=address, allowed="digits")
-        options[make.options[key]] = int(value)
+        if not re.fullmatch(r"\d+(\.\d+)?", value):
+            allowed = "digits, with a decimal point where it makes sense"
+            raise InvalidInput(f"{key} in the motor's address is not a number", got=address, allowed=allowed)
+        options[make.options[key]] = int(value) if value.isdecimal() else float(value)
     link: Link = getattr(importlib.import_module("hyperflex.hardware"), make.link)(port, **options)
     return link
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from hyperflex import checks, extras
 from hyperflex.errors import DriveError
-from hyperflex.hardware.drive import SILENCE, Goal, NoReply, Reading
+from hyperflex.hardware.drive import SILENCE, Goal, NoReply, Reading, hottest
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
@@ -51,7 +51,8 @@ class MoteusLink:
     baud : int
         Rate, bit/s, of a UART; a USB adapter ignores it.
     watchdog : float
-        Time after a goal, s, at which the controller goes passive by itself.
+        Time after a goal, s, at which the controller stops by itself. Until then it goes on at the goal's rate: at
+        8.6 rad/s by 0.26 rad in 30 ms.
     patience : float
         Time that a request may take, s. A controller answers within 1 ms, so a cycle of 5 ms is kept.
     clock : callable
@@ -61,8 +62,12 @@ class MoteusLink:
     -----
     Between goals the controller extrapolates the angle at the goal's rate. It holds a limit of speed and one of
     acceleration of its own, both twice those of the motor, for it must catch up with what it extrapolated wrongly; the
-    motor's limits are checked before a goal is sent. It also holds the limit of torque. After the watchdog it brakes
-    by damping, unless its setting servo.timeout_mode is 0 (free), and accepts goals again only after a stop.
+    motor's limits are checked before a goal is sent. It also holds the limit of torque.
+
+    After the watchdog it does what its setting servo.timeout_mode says: 12, the factory's, damps the motion **with
+    torque**, up to servo.timeout_max_torque_Nm (5 N m from the factory), whatever the limit of torque here; 0 switches
+    the torque off; 10 brakes and holds; 15 shorts the phases. Set it to 0. The state is "enabled" then, with a fault,
+    and goals are accepted again only after a stop.
     """
 
     takes = frozenset({"rate", "torque"})
@@ -73,7 +78,7 @@ class MoteusLink:
         number: int = 1,
         *,
         baud: int = 921_600,
-        watchdog: float = 0.1,
+        watchdog: float = 0.03,  # six goals at 200 Hz, three at 100 Hz
         patience: float = 4e-3,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -149,9 +154,8 @@ class MoteusLink:
         loop.close()
 
     def _on_broken(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Take note of an error in a callback of the event loop: the port is gone."""
+        """Take note of an error in a callback of the event loop; the request that runs fails, later ones are tried."""
         self._broken = context.get("exception") or OSError(context["message"])
-        loop.remove_reader(self._device.fileno())
 
     # ------------------------------------------------------------------ link
 
@@ -212,28 +216,30 @@ class MoteusLink:
             return await answer
 
     def _run(self, work: Coroutine[Any, Any, Any]) -> Any:
-        if self._broken is None and self._loop is not None:
-            try:
-                result = self._loop.run_until_complete(work)
-            finally:
-                if self._broken is not None:
-                    raise OSError(f"the port is gone: {self._broken}") from None
-            return result
-        work.close()
-        raise OSError(f"the port is gone: {self._broken}")
+        if self._loop is None:
+            work.close()
+            raise OSError("the port is closed")
+        self._broken = None
+        try:
+            result = self._loop.run_until_complete(work)
+        finally:
+            if self._broken is not None:
+                raise OSError(f"the port failed: {self._broken}") from None
+        return result
 
     def _reading(self, values: dict[int, Any], sent: float, received: float) -> Reading:
         register, mode = self._vendor.Register, self._vendor.Mode
         try:
             self._mode, code = values[register.MODE], values[register.FAULT]
+            fault = f"{FAULTS.get(code, 'unknown')} (fault {code})" if self._mode == mode.FAULT else ""
             return Reading(
                 angle=math.tau * values[register.POSITION],
                 rate=math.tau * values[register.VELOCITY],
                 torque=values[register.TORQUE],
                 voltage=values[register.VOLTAGE],
-                temperature=max(values[register.TEMPERATURE], values[register.MOTOR_TEMPERATURE]),
-                enabled=self._mode not in (mode.STOPPED, mode.FAULT, mode.TIMEOUT, mode.BRAKE),
-                fault=f"{FAULTS.get(code, 'unknown')} (fault {code})" if self._mode == mode.FAULT else "",
+                temperature=hottest((values[register.TEMPERATURE], values[register.MOTOR_TEMPERATURE])),
+                enabled=self._mode not in (mode.STOPPED, mode.FAULT, mode.BRAKE),  # in a timeout it may damp or hold
+                fault="watchdog expired (mode 11)" if self._mode == mode.TIMEOUT else fault,
                 sent=sent,
                 received=received,
             )
@@ -252,9 +258,6 @@ def _listener(vendor: Any) -> Any:
             self.heard: list[bytes] = []
             self._serial.serial.exclusive = True
             self._serial.serial.write_timeout = SILENCE
-
-        def fileno(self) -> int:
-            return int(self._serial.fd)
 
         async def _readline(self, stream: Any) -> bytes:
             line: bytes = await super()._readline(stream)

@@ -13,7 +13,7 @@ from typing import Any
 
 from hyperflex import checks, extras
 from hyperflex.errors import DriveError
-from hyperflex.hardware.drive import CONFIRM, SILENCE, SLACK, Goal, NoReply, Reading
+from hyperflex.hardware.drive import CONFIRM, SILENCE, SLACK, Goal, NoReply, Reading, hottest
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
@@ -89,7 +89,8 @@ class ODriveLink:
     trial : bool
         Whether the first :meth:`enable` tries the watchdog.
     torque_constant : float
-        Of the motor, N m/A (8.27 / KV); 0 if it is not known. With it, the limits are set in the device.
+        Of the motor, N m/A (8.27 / KV); 0 if it is not known. With it, a limit of torque is set in the device, and
+        twice the limit of speed, for it must catch up; without it a limit of torque is refused.
     patience : float
         Time that a request may take, s.
     clock : callable
@@ -226,6 +227,15 @@ class ODriveLink:
 
     def enable(self, limits: MotorLimits) -> None:
         """Set the limits, switch the torque on where the shaft is, and try the watchdog if that was not done before."""
+        if math.isfinite(limits.torque):
+            if not self.torque_constant:
+                fix = "Give its torque constant, N m/A (8.27 / KV): odrive:can0?torque_constant=0.05"
+                raise DriveError(f"{self.name} keeps no limit of torque without the constant of its motor. {fix}")
+            with _as_os_error():
+                told = self._listen(SILENCE, lambda *_: math.isfinite(self._pair(Message.TORQUES)[1]))
+            if not told:
+                fix = "Set axis0.config.can.torques_msg_rate_ms = 10 with odrivetool"
+                raise DriveError(f"{self.name} does not tell its torque, which has a limit. {fix}.")
         self._arm(limits)
         if self._trial:
             self._try_watchdog()
@@ -249,20 +259,20 @@ class ODriveLink:
 
     def _arm(self, limits: MotorLimits) -> None:
         """Go into closed-loop control with the present angle as goal, feeding the watchdog meanwhile."""
-        here = _input(Goal(self._persist().angle))
         self._expect(AxisState.IDLE)
         until = self.clock() + CONFIRM
         while True:
+            here = _input(Goal(self._persist().angle))  # anew each time: the arm may swing
             if self.torque_constant > 0.0 and math.isfinite(limits.torque):
                 speed, current = limits.speed / math.tau, limits.torque / self.torque_constant
-                self._put(Message.LIMITS, struct.pack("<ff", SLACK * speed, SLACK * current))
+                self._put(Message.LIMITS, struct.pack("<ff", 2.0 * speed, SLACK * current))
             self._put(Message.MODE, struct.pack("<II", 3, 1))  # position control, inputs passed through
             self._put(Message.INPUT_POS, here)
             self._put(Message.AXIS_STATE, struct.pack("<I", AxisState.CLOSED_LOOP))
             beat = self._beat
             while self._beat <= beat:
                 state = self._persist(here)
-            if state.enabled:
+            if self._axis == AxisState.CLOSED_LOOP and not state.fault:
                 return
             if state.fault or self.clock() > until:
                 self.disable()
@@ -285,6 +295,11 @@ class ODriveLink:
     @property
     def _errors(self) -> int:
         return int.from_bytes(self._messages[Message.HEARTBEAT][:4], "little")
+
+    @property
+    def _axis(self) -> int:
+        """State of the axis."""
+        return self._messages[Message.HEARTBEAT][4]
 
     def _expect(self, state: AxisState) -> None:
         """Take the axis to be in a state until a heartbeat says what it is in."""
@@ -326,8 +341,8 @@ class ODriveLink:
             rate=rate * math.tau,
             torque=self._pair(Message.TORQUES)[1],
             voltage=self._pair(Message.VOLTAGE)[0],
-            temperature=max(self._pair(Message.TEMPERATURE)),  # of inverter and motor, if that has a thermistor
-            enabled=self._messages[Message.HEARTBEAT][4] == AxisState.CLOSED_LOOP and not self._errors,
+            temperature=hottest(self._pair(Message.TEMPERATURE)),  # of inverter and motor, if that has a thermistor
+            enabled=self._axis != AxisState.IDLE,  # whatever its errors: it may turn in a calibration
             fault=_fault(self._errors),
             sent=sent,
             received=received,

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from typing import Self
+from urllib.parse import parse_qs
 
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
@@ -32,6 +33,15 @@ class DriveZero:
         if self.direction not in (1, -1):
             raise InvalidInput("direction of a drive", got=self.direction, allowed="1 or -1")
 
+    def check(self, address: str) -> None:
+        """Refuse a motor (an address, as of :func:`hyperflex.hardware.open_link`) that it does not belong to.
+
+        Port and id count; a zero without a motor belongs to any. Raises InvalidInput.
+        """
+        if self.motor and _port_and_id(self.motor) != _port_and_id(address):
+            fix = "Set that of this motor with hyperflex motor zero"
+            raise InvalidInput("the zero belongs to another motor", got=address, allowed=self.motor, fix=fix)
+
     def to_toml(self, path: files.PathLike) -> None:
         """Write it to a TOML file, wholly or not at all."""
         files.write_toml(path, {TABLE: asdict(self)})
@@ -45,3 +55,8 @@ class DriveZero:
             raise InvalidInput(f"{path} has no zero of a drive", allowed=f"a table [{TABLE}] with raw", fix=fix)
         checks.keys(f"the table [{TABLE}] of {path}", table, ["raw", "direction", "motor"])
         return cls(**table)
+
+
+def _port_and_id(address: str) -> tuple[str, list[str]]:
+    place, _, query = address.partition("?")
+    return place, parse_qs(query).get("id", [])

@@ -63,6 +63,7 @@ class DynamixelDevice:
 
     Notes
     -----
+    As servos do from the factory, it holds with torque once its bus watchdog has expired (the host sets that).
     Instructions: ping, read, write, reboot. The position loop's gains are those of the plant, not of the registers,
     and the current limit is not applied.
     """

@@ -32,9 +32,10 @@ class MoteusDevice:
 
     Notes
     -----
-    Emulated are stop, position mode with its watchdog (mode 11 until a stop) and its limit of speed, latched faults
+    As with its setting servo.timeout_mode at 0, which is not the factory's, the shaft is free in a timeout. Emulated
+    are stop, position mode with its watchdog (mode 11 until a stop) and its limit of speed, latched faults
     (mode 1 until a stop) and reads of any register, of which those without a meaning here read 0. Not emulated are the
-    limits of acceleration and torque, the damping of a timeout (the shaft is free), other modes and the diagnostic
+    limits of acceleration and torque, the factory's damping in a timeout (mode 12), other modes and the diagnostic
     stream. A broken checksum is an error; after a line with a checksum, all need one.
     """
 

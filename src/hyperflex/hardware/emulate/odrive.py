@@ -37,7 +37,8 @@ class ODriveDevice:
 
     Notes
     -----
-    Only messages to the device feed the watchdog, requests do not. It runs while the axis is armed. Gains and the
+    As with enable_watchdog = True, which is not the factory's: the axis is idle, without torque, once its watchdog has
+    expired. Only messages to the device feed it, requests do not. It runs while the axis is armed. Gains and the
     current limit are those of the plant.
     """
 
@@ -63,6 +64,11 @@ class ODriveDevice:
         self._goal = Goal(0.0)
         self._buffer = b""
         self._listening = False  # whether the host has opened the adapter's channel
+
+    @property
+    def options(self) -> str:
+        """What an address of it needs: the torque constant of its motor."""
+        return f"?torque_constant={self.plant.model.torque_constant:.6f}"
 
     @property
     def expired(self) -> bool:

@@ -112,7 +112,7 @@ class Emulator:
     Attributes
     ----------
     port : str
-        Path of the serial port.
+        Path of the serial port, then the options that an address of such a device needs (those of the ODrive).
     states : Rows
         Rows as of :attr:`EmulatorLog.states`, to be handed to a process that draws the rope.
 
@@ -251,7 +251,7 @@ def emulate(
 def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows, sample: float) -> None:
     wire, plant, began = FaultyWire(), device.plant, time.monotonic()
     _record(states, plant)
-    link.send(terminal.port)
+    link.send(terminal.port + getattr(device, "options", ""))
     due = began  # of the next sample
     while True:
         listened: list[Any] = [*terminal.ends, link]
