@@ -196,3 +196,18 @@ def test_a_marker_that_never_moves_is_named(told):
         identify(
             Recording(t, places, kind="markers"), DOUBLE, ["friction"], setup=RecordingSetup(arc_lengths=arc_lengths)
         )
+
+
+def test_a_rope_held_at_both_ends_is_not_called_reversed():
+    """Both ends stand still but for 1 mm of noise, which is no motion of the first."""
+    t, along = np.arange(300) / 50.0, np.linspace(0.0, 1.0, 6)
+    sway = 0.1 * np.sin(np.pi * along) * np.cos(4.0 * t)[:, None]
+    places = np.stack([0.5 * along + sway, -0.2 * np.sin(np.pi * along) + 0.3 * sway], axis=2)
+    places += 1e-3 * np.random.default_rng(0).standard_normal(places.shape)
+    rope = Rope(length=[0.12] * 5, mass=[0.02] * 5)
+    with pytest.raises(InvalidInput, match="marker 5 never moves.*held at both ends"):
+        identify(Recording(t, places.reshape(t.size, -1), kind="markers"), rope)
+    run = simulate(DOUBLE, duration=t[-1], t_eval=t, q0=[0.8, 1.2], tol=1e-7)
+    places = run.joints[:, ::-1] + 1e-4 * np.random.default_rng(0).standard_normal((t.size, 3, 2))
+    with pytest.raises(InvalidInput, match="The first marker moves"):
+        identify(Recording(t, places.reshape(t.size, -1), kind="markers"), DOUBLE)

@@ -302,6 +302,12 @@ class Kind(StrEnum):
         clock contradicts the guess: com is another, or times are to be multiplied by {clock:.3g}; J/p1 is off by
         {moved:%} then. Check the frame rate, and measure com, or free 'com'.""",
     )
+    LENGTH_OR_CLOCK = (
+        "lengths or clock contradict the guess",
+        """Links would be {factor:.3g} times as long as declared. | Gravity tells lengths and times together alone:
+        lengths are others, or times are to be multiplied by {clock:.3g}; J/p1 is off by {moved:%} then. Check the frame
+        rate, and measure one length; where it is hardly known, say so: FitOptions(length_std=0.2).""",
+    )
     PREDICTION_FAILED = (
         "prediction failed",
         """{failed} of {count} predictions of the held-out part failed (from t = {times:list} s). | The identified rope

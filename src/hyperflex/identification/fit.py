@@ -168,6 +168,8 @@ ENOUGH = 0.1
 HARDLY = 0.01
 # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 ROUGH = 1e-5
+# part of the motion: less is as exact as the simulation itself, whose rounding makes a bottom rough
+EXACT = 1e-6
 # rounds that hardly gain, though the linear model promises more, before a fit gives up
 STALLS = 5
 # in scales: farther above its bound a parameter falls by no more than this part of the way
@@ -321,7 +323,8 @@ def fit(
             if report is not None:
                 report(history[-1])
             stalled = stalled + 1 if gain < least else 0
-            converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
+            settled = free or promised < max(least, ROUGH) * before
+            converged = stalled > 0 and (settled or part_left(windows, best.residuals, best.loss) < EXACT)
             if converged or stalled == STALLS:
                 break
     return stop.deliver(replace(best, converged=converged, status=stop.status, history=tuple(history)))

@@ -248,7 +248,7 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
     if swing.max() > STILL and (swing < STUCK * swing.max()).any():
         marker, last = int(np.flatnonzero(beyond)[np.argmin(swing)]), len(reach) - 1
         fix = "See what the tracker holds there, and leave that marker out (and give arc_lengths=... of the others)"
-        if marker == last > 0 and reach[0] > STUCK * reach.max():
+        if marker == last > 0 and reach[0] > max(STUCK * reach.max(), 2.0 * reach[marker]):  # whose reach is noise
             fix = "The first marker moves: count them from where the rope hangs to its free end"
         elif marker == last > 0:
             fix = "The last marker is to be at a free end. A rope or cable held at both ends cannot be identified"

@@ -79,7 +79,7 @@ def symptoms(
     if moved := com_moved(basis):  # which the clock explains as well, and which leaves nothing known
         declared, loose = [each for each in declared if each.kind is not Kind.CLOCK], []
     far = _far(rope, basis.plant.parameters.guess, std)
-    found = [*impossible, *declared, *odd, *moved, *far, *_com_held(basis), *loose]
+    found = [*impossible, *declared, *odd, *moved, *_lengths_moved(basis, settings["length_std"]), *far, *_com_held(basis), *loose]
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
     if abs(angle) > AXES:
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
@@ -215,6 +215,28 @@ def com_moved(basis: Basis) -> list[Finding]:
             values = {"link": each.links[0], "reach": reach, "clock": reach**-0.5, "moved": abs(1.0 - reach)}
             found.append(Finding(Kind.COM_OR_CLOCK, Severity.WRONG, values))
     return found
+
+
+def _lengths_moved(basis: Basis, declared: float) -> list[Finding]:
+    """Return that all free lengths of a free swing are off alike by far more than they were `declared` to.
+
+    So does a wrong clock: with times x a and lengths x a^2 a rope swings alike.
+    """
+    parameters, information = basis.plant.parameters, basis.information
+    stds = information.deviations(np.ones(len(parameters)))
+    each = [
+        (x - p.first, np.hypot(declared, std))
+        for p, x, std in zip(parameters.all, basis.fit.x.tolist(), stds.tolist(), strict=True)
+        if p.name == "length" and p.form == "log"
+    ]
+    if not each or declared == 0.0 or basis.plant.driven or not parameters.guess.gravity.any():
+        return []
+    off, std = np.array(each).T
+    if (off > REPORTED.certain * std).all() or (-off > REPORTED.certain * std).all():
+        factor = float(np.exp(off.mean()))
+        values = {"factor": factor, "clock": factor**-0.5, "moved": abs(1.0 - factor)}
+        return [Finding(Kind.LENGTH_OR_CLOCK, Severity.WRONG, values)]
+    return []
 
 
 def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:

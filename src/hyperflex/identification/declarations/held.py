@@ -228,6 +228,13 @@ HELD: tuple[HeldQuantity, ...] = (
     ),
     HeldQuantity(
         Kind.HELD,
+        ("origin_x", "origin_y"),
+        lambda fit, word: isinstance(fit.plant.sensor, Markers),
+        declared=True,
+        reported=True,
+    ),
+    HeldQuantity(
+        Kind.HELD,
         ("length",),
         lambda fit, word: 1 < fit.rope.n_links <= FEW_LINKS and not fit.is_free("com", "inertia"),
         apart=True,

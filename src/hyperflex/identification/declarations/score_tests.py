@@ -300,14 +300,15 @@ def score_tests(
     squares that it explains is returned: residuals of real recordings are model errors, which have no noise level.
     It costs one round of a fit, with more columns. Resistances that would have to be negative explain nothing. Up to
     three that explain much are fitted along, in some of the windows. A resistance that explains much, or anything that
-    explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again.
+    explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again. So may a mass
+    or the like where residuals are no noise and nothing alone explains them.
     """
     budget = budget or Budget()
     found, by_window = _refitted_tests(basis, budget, angles=angles)
     tests = found
     freed, later, now = list[str](), dict[str, ScoreTest](), basis
     for _ in range(TESTING.hiding):
-        hiding = next((each.name for each in tests if each.masks), "")
+        hiding = _hiding(tests, coloured=now.information.whiteness < CHANCE)
         richer = fit_with(now, hiding)
         if richer is None:
             break
@@ -322,6 +323,19 @@ def score_tests(
     if CLOCK in every:
         every[CLOCK] = replace(every[CLOCK], declared_std=declared_std)
     return tuple(sorted(every.values(), key=lambda each: -each.gain)), by_window
+
+
+def _hiding(tests: Sequence[ScoreTest], *, coloured: bool) -> str:
+    """Return what is to be free for others to show; "" for nothing.
+
+    A mass and a clock that are both wrong explain little one by one: the mass, or the like, with the greatest gain, if
+    residuals are not noise and nothing is known to be wrong.
+    """
+    masking = next((each.name for each in tests if each.masks), "")
+    if masking or not coloured or any(each.significant and each.matters for each in tests):
+        return masking
+    held = (each.name for each in tests if each.gain > TESTING.equal and each.name in MASSES.words)
+    return next(held, "")
 
 
 def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
