@@ -205,7 +205,7 @@ def test_a_rope_held_at_both_ends_is_not_called_reversed():
     places = np.stack([0.5 * along + sway, -0.2 * np.sin(np.pi * along) + 0.3 * sway], axis=2)
     places += 1e-3 * np.random.default_rng(0).standard_normal(places.shape)
     rope = Rope(length=[0.12] * 5, mass=[0.02] * 5)
-    with pytest.raises(InvalidInput, match="marker 5 never moves.*held at both ends"):
+    with pytest.raises(InvalidInput, match=r"marker 5 never moves.*held at both ends"):
         identify(Recording(t, places.reshape(t.size, -1), kind="markers"), rope)
     run = simulate(DOUBLE, duration=t[-1], t_eval=t, q0=[0.8, 1.2], tol=1e-7)
     places = run.joints[:, ::-1] + 1e-4 * np.random.default_rng(0).standard_normal((t.size, 3, 2))

@@ -79,7 +79,7 @@ def symptoms(
     if moved := com_moved(basis):  # which the clock explains as well, and which leaves nothing known
         declared, loose = [each for each in declared if each.kind is not Kind.CLOCK], []
     far = _far(rope, basis.plant.parameters.guess, std)
-    found = [*impossible, *declared, *odd, *moved, *_lengths_moved(basis, settings["length_std"]), *far, *_com_held(basis), *loose]
+    found = [*impossible, *declared, *odd, *moved, *_lengths_moved(basis, settings), *far, *_com_held(basis), *loose]
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
     if abs(angle) > AXES:
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
@@ -217,11 +217,13 @@ def com_moved(basis: Basis) -> list[Finding]:
     return found
 
 
-def _lengths_moved(basis: Basis, declared: float) -> list[Finding]:
-    """Return that all free lengths of a free swing are off alike by far more than they were `declared` to.
+def _lengths_moved(basis: Basis, settings: dict[str, Any]) -> list[Finding]:
+    """Return that all free lengths of a free swing are off alike by far more than was declared of them.
 
-    So does a wrong clock: with times x a and lengths x a^2 a rope swings alike.
+    So a wrong clock shows: with times x a and lengths x a^2 a rope swings alike. Times that were declared to be better
+    known than lengths tell these.
     """
+    declared = settings["length_std"]
     parameters, information = basis.plant.parameters, basis.information
     stds = information.deviations(np.ones(len(parameters)))
     each = [
@@ -229,7 +231,8 @@ def _lengths_moved(basis: Basis, declared: float) -> list[Finding]:
         for p, x, std in zip(parameters.all, basis.fit.x.tolist(), stds.tolist(), strict=True)
         if p.name == "length" and p.form == "log"
     ]
-    if not each or declared == 0.0 or basis.plant.driven or not parameters.guess.gravity.any():
+    swings = bool(parameters.guess.gravity.any()) and not basis.plant.driven
+    if not (each and swings and 0.0 < declared <= 2.0 * settings["clock_std"]):
         return []
     off, std = np.array(each).T
     if (off > REPORTED.certain * std).all() or (-off > REPORTED.certain * std).all():
