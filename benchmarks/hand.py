@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import hyperflex as hf
+from hyperflex.errors import DriveError
 from hyperflex.execution import (
     CastRun,
     EmulatedRope,
@@ -55,23 +56,32 @@ def row(path: Path, motor: str) -> dict[str, Any]:
     """Return what became of a plan in each way."""
     plan = read_plan(path)
     assert isinstance(plan, CastPlan)
-    nominal, closed = carry_out(plan, motor), carry_out(plan, motor, follow=True)
-    runs = [nominal, closed]
+    runs: list[CastRun] = []
+
+    def tried(motion: Motion | None = None, follow: bool = False) -> bool:
+        try:
+            runs.append(carry_out(plan, motor, motion, follow))
+        except DriveError as error:  # before the cast
+            sys.stderr.write(f"{error}\n")
+            return False
+        return runs[-1].success
+
+    nominal, closed = tried(), tried(follow=True)
+    decided = runs[-1].follow if runs else None
 
     def once(motion: Motion) -> Any:
         runs.append(carry_out(plan, motor, motion))
         return runs[-1].cast_log()
 
     learned = learn_cast(plan, once, attempts=3, options=LearningOptions(wins=3))
-    last = carry_out(plan, motor, learned.motion)
-    runs.append(last)
+    last = tried(learned.motion)
     cycles = sum(len(each.log.rows) for each in runs)
     return {
         "plan": path.stem,
-        "nominal": nominal.success,
-        "closed": closed.success,
-        "decisions": [] if closed.follow is None else [each.action for each in closed.follow.decisions],
-        "learned": last.success,
+        "nominal": nominal,
+        "closed": closed,
+        "decisions": [] if decided is None else [each.action for each in decided.decisions],
+        "learned": last,
         "turns": [each.turns for each in runs],
         "stopped": [each.stopped for each in runs],
         "cycles": cycles,
