@@ -117,7 +117,9 @@ def _zero(motor: str, path: Path | None, dry_run: bool) -> "DriveZero":
         if dry_run:
             return DriveZero(0.0)
         raise InvalidInput("a real motor needs its zero", fix="Make a file with hyperflex motor zero, and give --zero")
-    return DriveZero.from_toml(path)
+    zero = DriveZero.from_toml(path)
+    zero.check(motor)
+    return zero
 
 
 def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bool, emulated: bool) -> None:
