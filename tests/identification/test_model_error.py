@@ -214,6 +214,33 @@ def test_a_law_that_acts_as_inertia_does_counts_only_if_it_is_sure():
             np.testing.assert_allclose(model, (counts or excess > 0.9) * excess * law.added, rtol=1e-9)
 
 
+@pytest.mark.parametrize("seed", [18, 21])
+def test_a_law_that_chance_gives_takes_no_more_than_there_is(seed):
+    """Where a swing hardly decays no law could tell it from another: friction seemed unknown by 400 %."""
+    random = np.random.default_rng(seed)
+    length = random.uniform(0.3, 1.2)
+    rope = Rope(length=[length], mass=[0.05], com=[length], inertia=[1e-6], friction=5e-4 * length**2)
+    t = np.arange(601) / 30.0
+    run = simulate(rope, duration=t[-1], t_eval=t, q0=[random.uniform(0.15, 0.6)], tol=1e-8)
+    angles = run.q + 3e-3 * random.standard_normal(run.q.shape)
+    found = identify(Recording(t, angles, noise=3e-3), rope.replace(friction=[5e-5]))
+    assert all(each.values.min() >= 0.0 for each in found.score_tests if each.name in ("drag", "dry_friction"))
+    assert abs(found.ratios["c/p1"][0] / (5e-4 * length / 0.05) - 1.0) < 0.1
+    assert found.ratio_std["c/p1"][0] < 0.1 * found.ratios["c/p1"][0]
+
+
+def test_what_a_law_leaves_less_known_of_a_friction_is_no_more_than_it_is():
+    rope = Rope(length=[0.3], mass=[0.1], friction=2e-4)
+    t, q = swing(rope, [0.8])
+    basis = identify(Recording(t, noisy(q)), rope, options=FitOptions(length_std=0.0, clock_std=0.0))._basis
+    assert basis is not None
+    size = len(basis.fit.x)
+    drag = ScoreTest("drag", 0.1, np.ones(1), std=1.0, shift=np.zeros(size), added=100.0 * np.eye(size))
+    model = with_model_error(basis, [replace(drag, excess_gain=0.95)], np.zeros(4)).information.model
+    friction = basis.plant.parameters.labels.index("friction[0]")
+    assert model[friction, friction] == pytest.approx(0.95 * basis.fit.x[friction] ** 2, rel=1e-6)
+
+
 @pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
 @pytest.mark.nightly
 def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_out):

@@ -220,6 +220,29 @@ def test_a_better_optimum_on_the_way_is_told():
     assert honest.better is None
 
 
+class Misled(Line):
+    """Its derivatives point the wrong way, so that no step gains what they promise."""
+
+    tries = 0
+
+    def predict(self, x: Array, t: Array, state: Array) -> Array | None:
+        self.tries += 1
+        return super().predict(x, t, state)
+
+    def jacobian(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
+        seen = super().jacobian(x, t, state)
+        return None if seen is None else PredictedChannels(seen.channels, -self.own, -self.shared)
+
+
+def test_a_fit_that_nothing_helps_does_not_try_the_same_again():
+    wrong, (window,) = waves(60), fitted(waves(60), np.ones((60, 1))).windows
+    wrong = Misled(wrong.shared, wrong.own, wrong.truth)
+    found = fit(wrong, [window], wrong.truth + 1.0, [window.guess], enough=1e-9)
+    assert not found.converged
+    assert len(found.history) == 1
+    assert wrong.tries < 20  # a damping each, of 13 decades
+
+
 def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch):
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=0))

@@ -317,7 +317,8 @@ def fit(
             best = best.scaled()
             before, linear = best.cost, problem.linear(best)
             promised = problem.predicted_decrease(best, linear)
-            best, damping, free = problem.improved(best, linear, damping)
+            start, tried = best, damping
+            best, damping, free = problem.improved(start, linear, tried)
             gain = (before - best.cost) / before if before > 0.0 else 0.0
             history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
             if report is not None:
@@ -325,7 +326,7 @@ def fit(
             stalled = stalled + 1 if gain < least else 0
             settled = free or promised < max(least, ROUGH) * before
             converged = stalled > 0 and (settled or part_left(windows, best.residuals, best.loss) < EXACT)
-            if converged or stalled == STALLS:
+            if converged or stalled == STALLS or (best is start and tried <= DAMPING):  # the next would be the same
                 break
     return stop.deliver(replace(best, converged=converged, status=stop.status, history=tuple(history)))
 

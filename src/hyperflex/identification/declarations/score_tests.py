@@ -375,11 +375,15 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
     information, slope = matrix[np.ix_(own, own)] - across @ matrix[:, own], score[own] - across @ score
     sizes, directions = np.linalg.eigh(information)
     information = (directions * np.where(sizes > TESTING.tiny, sizes, 0.0)) @ directions.T  # less is rounding
-    step = _possible_step(information, slope, found.x[own] <= lower[own])
-    gain = -float(step @ slope) / found.total
+    rate = -(across.T / scale[:, None])[:count]
+    if base(name) in LAWS:
+        shift, step, gain = _resisting(found, count, own, slope)
+    else:
+        step = _possible_step(information, slope, found.x[own] <= lower[own])
+        shift = np.maximum(rate @ step, lower[:count] - basis.fit.x)  # no resistance gets negative
+        gain = -float(step @ slope) / found.total
     noise = basis.information.variance * basis.information.correlation
     chance = noise * max(1, int(np.count_nonzero(step)))
-    rate = -(across.T / scale[:, None])[:count]
     with np.errstate(over="ignore"):
         moved = found.x[own] + step / scale[own]
         values = np.array([each.value(x) for each, x in zip(parameters, moved, strict=True)])
@@ -391,7 +395,7 @@ def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
         min(gain, 1.0),
         values,
         std=float(std.max()) if np.linalg.eigvalsh(information)[0] > TESTING.tiny else np.inf,
-        shift=np.maximum(rate @ step, lower[:count] - basis.fit.x),  # no resistance gets negative
+        shift=shift,
         added=noise * rate @ inverse @ rate.T,
         excess_gain=max(0.0, 1.0 - chance / (gain * found.total)) if gain > 0.0 else 0.0,
         rate=rate * acting,
@@ -420,7 +424,7 @@ def _inverse(information: Array) -> Array:
 def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
     """Return the step (k,) that the score requires, 0 of what is at its bound and would pass it."""
     active, step = np.ones(score.size, dtype=bool), np.zeros(score.size)
-    for _ in range(score.size):
+    for _ in range(score.size + 1):  # until none is left
         inner = _inverse(information[np.ix_(active, active)])
         step[:] = 0.0
         step[active] = -inner @ score[active]
@@ -429,6 +433,27 @@ def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
             break
         active &= ~passing
     return step
+
+
+def _resisting(found: Scores, size: int, own: list[int], slope: Array) -> tuple[Array, Array, float]:
+    """Return the shift of x (`size`,), the step (k,) of an omitted law, and its part of the squares, to first order.
+
+    Neither it nor what is free passes its bound: where little tells resistances apart, what one explains by making
+    another negative is noise. slope (k,): score of its own numbers, what is free eliminated.
+    """
+    from scipy.optimize import lsq_linear
+
+    which, count = [*found.free, *own], len(found.free)
+    matrix = found.information.sum(axis=0)[np.ix_(which, which)]
+    sizes, directions = np.linalg.eigh(matrix)
+    root, known = np.sqrt(sizes[sizes > TESTING.tiny]), directions[:, sizes > TESTING.tiny]
+    score = np.append(np.zeros(count), slope)
+    scale, above = found.scale[which], (found.x - found.plant.parameters.lower)[which]
+    room = np.multiply(above, scale, out=np.full(scale.size, np.inf), where=np.isfinite(scale))
+    step = lsq_linear((known * root).T, -(known.T @ score) / root, (-np.maximum(room, 0.0), np.inf), method="bvls").x
+    shift = np.zeros(size)
+    shift[found.free] = step[:count] / scale[:count]
+    return shift, step[count:], max(0.0, -float(step @ (2.0 * score + matrix @ step)) / found.total)
 
 
 def part_of(basis: Basis) -> Basis:

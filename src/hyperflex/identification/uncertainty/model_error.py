@@ -11,6 +11,7 @@ from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.model import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
+from hyperflex.model import PROPERTIES
 
 SHOWN = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits of a law, which cannot be negative
 # standard deviations of a moment or inertia: what moves it, or leaves it less known, by more acts nearly as it does,
@@ -42,8 +43,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
         own = each.law or each.name == DRIFT  # which has a separate std
         shown = white or own or each.significant or each.suspected
         counts = shown and each.excess_gain > SHOWN and not (each.slight and each.freed_with)
-        shift = _shift(each, basis)
-        error = np.outer(shift, shift) + (each.added if each.law else 0.0)
+        error = _error(each, basis)
         if each.std == np.inf or (np.diag(error) > ALIKE**2 * known).any():
             counts = counts and each.excess_gain > TESTING.sure
         if counts or each.name == LINKS:  # whose excess_gain is a probability
@@ -66,6 +66,27 @@ def with_prediction_error(basis: Basis, factor: float) -> Basis:
     information = basis.information
     more = (factor**2 - 1.0) * information.total
     return replace(basis, information=replace(information, model=information.model + more))
+
+
+def _damps(name: str) -> bool:
+    """Whether a property is a resistance that takes energy."""
+    return name in LAWS and PROPERTIES[name].unit != "N m/rad"
+
+
+def _error(test: ScoreTest, basis: Basis) -> Array:
+    """Return the covariance (P, P) of x by what a test has held: its shift, and what a law leaves less known.
+
+    A law that takes energy leaves the others less to take: no more of a resistance is in doubt than it is, or moves by.
+    """
+    shift = _shift(test, basis)
+    error: Array = np.outer(shift, shift) + (test.added if test.law else 0.0)
+    if not _damps(base(test.name)):
+        return error
+    std = np.sqrt(np.maximum(np.diag(error), 0.0))
+    damped = np.array([_damps(each.name) for each in basis.plant.parameters.all])
+    most = np.where(damped, np.maximum(np.abs(shift), basis.fit.x - basis.plant.parameters.lower), np.inf)
+    part = np.divide(most, std, out=np.ones(std.size), where=std > most)
+    return error * np.outer(part, part)
 
 
 def _shift(test: ScoreTest, basis: Basis) -> Array:
@@ -143,12 +164,11 @@ def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[s
     differs along the rope counts only if that is believed: what little is known of it would leave nothing known.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
-    own = np.array([p.name in LAWS and p.kind.unit != "N m/rad" for p in parameters.all]) & (x > parameters.lower)
+    own = np.array([_damps(p.name) for p in parameters.all]) & (x > parameters.lower)
     sizes, names = np.zeros(x.size), [""] * x.size
     for each in tests:
         if each.law and each.shift.size and (each.significant or not each.uneven):
-            shift = _shift(each, basis)
-            size = np.sqrt(shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
+            size = np.sqrt(np.maximum(np.diag(_error(each, basis)), 0.0)) * own
             names = [each.name if more else name for more, name in zip(size > sizes, names, strict=True)]
             sizes = np.maximum(sizes, size)
     return sizes, names

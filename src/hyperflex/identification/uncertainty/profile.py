@@ -133,7 +133,7 @@ class Coordinate:
 class ProfileOptions:
     """How a profile walks away from the optimum."""
 
-    # gain of a round, in units of the residual variance, below which a point of the profile has settled
+    # gain of a round, as a rise of the profile, below which a point of it has settled
     finish: float = 0.01
     # std to which an end is found
     close: float = 0.01
@@ -288,13 +288,10 @@ class _ProfileSearch:
         self.rounds = WALK.most_rounds  # that one side may still take
         self.settled = True  # whether the last fit that could be simulated has converged
         basis = along.basis
-        found, variance = basis.fit, basis.information.variance
-        loss, enough = (
-            Loss(found.loss.name, found.loss.scale, fixed=True),
-            WALK.finish * variance / max(found.cost, 1e-300),
-        )
+        found, self.unit = basis.fit, along.unit
+        loss = Loss(found.loss.name, found.loss.scale, fixed=True)
+        enough = WALK.finish * self.unit / max(found.cost, 1e-300)
         self._fit = partial(fit, basis.plant, basis.windows, loss=loss, enough=enough, budget=budget, report=report)
-        self.unit = along.unit
         best = self._fit(found.x, found.states, rounds=10, target=None)
         self.least = best.cost
         self.points = [self._point(best, best.cost)]
