@@ -86,7 +86,7 @@ def _error(test: ScoreTest, basis: Basis) -> Array:
     damped = np.array([_damps(each.name) for each in basis.plant.parameters.all])
     most = np.where(damped, np.maximum(np.abs(shift), basis.fit.x - basis.plant.parameters.lower), np.inf)
     part = np.divide(most, std, out=np.ones(std.size), where=std > most)
-    return error * np.outer(part, part)
+    return np.asarray(error * np.outer(part, part))
 
 
 def _shift(test: ScoreTest, basis: Basis) -> Array:
