@@ -22,8 +22,10 @@ for library in (
 ):  # tests run side by side: threads that wait for each other take most of the time
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what it leaves in the background
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# as a shell, or nohup, starts what it leaves in the background
+for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, usual)
 
 # The first example compiles kernels, so a deadline would time the compiler; "ci" draws the same examples in each run.
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])

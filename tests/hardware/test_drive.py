@@ -528,8 +528,8 @@ def limited(**limits):
 
 
 def test_a_motion_within_all_limits_is_accepted():
-    limited(speed=6.67, acceleration=22.3, angles=(-1.0, 1.0)).check_motion(SWING)
-    limited().check_motion(hold_arm(1.0))
+    assert limited(speed=6.67, acceleration=22.3, angles=(-1.0, 1.0)).check_motion(SWING) is None
+    assert limited().check_motion(hold_arm(1.0)) is None
 
 
 @pytest.mark.parametrize(
