@@ -247,7 +247,8 @@ def test_no_command_beyond_the_limits_arrives_over_a_bad_wire(make, rig, motor, 
     known = np.unique(sent)
     k = np.clip(np.searchsorted(known, come), 1, known.size - 1)
     from_sent = np.minimum(np.abs(come - known[k - 1]), np.abs(come - known[k]))
-    assert np.minimum(from_sent, motor.steps).max() <= make.resolution
+    coasted = 2e-3  # rad that a coasting shaft moves between its reading and the arrival of the goal to hold there
+    assert np.all((from_sent <= make.resolution) | (np.array(motor.steps) <= coasted))
 
 
 # ---------------------------------------------------------------------- exits
