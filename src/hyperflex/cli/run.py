@@ -11,7 +11,7 @@ from hyperflex import files
 from hyperflex.cli import output
 from hyperflex.cli.command import Given, OutFolder, positive
 from hyperflex.cli.output import Rows
-from hyperflex.errors import DriveError, InvalidInput, MissingPackage
+from hyperflex.errors import DriveError, Interrupted, InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
 
 if TYPE_CHECKING:
@@ -130,9 +130,12 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
     lines: list[str] = []
 
     def cast(motion: Any = None) -> Any:
-        runs.append(once(motion))
+        done, halted = output.run(lambda: once(motion))
+        runs.append(done)
         written.update(_write(runs[-1], out, f"run-{len(runs)}" if repeat > 1 else "run"))
         output.note(f"cast {len(runs)}: {runs[-1].message or 'the rope is wound'}")
+        if halted:
+            raise Interrupted(done)
         if learn and runs[-1].stopped:
             raise DriveError(runs[-1].stopped)
         return runs[-1].cast_log() if learn else None

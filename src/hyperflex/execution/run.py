@@ -350,7 +350,7 @@ def open_drive(address: str, limits: MotorLimits, zero: DriveZero | None = None,
     return Drive(open_link(address), limits, zero=known.raw, direction=known.direction, max_deviation=max_deviation)
 
 
-@interruptible()
+@interruptible(CastRun)
 def run_plan(
     plan: CastPlan,
     connect: Callable[[], Drive],
