@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.execution.cast_run import CastRun, observed_turns
     from hyperflex.execution.emulated import EmulatedRope, emulator_of
     from hyperflex.execution.learning import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
     from hyperflex.execution.page import RunPage
-    from hyperflex.execution.run import CastRun, ClockedSource, RunOptions, observed_turns, open_drive, run_plan
+    from hyperflex.execution.run import ClockedSource, RunOptions, open_drive, run_plan
     from hyperflex.execution.stream import MotionStream, StreamLog
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.execution.run import observed_turns
+from hyperflex.execution.cast_run import observed_turns
 from hyperflex.hardware import Emulator, MotorModel, emulated_device
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope

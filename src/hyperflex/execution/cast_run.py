@@ -1,0 +1,278 @@
+"""A cast as it was carried out: its log, what the plan's simulation predicts of it, and whether the rope is wound."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hyperflex import files
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.execution.learning import CastLog
+from hyperflex.execution.stream import FIELDS, StreamLog
+from hyperflex.files import NetCDF, PathLike, Variable
+from hyperflex.interfaces import RopeState
+from hyperflex.model import Arm, Peg, Rope
+from hyperflex.motion import Motion
+from hyperflex.planning import CastPlan, FollowResult
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+from hyperflex.status import Status
+from hyperflex.trajectory import swept
+from hyperflex.winding import measure_winding
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEFT = 0.05  # m from the plan at which the rope counts as having left it: the radius of a usual target
+NEAR_PLAN = 0.25  # of the difference between a wound and a hanging rope's torque, within which a torque decides
+
+
+def observed_turns(rope: Rope, arm: Arm, state: RopeState, arm_angle: float, peg: Peg) -> float:
+    """Return the signed turns of a rope's links about a peg, from the arm's tip to its end.
+
+    NaN if a link is longer than half the way round the peg: then turns between two joints do not show.
+    """
+    if rope.length.max() > math.pi * (peg.radius + rope.radius):
+        return math.nan
+    joints = rope.joints(state.q, arm.tip(arm_angle))
+    return float(swept(joints - np.array([peg.x, peg.y])).sum() / math.tau)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The simulated run of a plan: times (T,), s, joints (T, n + 1, 2), m, and the motor's torque (T,), N m.
+
+    `touch` is the time at which the rope first touches the target, s; inf if it never does.
+    """
+
+    t: Array
+    places: Array
+    torque: Array
+    touch: float
+
+    @classmethod
+    def of(cls, plan: CastPlan, motion: Motion) -> "Prediction | None":
+        """Return that of a motion, with the plan's rope as given; None if it cannot be simulated."""
+        problem, criteria = plan.problem, plan.problem.criteria
+        duration = float(motion.breaks[-1]) + criteria.settle + criteria.watch
+        pegs = (plan.target, *problem.obstacles)
+        try:
+            run = simulate(problem.rope, motion, arm=problem.arm, duration=duration, pegs=pegs)
+        except SimulationError:
+            return None
+        shared = np.searchsorted(_arcs(run.setup.rope) + 1e-9, _arcs(problem.rope))  # links may be cut near pegs
+        touched = np.isfinite(measure_winding(run, plan.target).before)
+        touch = float(run.t[touched.argmax()]) if touched.any() else math.inf
+        return cls(run.t, run.joints[:, shared], run.motor_torque, touch)
+
+    @property
+    def free_torque(self) -> tuple[Array, Array] | None:
+        """Times, s, and torques, N m, of the free flight: blows of the contact are not sent to a motor."""
+        free = self.t < self.touch
+        return (self.t[free], self.torque[free]) if np.count_nonzero(free) > 1 else None
+
+    def joints(self, t: Array) -> Array:
+        """Return the joints (K, n + 1, 2) at times t (K,), s, interpolated."""
+        k = np.clip(np.searchsorted(self.t, t) - 1, 0, self.t.size - 2)
+        part = np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), 0.0, 1.0)[:, None, None]
+        return np.asarray((1.0 - part) * self.places[k] + part * self.places[k + 1])
+
+
+@dataclass(frozen=True, eq=False)
+class CastRun:
+    """A cast as it was carried out.
+
+    Attributes
+    ----------
+    plan : CastPlan
+    motion : Motion
+        What was commanded in the end: the planned motion, or that of the closed loop.
+    log : StreamLog
+        What was sent to the drive and read from it, times since the begin of the motion.
+    prediction : Prediction or None
+        The simulated run of the plan; None if it cannot be simulated.
+    recording : Recording or None
+        Absolute link angles as the source of the rope's state gave them; None without a source.
+    observed : (T,) float64, or None
+        Turns of the observed rope about the target at the recording's times; NaN where they do not show.
+    follow : FollowResult or None
+        The decisions, if the plan was followed in closed loop.
+    stopped : str
+        What stopped the run before its end; empty if it came to its end.
+    interrupted : bool
+        Whether the user stopped it.
+    late : int
+        Corrections that came too late to be carried out.
+    """
+
+    plan: CastPlan
+    motion: Motion
+    log: StreamLog
+    prediction: "Prediction | None" = None
+    recording: Recording | None = None
+    observed: Array | None = None
+    follow: FollowResult | None = None
+    stopped: str = ""
+    interrupted: bool = False
+    late: int = 0
+
+    @property
+    def message(self) -> str:
+        """Why the rope did not wind, or why that is unknown; empty if it wound."""
+        if self.interrupted:
+            return "interrupted: the torque was switched off"
+        if self.stopped:
+            return self.stopped
+        if self.wound is None:
+            return "nothing shows whether the rope is wound: neither a camera nor a torque that differs enough"
+        if self.wound:
+            return ""
+        seen = "" if self.turns is None else f": {abs(self.turns):.2f} turns of {self.plan.problem.criteria.turns:g}"
+        return f"the rope is not wound{seen} ({self.judged_by})"
+
+    @property
+    def status(self) -> Status:
+        """SUCCESS: the rope is wound."""
+        if self.interrupted:
+            return Status.INTERRUPTED
+        return Status.FAILED if self.message else Status.SUCCESS
+
+    @property
+    def success(self) -> bool:
+        """Whether the rope is wound."""
+        return not self.message
+
+    @property
+    def wound(self) -> bool | None:
+        """Whether the rope is wound at the end: by its observed state, else by the torque; None if nothing shows it."""
+        if self.turns is not None:
+            return abs(self.turns) >= self.plan.problem.criteria.turns
+        return self._wound_by_torque
+
+    @property
+    def judged_by(self) -> str:
+        """What shows whether it is wound: "state", "torque", or nothing."""
+        if self.turns is not None:
+            return "state"
+        return "" if self._wound_by_torque is None else "torque"
+
+    @property
+    def turns(self) -> float | None:
+        """Least turns of the observed rope about the target while it is watched; None where nothing shows them."""
+        if self.recording is None or self.observed is None:
+            return None
+        watched = self.recording.t >= self._stop + self.plan.problem.criteria.settle
+        found = self.observed[watched]
+        if not found.size or not np.isfinite(found).all():
+            return None
+        return float(found[np.argmin(np.sign(found[-1]) * found)])
+
+    @cached_property
+    def _wound_by_torque(self) -> bool | None:
+        """Whether the mean torque at the end is that of the wound rope, or that of a rope which hangs from the arm."""
+        since = self._stop + self.plan.problem.criteria.settle
+        torque = self.log.column("torque")[self.log.column("sent") >= since]
+        if self.prediction is None or not np.isfinite(torque).any():
+            return None
+        wound = float(self.prediction.torque[self.prediction.t >= since].mean())
+        arm, rope = self.plan.problem.arm, self.plan.problem.rope
+        angle = float(self.motion.angle(self._stop))
+        weight = (rope.total_mass * arm.length + arm.mass * arm.com) * math.hypot(*rope.gravity)
+        hanging = weight * math.sin(angle - rope.hanging_angle)
+        part = (float(np.nanmean(torque)) - hanging) / (wound - hanging) if wound != hanging else math.nan
+        if abs(part - 1.0) <= NEAR_PLAN:
+            return True
+        return False if abs(part) <= NEAR_PLAN else None
+
+    @cached_property
+    def deviation(self) -> tuple[Array, Array] | None:
+        """Distance (T, n + 1) of each observed joint from the plan's, m, and the recording's times (T,), s."""
+        if self.recording is None or self.prediction is None:
+            return None
+        t = self.recording.t
+        return t, np.linalg.norm(self._joints - self.prediction.joints(t), axis=-1)
+
+    @property
+    def left_plan(self) -> tuple[float, int] | None:
+        """Time, s, and joint (0: at the arm) at which the rope was first 5 cm from the plan; None if it never was."""
+        if self.deviation is None:
+            return None
+        t, away = self.deviation
+        far = away > LEFT
+        if not far.any():
+            return None
+        k = int(far.any(axis=1).argmax())
+        return float(t[k]), int(far[k].argmax())
+
+    @cached_property
+    def _joints(self) -> Array:
+        """Joints (T, n + 1, 2) of the observed rope, m, the tip last; the arm is where the drive says."""
+        recording = self.recording
+        assert recording is not None  # noqa: S101 callers have asked
+        problem, t = self.plan.problem, recording.t
+        return problem.rope.joints(recording.data, problem.arm.tip(self.log.angle(t)))
+
+    @property
+    def _stop(self) -> float:
+        return float(self.motion.breaks[-1])
+
+    def cast_log(self) -> CastLog:
+        """Return what learning needs of the run; InvalidInput if the rope was not observed."""
+        if self.recording is None:
+            raise InvalidInput("the rope was not observed", fix="Give a source of its state, such as a camera")
+        return CastLog(self.recording, arm_angle=self.log.angle(self.recording.t), wound=self.wound)
+
+    def plot(self) -> "Figure":
+        """Draw the drive and its goals, and how far the rope was from the plan: return a Matplotlib figure."""
+        from hyperflex.report import cast_run_figure
+
+        return cast_run_figure(self)
+
+    def summary(self) -> dict[str, object]:
+        """Return the run in figures, for JSON."""
+        error, jitter = np.abs(self.log.tracking_error), self.log.jitter
+        moving = self.log.column("sent") <= self._stop
+        known = error[moving & np.isfinite(error)]
+        return {
+            "success": self.success,
+            "status": self.status,
+            "message": self.message,
+            "wound": self.wound,
+            "judged_by": self.judged_by,
+            "turns": self.turns,
+            "tracking_error_rms": float(np.sqrt((known**2).mean())) if known.size else None,
+            "tracking_error_max": float(known.max()) if known.size else None,
+            "left_plan": self.left_plan,
+            "cycles": len(self.log.rows),
+            "missed_cycles": self.log.missed,
+            "late_corrections": self.late,
+            "lost_replies": int((self.log.column("lost") > 0).sum()),
+            "jitter_p99": float(np.quantile(jitter, 0.99)) if jitter.size else None,
+            "decisions": [] if self.follow is None else [each.action for each in self.follow.decisions],
+        }
+
+    def to_netcdf(self, path: PathLike) -> None:
+        """Write the drive's log, and the rope's angles if it was observed, to a NetCDF-4 file."""
+        units = dict(zip(FIELDS, ("s",) * 3 + ("rad", "rad/s", "N m") * 2 + ("V", "degC", "1"), strict=True))
+        drive = {
+            name: Variable(("cycle",), self.log.column(name), {"units": units[name], "long_name": _spaced(name)})
+            for name in FIELDS
+        }
+        if self.recording is not None:
+            drive["time"] = Variable(("time",), self.recording.t, {"units": "s", "long_name": "of the link angles"})
+            drive["link_angle"] = Variable(("time", "link"), self.recording.data, {"units": "rad"})
+        notes = {"format": "hyperflex cast run 1", "rate": self.log.rate, "missed_cycles": self.log.missed}
+        notes |= {"message": self.message, "interrupted": int(self.interrupted), "judged_by": self.judged_by}
+        files.write_netcdf(path, NetCDF(drive, notes))
+
+
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _arcs(rope: Rope) -> Array:
+    """Arc length of each joint (n + 1,), m, the tip last."""
+    return np.append(0.0, np.cumsum(rope.length))
