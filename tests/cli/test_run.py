@@ -1,10 +1,16 @@
 """``hyperflex run`` against emulated drives, and what it refuses."""
 
+import signal
+import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from hyperflex import execution
+from hyperflex.cli import output
 from hyperflex.hardware import DriveZero
+from tests.execution.ideal_link import open_ideal
 from tests.planning.known import planned
 from tests.planning.known_whip import planned_whip
 
@@ -48,6 +54,29 @@ def test_a_plan_of_a_whip_is_refused(refused, tmp_path):
     assert "no plan of a cast" in refused(
         "run", tmp_path / "whip.toml", "--motor", "emulator:moteus", "-o", tmp_path / "x"
     )
+
+
+@pytest.mark.parametrize(("stuck", "message"), [(False, "the torque was switched off"), (True, "did not confirm")])
+def test_ctrl_c_keeps_the_log_and_tells_of_the_torque(hyperflex_json, plan, tmp_path, monkeypatch, stuck, message):
+    notes, tell = tmp_path / "notes", output.note
+
+    def say(phase):
+        tell(phase)
+        if phase == "the cast runs":
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    monkeypatch.setattr(output, "note", say)
+    monkeypatch.setattr(execution, "open_drive", partial(open_ideal, notes, stuck=stuck))
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    quick = "--wait", 0, "--countdown", 0, "--approach", 1, "--calm", 0, "--zero", tmp_path / "zero.toml", "--yes"
+    code, result = hyperflex_json("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done", *quick)
+    assert (code, result["status"], result["success"]) == (130, "interrupted", False)
+    assert message in result["message"]
+    assert ("off" in notes.read_text().split()) is not stuck
+    (cast,) = result["casts"]
+    assert cast["cycles"] > 0
+    assert {Path(path).name for path in result["files"].values()} == {"run.nc", "run.png", "run.mcap"}
+    assert all(Path(path).is_file() for path in result["files"].values())
 
 
 @pytest.mark.nightly

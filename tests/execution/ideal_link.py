@@ -9,13 +9,18 @@ from hyperflex.model import MotorLimits
 
 
 class IdealLink:
-    """Reaches each goal at once; `silent_after` replies it falls silent. Each switch of the torque goes into a file."""
+    """Reaches each goal at once, and notes each switch of its torque in a file.
+
+    It falls silent after `silent_after` replies; the torque of one that is `stuck` stays on.
+    """
 
     name, watchdog, takes = "ideal motor", 0.1, frozenset({"rate", "torque"})
     clock = staticmethod(time.monotonic)
 
-    def __init__(self, notes: Path, silent_after: int = 10**9, fault_after: int = 10**9) -> None:
-        self.notes, self.left, self.sound = notes, silent_after, fault_after
+    def __init__(
+        self, notes: Path, silent_after: int = 10**9, fault_after: int = 10**9, *, stuck: bool = False
+    ) -> None:
+        self.notes, self.left, self.sound, self.stuck = notes, silent_after, fault_after, stuck
         self.angle, self.on = 0.3, False
 
     def open(self) -> None:
@@ -43,6 +48,8 @@ class IdealLink:
         return self.read()
 
     def disable(self) -> None:
+        if self.stuck:
+            return
         if self.on:
             self.note("off")
         self.on = False
@@ -55,7 +62,17 @@ class IdealLink:
 
 
 def ideal_drive(
-    notes: Path, silent_after: int = 10**9, fault_after: int = 10**9, limits: MotorLimits | None = None
+    notes: Path,
+    silent_after: int = 10**9,
+    fault_after: int = 10**9,
+    limits: MotorLimits | None = None,
+    *,
+    stuck: bool = False,
 ) -> Drive:
     """Return a drive over an ideal link."""
-    return Drive(IdealLink(notes, silent_after, fault_after), limits or MotorLimits())
+    return Drive(IdealLink(notes, silent_after, fault_after, stuck=stuck), limits or MotorLimits())
+
+
+def open_ideal(notes: Path, _: str, limits: MotorLimits, *more: object, stuck: bool = False) -> Drive:
+    """Return a drive over an ideal link, whatever its address."""
+    return ideal_drive(notes, limits=limits, stuck=stuck)

@@ -1,11 +1,14 @@
 """A planned cast carried out on a drive: its phases, its verdict, and what stops it."""
 
+import json
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 import hyperflex as hf
 from hyperflex.control import TrueState
@@ -83,6 +86,31 @@ def test_a_fault_in_the_middle_ends_the_run_and_says_so(tmp_path: Path) -> None:
     assert "over-temperature" in run.message
     assert not run.success
     assert run.log.rows.size
+
+
+def test_an_off_that_is_not_confirmed_keeps_the_log(tmp_path: Path) -> None:
+    plan = short_plan()
+    drive = partial(ideal_drive, tmp_path / "notes", stuck=True)
+    run = run_plan(plan, drive, source=SeenRope(plan), options=QUICK)
+    assert "did not confirm that its torque is off" in run.message
+    assert (run.success, run.status) == (False, "failed")
+    assert run.log.column("sent")[-1] > plan.required(plan.motion, "motion").breaks[-1]
+    assert run.recording is not None
+
+
+def test_the_logs_of_drive_and_rope_are_one_mcap_file(tmp_path: Path) -> None:
+    plan = short_plan()
+    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan), options=QUICK)
+    run.to_mcap(tmp_path / "run.mcap")
+    rope = hf.read_recording(tmp_path / "run.mcap")
+    np.testing.assert_array_equal(rope.data, run.recording.data)
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        found = [(m.log_time, json.loads(m.data)) for _, _, m in make_reader(stream).iter_messages(["/drive"])]
+    for name in ("goal_angle", "angle", "received"):
+        np.testing.assert_array_equal([each[name] for _, each in found], run.log.column(name))
+    assert [each["t"] for _, each in found] == run.log.column("sent").tolist()
+    assert found[0][0] == 0  # the arm went to its start before t = 0 of the cast
+    replace(run, recording=None).to_mcap(tmp_path / "alone.mcap")
 
 
 def test_without_a_source_and_a_torque_nobody_says_that_it_wound(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def run(
     only.
 
     With emulator:MAKE a process emulates drive, motor and rope in real time; its rope's true state is what is observed.
-    The command writes the log (NetCDF), the rope's angles (MCAP) and a figure. The exit code is 4 if the rope is not
+    The command writes the log (NetCDF and MCAP) and a figure. The exit code is 4 if the rope is not
     wound, or nothing shows that it is.
     """
     from hyperflex.execution import EmulatedRope, RunPage, emulator_of, open_drive, run_plan
@@ -168,7 +168,7 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
         message or "The rope is wound.",
         *lines,
         Rows("Written", [(name, str(path)) for name, path in written.items()]),
-        interrupted="Interrupted; the torque was switched off." if stopped else "",
+        interrupted=f"Interrupted: {(message or 'the torque is off').removeprefix('interrupted: ')}" if stopped else "",
         code=0 if good else output.NO_PLAN,
     )
 
@@ -201,17 +201,15 @@ def _milli(name: str, value: Any) -> str:
 
 def _write(run: "CastRun", out: Path, name: str) -> dict[str, Path]:
     """Write the files of a run; return their paths."""
-    from hyperflex.exchange import write_mcap
     from hyperflex.report import cast_run_figure, png
 
     out.mkdir(parents=True, exist_ok=True)
     paths = {f"{name} log": out / f"{name}.nc", f"{name} figure": out / f"{name}.png"}
     run.to_netcdf(paths[f"{name} log"])
     files.write_bytes(paths[f"{name} figure"], png(cast_run_figure(run)))
-    if run.recording is not None:
-        try:
-            write_mcap(run.recording, out / f"{name}.mcap")
-            paths[f"{name} rope"] = out / f"{name}.mcap"
-        except MissingPackage as error:
-            output.note(str(error))
+    try:
+        run.to_mcap(out / f"{name}.mcap")
+        paths[f"{name} messages"] = out / f"{name}.mcap"
+    except MissingPackage as error:
+        output.note(str(error))
     return paths

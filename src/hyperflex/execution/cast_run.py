@@ -10,6 +10,7 @@ import numpy as np
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.exchange import write_mcap
 from hyperflex.execution.learning import CastLog
 from hyperflex.execution.stream import FIELDS, StreamLog
 from hyperflex.files import NetCDF, PathLike, Variable
@@ -123,7 +124,7 @@ class CastRun:
     def message(self) -> str:
         """Why the rope did not wind, or why that is unknown; empty if it wound."""
         if self.interrupted:
-            return "interrupted: the torque was switched off"
+            return f"interrupted: {self.stopped or 'the torque was switched off'}"
         if self.stopped:
             return self.stopped
         if self.wound is None:
@@ -267,6 +268,11 @@ class CastRun:
         notes = {"format": "hyperflex cast run 1", "rate": self.log.rate, "missed_cycles": self.log.missed}
         notes |= {"message": self.message, "interrupted": int(self.interrupted), "judged_by": self.judged_by}
         files.write_netcdf(path, NetCDF(drive, notes))
+
+    def to_mcap(self, path: PathLike) -> None:
+        """Write the drive's log, and the rope's angles if it was observed, to an MCAP file: :func:`write_mcap`."""
+        drive = {"t" if name == "sent" else name: self.log.column(name) for name in FIELDS}
+        write_mcap(self.recording, path, drive=drive)
 
 
 def _spaced(name: str) -> str:

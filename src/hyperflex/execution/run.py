@@ -157,30 +157,34 @@ def run_plan(
     watch = _Watch(None, 0.0, chosen.sampling)
     duration = 120.0 + 2.0 * float(made.breaks[-1])
     drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
-    with stoppable() as stopped, drive:
-        if page is not None:
-            page.attach(drive, lambda: watch.states[-1] if watch.states else None)
-        _approach(drive, float(made.angle(0.0)), plan.problem, chosen, say)
-        _wait_until_still(drive, source, plan.problem.rope, chosen, say)
-        for k in range(math.ceil(chosen.countdown), 0, -1):
-            say(f"the cast begins in {k} s")
-            _sleep_until(time.monotonic() + min(1.0, chosen.countdown), drive)
-        begin = time.monotonic() + LEAD
-        drive.start_clock(begin)
-        drive.set_motion(made, 0.0, None if prediction is None or not chosen.feed_forward else prediction.free_torque)
-        watch = _Watch(source, begin, chosen.sampling)
-        say("the cast runs")
+    begun = False
+    with stoppable() as stopped:
         try:
-            watch.start()
-            if follow is not None:
-                found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
-                made = found.motion
-            criteria = plan.problem.criteria
-            _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive, watch)
-            drive.off()
-        except HyperflexError as error:
-            stop = str(error)
-    say("the torque is off")
+            with drive:
+                if page is not None:
+                    page.attach(drive, lambda: watch.states[-1] if watch.states else None)
+                _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say)
+                begin = time.monotonic() + LEAD
+                watch = _Watch(source, begin, chosen.sampling)
+                begun = True
+                try:
+                    drive.start_clock(begin)
+                    drive.set_motion(made, 0.0, prediction.free_torque if prediction and chosen.feed_forward else None)
+                    say("the cast runs")
+                    watch.start()
+                    if follow is not None:
+                        found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
+                        made = found.motion
+                    criteria = plan.problem.criteria
+                    _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive, watch)
+                    drive.off()
+                except HyperflexError as error:
+                    stop = str(error)
+            say("the torque is off")
+        except DriveError as error:  # at its end: the torque may be on
+            if not begun:
+                raise
+            stop = f"{stop} {error}".lstrip()
     watch.stop()
     log, recording = drive.log(), watch.recording()
     if recording is not None and source is not None:
@@ -188,6 +192,22 @@ def run_plan(
     return stopped.deliver(
         CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received, drive.late)
     )
+
+
+def _prepare(
+    drive: MotionStream,
+    start: float,
+    source: ClockedSource | None,
+    problem: Problem,
+    options: RunOptions,
+    say: Callable[[str], None],
+) -> None:
+    """Bring the arm to the start, rad, wait until the rope hangs still, and count down."""
+    _approach(drive, start, problem, options, say)
+    _wait_until_still(drive, source, problem.rope, options, say)
+    for k in range(math.ceil(options.countdown), 0, -1):
+        say(f"the cast begins in {k} s")
+        _sleep_until(time.monotonic() + min(1.0, options.countdown), drive)
 
 
 def _approach(
