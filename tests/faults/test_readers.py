@@ -13,7 +13,7 @@ import hyperflex as hf
 from hyperflex.planning.uncertainty import RopePosterior
 from hyperflex.vision import Camera, read_camera
 from tests.exchange import bags
-from tests.faults.bounds import examples, refused_or_done
+from tests.faults.bounds import apart, examples, refused_or_done
 
 T = np.linspace(0.0, 0.5, 6)
 ROPE = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=1e-4, radius=0.002)
@@ -153,4 +153,4 @@ def test_damage_is_told_or_harmless(kind, sound):
         path.write_bytes(changed(content, changes))
         refused_or_done(lambda: read(path))
 
-    damage()
+    apart(damage)

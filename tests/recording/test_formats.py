@@ -12,7 +12,7 @@ import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.recording import Recording, read_recording
 from hyperflex.recording.proposal import propose, python_line
-from tests.faults.bounds import examples, refused_or_done
+from tests.faults.bounds import apart, examples, refused_or_done
 from tests.faults.test_readers import CHANGE, changed
 from tests.recording.samples import ANGLE, BOTH, RATE, SAMPLES, Sample
 from tests.refusals import refuses
@@ -507,7 +507,7 @@ def test_damage_is_told_or_harmless(tmp_path, name, count):
         refused_or_done(lambda: read_recording(path, **sample.arguments))
         refused_or_done(lambda: propose(path))
 
-    damage()
+    apart(damage)
 
 
 @pytest.mark.parametrize("name", ["(" * 100_000, "a" + " " * 100_000 + "]", "-" * 100_000 + "q"])
