@@ -4,6 +4,7 @@ import os
 import re
 import resource
 import signal
+import sys
 import threading
 import traceback
 import warnings
@@ -83,14 +84,13 @@ def apart(call: Callable[[], Any]) -> None:
     with warnings.catch_warnings(action="ignore"):  # of threads, from Python 3.12 on: the child needs none of them
         child = os.fork()
     if child == 0:
-        failed = True
         try:
             call()
-            failed = False
-        except BaseException:  # a forked process must not go on as a second run of the tests
+        except:
             traceback.print_exc()
-        finally:
-            os._exit(failed)
+            raise
+        finally:  # in any case: a forked process must not go on as a second run of the tests
+            os._exit(sys.exc_info()[0] is not None)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
