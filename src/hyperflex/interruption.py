@@ -7,12 +7,13 @@ public call ends. Code with a partial result to keep runs its work in :func:`sto
 """
 
 import functools
+import os
 import signal
 import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
@@ -22,6 +23,13 @@ from hyperflex.status import Status
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _USUAL: dict[int, object] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+
+
+def leave_terminal() -> None:
+    """Give this process a session of its own: what is typed at the terminal (Ctrl-C, Ctrl-Z) is its parent's."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(AttributeError, OSError):  # Windows has no sessions
+        os.setsid()
 
 
 class OutOfTime(Exception):

@@ -11,17 +11,18 @@ from hyperflex.model import MotorLimits
 class IdealLink:
     """Reaches each goal at once, and notes each switch of its torque in a file.
 
-    It falls silent after `silent_after` replies; the torque of one that is `stuck` stays on.
+    It falls silent after `silent_after` replies; the torque of one that is `stuck` stays on; of one that `loses`, each
+    so many-th reply is lost while its torque is on.
     """
 
     name, watchdog, takes = "ideal motor", 0.1, frozenset({"rate", "torque"})
     clock = staticmethod(time.monotonic)
 
     def __init__(
-        self, notes: Path, silent_after: int = 10**9, fault_after: int = 10**9, *, stuck: bool = False
+        self, notes: Path, silent_after: int = 10**9, fault_after: int = 10**9, *, stuck: bool = False, loses: int = 0
     ) -> None:
         self.notes, self.left, self.sound, self.stuck = notes, silent_after, fault_after, stuck
-        self.angle, self.on = 0.3, False
+        self.angle, self.on, self.loses = 0.3, False, loses
 
     def open(self) -> None:
         self.note("open")
@@ -35,6 +36,8 @@ class IdealLink:
         self.sound -= 1
         if self.left < 0:
             raise NoReply("silent")
+        if self.loses and self.on and self.left % self.loses == 0:
+            raise NoReply("lost")
         now = time.monotonic()
         fault = "" if self.sound >= 0 else "over-temperature (33)"
         return Reading(self.angle, 0.0, 0.0, 24.0, 30.0, self.on, fault, now, now)
@@ -68,9 +71,10 @@ def ideal_drive(
     limits: MotorLimits | None = None,
     *,
     stuck: bool = False,
+    loses: int = 0,
 ) -> Drive:
     """Return a drive over an ideal link."""
-    return Drive(IdealLink(notes, silent_after, fault_after, stuck=stuck), limits or MotorLimits())
+    return Drive(IdealLink(notes, silent_after, fault_after, stuck=stuck, loses=loses), limits or MotorLimits())
 
 
 def open_ideal(notes: Path, _: str, limits: MotorLimits, *more: object, stuck: bool = False) -> Drive:

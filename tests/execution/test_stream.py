@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hyperflex as hf
 from hyperflex.errors import DriveError, InvalidInput
+from hyperflex.execution import record_test_motion
 from hyperflex.execution.stream import MotionStream
 from hyperflex.hardware import Goal
 from hyperflex.motion import hold_arm, move_arm
@@ -126,8 +128,9 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
 def test_the_torque_is_off_when_the_program_ends_by_a_signal(tmp_path: Path, number: signal.Signals) -> None:
+    """Those that are typed at a terminal go to all processes of the program."""
     program, notes = tmp_path / "program.py", tmp_path / "notes"
     program.write_text(PROGRAM)
     root = Path(__file__).parents[2]
@@ -137,10 +140,11 @@ def test_the_torque_is_off_when_the_program_ends_by_a_signal(tmp_path: Path, num
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=os.environ | {"PYTHONPATH": path},
+        start_new_session=True,
     ) as run:
         assert run.stdout is not None
         run.stdout.readline()
-        run.send_signal(number)
+        (os.killpg if number in (signal.SIGINT, signal.SIGQUIT) else os.kill)(run.pid, number)
         run.wait(20.0)
     until = time.monotonic() + 5.0
     while lines(notes)[-1] != "closed" and time.monotonic() < until:
@@ -165,3 +169,26 @@ def test_a_goal_between_two_breaks_is_the_polynomials() -> None:
     assert path.goal(0.5) == Goal(0.5, 1.0)
     assert path.goal(1.5) == Goal(1.0 - 0.125, -0.5)
     assert path.goal(3.0) == Goal(0.5)
+
+
+def test_a_test_motion_is_recorded_and_the_torque_is_off_after_it(tmp_path: Path) -> None:
+    motion = hf.arm_moves([0.3, 0.6, 0.3], [0.1, 0.1], [0.5, 0.5])
+    record = record_test_motion(partial(ideal_drive, tmp_path / "notes"), motion)
+    np.testing.assert_array_equal(record.angle, record.goal)
+    assert np.ptp(record.goal) == pytest.approx(0.3, abs=1e-3)
+    assert record.sent[-1] > motion.breaks[-1]
+    assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
+
+
+def test_a_test_motion_beyond_the_limits_moves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="beyond the limits"):
+        record_test_motion(partial(ideal_drive, tmp_path / "notes"), move_arm(0.3, 2.0, duration=0.1))
+    assert lines(tmp_path / "notes") == ["open", "closed"]
+
+
+def test_replies_that_are_lost_are_gaps_of_the_record(tmp_path: Path) -> None:
+    motion = hf.arm_moves([0.3, 0.6, 0.3], [0.1, 0.1], [0.5, 0.5])
+    record = record_test_motion(partial(ideal_drive, tmp_path / "notes", loses=7), motion)
+    lost = np.isnan(record.angle)
+    assert 0.05 < lost.mean() < 0.25
+    np.testing.assert_array_equal(record.angle[~lost], record.goal[~lost])

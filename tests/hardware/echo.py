@@ -5,6 +5,8 @@ from hyperflex.hardware.emulate import Plant
 
 
 class Echo:
+    options = ""
+
     def __init__(self, plant: Plant) -> None:
         self.plant, self._rest = plant, b""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import DriveError, FileProblem, InvalidInput
+from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.hardware import (
     Drive,
     DriveFit,
@@ -16,9 +16,7 @@ from hyperflex.hardware import (
     SimulatedMotor,
     identify_drive,
     plan_test_motion,
-    record_test_motion,
 )
-from hyperflex.motion import move_arm
 from hyperflex.planning import MotorLimits, Uncertainty
 from tests.hardware.twin import LIMITS, Truth, Twin, drawn, record_of
 
@@ -117,23 +115,6 @@ def test_the_test_motion_keeps_to_its_limits():
     assert motion.angle(t[-1:])[0] == pytest.approx(0.1)
     with pytest.raises(InvalidInput, match="no room"):
         plan_test_motion(MotorLimits(angles=(-0.1, 0.2)), 0.0)
-
-
-def test_a_motion_beyond_the_limits_moves_nothing():
-    twin = Twin(Truth())
-    with Drive(twin, LIMITS) as drive:
-        with pytest.raises(InvalidInput, match="beyond the limits"):
-            record_test_motion(drive, move_arm(0.0, 2.0, duration=0.1), sleep=twin.sleep)
-        assert not twin.enabled
-
-
-def test_torque_is_off_after_the_motion_and_after_a_refusal():
-    twin = Twin(Truth())
-    twin.send = lambda goal: (_ for _ in ()).throw(DriveError("no"))
-    with Drive(twin, LIMITS) as drive:
-        with pytest.raises(DriveError):
-            record_test_motion(drive, sleep=twin.sleep)
-        assert not twin.enabled
 
 
 def test_zero_file(tmp_path):

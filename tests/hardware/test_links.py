@@ -5,8 +5,9 @@ import pickle
 import pytest
 
 from hyperflex.hardware import DriveZero, DynamixelLink, MoteusLink, ODriveLink, open_link
-from hyperflex.hardware.emulate import DynamixelDevice, MoteusDevice, ODriveDevice
-from hyperflex.hardware.links import emulated_device
+from hyperflex.hardware.emulate import DynamixelDevice, MoteusDevice, MotorModel, ODriveDevice, Plant
+from hyperflex.hardware.links import MAKES, emulated_device
+from hyperflex.model import Arm
 from tests.refusals import refuses
 
 
@@ -35,6 +36,17 @@ def test_an_emulated_drive_is_a_device_and_no_port():
     assert emulated_device("emulator:odrive") == ("odrive", ODriveDevice)
     assert emulated_device("moteus:/dev/ttyACM0") is None
     refuses("only while it runs.*Start a", open_link, "emulator:moteus")
+    refuses("does not know this key", emulated_device, "emulator:moteus?speed=3")
+
+
+def test_the_options_of_an_emulated_drive_are_the_devices_and_its_links():
+    made = {}
+    for make in MAKES:
+        _, device = pickle.loads(pickle.dumps(emulated_device(f"emulator:{make}?id=3&watchdog=0.25")))
+        made[make] = device(Plant(MotorModel(), None, Arm()))
+        link = open_link(f"{make}:/dev/pts/1?{made[make].options}")
+        assert (link.number, link.watchdog, made[make].number) == (3, pytest.approx(0.25, abs=0.02), 3)
+    assert made["odrive"].watchdog == 0.25
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyperflex.hardware import Drive, DriveRecord, Goal, Reading, record_test_motion
+from hyperflex.hardware import Drive, DriveRecord, Goal, Reading, plan_test_motion
 from hyperflex.model import MotorLimits
 
-STEP = 5e-5  # s
+STEP = 1e-5  # s
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,6 @@ class Twin:
     def clock(self) -> float:
         return self.now
 
-    def sleep(self, seconds: float) -> None:
-        self.now += seconds
-
     def _advance(self, until: float) -> None:
         t = self.truth
         loop = (t.kp, t.kd) if self.enabled else (0.0, 0.0)
@@ -139,11 +136,18 @@ class Twin:
 LIMITS = MotorLimits(speed=12.0, acceleration=150.0, torque=5.0, angles=(-2.5, 2.5))
 
 
-def record_of(truth: Truth, limits: MotorLimits = LIMITS) -> DriveRecord:
+def record_of(truth: Truth, limits: MotorLimits = LIMITS, period: float = 5e-3) -> DriveRecord:
     """Return the record of the test motion on a twin."""
-    twin = Twin(truth)
+    twin, motion, rows = Twin(truth), plan_test_motion(limits, 0.0), []
     with Drive(twin, limits, max_deviation=5.0) as drive:  # it falls behind at its limit of speed
-        return record_test_motion(drive, sleep=twin.sleep)
+        drive.enable()
+        start = twin.now
+        while (t := twin.now - start) < motion.breaks[-1] + 0.3:
+            goal = Goal(float(motion.angle(t)), float(motion.rate(t)))
+            state = drive.command(goal)
+            rows.append((state.sent - start, state.received - start, goal.angle, goal.rate, state.angle, state.torque))
+            twin.now = max(twin.now, start + period * math.ceil((twin.now - start) / period + 1e-6))
+    return DriveRecord(*np.array(rows).T)
 
 
 def drawn(seed: int) -> Truth:

@@ -1,9 +1,10 @@
 """``hyperflex motor check``, ``identify`` and ``zero``: is it fast enough, how does it move, where is its zero."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -117,7 +118,8 @@ def identify(
     limits allow; large ones (--stroke) show the drive's own limit of speed. A real drive needs a limit of --torque.
     Torque is off before and after. Drives have only been emulated so far.
     """
-    from hyperflex.hardware import emulated_device, identify_drive, plan_test_motion, record_test_motion
+    from hyperflex.execution import record_test_motion
+    from hyperflex.hardware import emulated_device, identify_drive, plan_test_motion
     from hyperflex.report import save_png
 
     check_destination(out, ".toml", [])
@@ -135,10 +137,9 @@ def identify(
         return
     if emulated_device(motor) is None and not math.isfinite(chosen.torque):
         raise InvalidInput("a real drive is tried with a limit of torque only", fix="Give --torque, N m")
-    with _drive(motor, chosen, zero) as drive:
-        angle = drive.read().angle
-        output.note(f"{drive.link.name}: the arm at {angle:.3f} rad makes the test motion")
-        record = record_test_motion(drive, plan_test_motion(chosen, angle, stroke=stroke))
+    with _drive(motor, chosen, zero) as connect:
+        output.note(f"{connect().link.name}: the arm makes the test motion")
+        record = record_test_motion(connect, stroke=stroke)
     fit = identify_drive(record)
     fit.to_toml(out)
     written = {"drive": out}
@@ -175,7 +176,7 @@ def zero(
     from hyperflex.hardware import DriveZero
 
     check_destination(out, ".toml", [])
-    with _drive(motor, MotorLimits(), None, direction) as drive:
+    with _drive(motor, MotorLimits(), None, direction) as connect, connect() as drive:
         name, before = drive.link.name, drive.read().angle
         raw = drive.set_zero(angle)
     DriveZero(raw, direction, motor).to_toml(out)
@@ -185,26 +186,21 @@ def zero(
 
 
 @contextmanager
-def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int = 1) -> "Iterator[Drive]":
-    """Connect to a drive, or to an emulated one that runs as long as the block; its arm has no rope.
+def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int = 1) -> "Iterator[Callable[[], Drive]]":
+    """Give what returns a drive, or an emulated one that runs as long as the block; its arm has no rope.
 
     The shaft may be late by 50 ms at the speed limit, and 0.5 rad more: this shows the drive's own limit of speed.
     """
-    from hyperflex.hardware import Drive, DriveZero, Emulator, MotorModel, emulated_device, open_link
+    from hyperflex.execution import open_drive
+    from hyperflex.hardware import DriveZero, Emulator, MotorModel, emulated_device
 
     known = DriveZero(0.0, direction) if zero is None else DriveZero.from_toml(zero)
     known.check(address)
+    connect = partial(open_drive, limits=limits, zero=known, max_deviation=0.5 + 0.05 * limits.speed)
     device = emulated_device(address)
-    late = 0.5 + 0.05 * limits.speed
-    options: dict[str, Any] = {"zero": known.raw, "direction": known.direction, "max_deviation": late}
     if device is None:
-        with Drive(open_link(address), limits, **options) as drive:
-            yield drive
+        yield partial(connect, address)
         return
-
     make, kind = device
-    with (
-        Emulator(kind, MotorModel(), None, Arm(inertia=1e-3)) as emulator,
-        Drive(open_link(f"{make}:{emulator.port}"), limits, **options) as drive,
-    ):
-        yield drive
+    with Emulator(kind, MotorModel(), None, Arm(inertia=1e-3)) as emulator:
+        yield partial(connect, f"{make}:{emulator.port}")

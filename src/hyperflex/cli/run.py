@@ -97,7 +97,7 @@ def run(
             return run_plan(planned, connect, motion=motion, **given)
 
         def emulate(motion: Any = None) -> "CastRun":
-            make, emulator = emulator_of(planned, motor, MotorModel(extrapolates=motor.endswith("moteus")))
+            make, emulator = emulator_of(planned, motor, MotorModel(extrapolates=motor.startswith("emulator:moteus")))
             with emulator:  # a new one for each cast: nobody unwinds the rope
                 source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope, planned.problem.arm)
                 connect = partial(open_drive, f"{make}:{emulator.port}", limits, None, max_deviation)

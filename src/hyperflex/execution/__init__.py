@@ -6,6 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.execution.cast_run import CastRun, observed_turns
+    from hyperflex.execution.drive_record import record_test_motion
     from hyperflex.execution.emulated import EmulatedRope, emulator_of
     from hyperflex.execution.learning import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
     from hyperflex.execution.page import RunPage

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import DriveError, HyperflexError, InvalidInput
 from hyperflex.execution.cast_run import CastRun, Prediction
 from hyperflex.execution.page import RunPage
-from hyperflex.execution.stream import MotionStream, StreamLog
+from hyperflex.execution.stream import POLL, MotionStream, StreamLog
 from hyperflex.hardware import STEP, Drive, DriveZero, open_link
 from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.interruption import interruptible, stoppable
@@ -27,7 +27,6 @@ from hyperflex.recording import Recording
 LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
 HANGS = 0.2  # rad from the vertical at which a link hangs: a rope that is still wound does not
 LOST = 0.3  # s without a state of the rope after which a cast is stopped: some ten frames of a camera
-POLL = 0.01  # s between two checks while waiting
 
 
 class ClockedSource(StateSource, Protocol):

@@ -21,10 +21,12 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import DriveError, HyperflexError, InvalidInput
 from hyperflex.hardware import Drive, DriveState, Goal
+from hyperflex.interruption import leave_terminal
 from hyperflex.motion import Motion
 
 SPIN = 3e-4  # s before a deadline from which the process waits awake: a sleep may end so much too late
 START = 60.0  # s that the process may take to start: imports, and the link
+POLL = 0.01  # s between two looks at the process while waiting
 ANSWER = 2.0  # s within which the process answers a request
 MEET = 2e-3, 0.05  # rad and rad/s by which goals of a motion that comes late may differ from those of the one before
 FIELDS = (
@@ -321,7 +323,7 @@ def stream(connect: Callable[[], Drive], clear: bool, period: float, link: Conne
 
     The exit code is 0 if the torque is off for certain.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
+    leave_terminal()
     drive, ended = connect(), None
     try:
         drive.connect(clear=clear)

@@ -6,7 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.hardware.drive import STEP, Drive, DriveState, Goal, Link, Reading
-    from hyperflex.hardware.drive_fit import DriveFit, DriveRecord, identify_drive, record_test_motion
+    from hyperflex.hardware.drive_fit import DriveFit, DriveRecord, identify_drive
     from hyperflex.hardware.drive_model import DriveModel, plan_test_motion
     from hyperflex.hardware.dynamixel import DynamixelLink
     from hyperflex.hardware.emulate.plant import MotorModel

@@ -1,8 +1,8 @@
 """Identification of a drive: lag, limits, friction, inertia and backlash from a recorded test motion."""
 
 import math
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -11,12 +11,9 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.hardware.drive import Drive, Goal
-from hyperflex.hardware.drive_model import DriveModel, plan_test_motion
+from hyperflex.hardware.drive_model import DriveModel
 from hyperflex.hardware.simulated import SimulatedMotor
-from hyperflex.interruption import raise_if_cancelled
 from hyperflex.model import MotorLimits
-from hyperflex.motion import Motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,54 +70,6 @@ class DriveRecord:
     def read_at(self) -> Array:
         """Times (N,), s, for which the replies count: the middle between request and reply."""
         return 0.5 * (self.sent + self.received)
-
-
-def record_test_motion(
-    drive: Drive,
-    motion: Motion | None = None,
-    *,
-    rate: float = 200.0,
-    sleep: Callable[[float], None] = time.sleep,
-) -> DriveRecord:
-    """Make a test motion on a drive that is connected; its torque is on during the motion, and off after it.
-
-    Parameters
-    ----------
-    drive : Drive
-        Its `max_deviation` must leave room for a shaft that falls behind at its own limit of speed.
-    motion : Motion, optional
-        By default :func:`plan_test_motion` within the drive's limits, from where the arm is.
-    rate : float
-        Goals a second, Hz.
-    sleep : callable
-        Waits for a time, s.
-
-    Raises
-    ------
-    InvalidInput
-        If the motion leaves the limits, before anything moves.
-    DriveError
-        As of :meth:`Drive.command`.
-    """
-    period = 1.0 / checks.number("rate", rate, sign="positive", unit="Hz")
-    chosen = motion or plan_test_motion(drive.limits, drive.read().angle)
-    drive.check_motion(chosen)
-    rows, clock = [], drive.link.clock
-    try:
-        drive.enable()
-        start = clock()
-        while (t := clock() - start) < chosen.breaks[-1] + 0.3:  # s, in which it comes to rest
-            raise_if_cancelled()
-            goal = Goal(*(float(each(t)) for each in (chosen.angle, chosen.rate)))
-            state = drive.command(goal)
-            known = not state.stale
-            angle, torque = (state.angle, state.torque) if known else (math.nan, math.nan)
-            received = state.received - start if known else t
-            rows.append((state.sent - start if known else t, received, goal.angle, goal.rate, angle, torque))
-            sleep(max(0.0, start + period * math.ceil((clock() - start) / period + 1e-6) - clock()))
-    finally:
-        drive.off()
-    return DriveRecord(*np.array(rows).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,11 +206,15 @@ def identify_drive(record: DriveRecord) -> DriveFit:
         If the arm hardly moved.
     """
     period = float(np.median(np.diff(record.sent)))
-    fits = [_Fit(record, hold) for hold in ((period, 0.0) if record.goal_rate.any() else (period,))]
-    for each in fits:
-        each.start()
-        each.solve(15)
-    best = min(fits, key=lambda each: each.cost)
+    smooth = _Fit(record, 0.0)
+    smooth.start()
+    smooth.solve(15)
+    smooth.weigh()
+    smooth.solve(30)
+    best = held = smooth.held(period)
+    held.solve(30)
+    if record.goal_rate.any() and smooth.cost < held.cost:
+        best = smooth
     for _ in range(3):
         best.weigh()
         best.solve(30)
@@ -278,6 +231,8 @@ class _Fit:
         if np.ptp(record.angle[self.known]) < 0.05:
             raise InvalidInput("arm hardly moved in the test motion", got=float(np.ptp(record.angle[self.known])))
         self.times, self.angles = record.read_at[self.known], record.angle[self.known]
+        self.transport = float(np.mean(self.times - record.sent[self.known]))
+        self.arrived = np.where(self.known, record.read_at, record.sent + self.transport)  # goals: with the requests
         self.torques = record.torque[self.known]
         self.told = bool(np.isfinite(self.torques).all()) and float(np.ptp(self.torques)) > 0.0
         self.values = {name: bound[0] for name, bound in self.bounds.items()}
@@ -292,16 +247,22 @@ class _Fit:
         self.values["acceleration_limit"] = 2.0 * self.reached[1]
         self.free: list[str] = []
 
+    def held(self, hold: float) -> "_Fit":
+        """Return a fit with goals that are held, from here on."""
+        other = copy(self)
+        other.hold, other.values = hold, dict(self.values)
+        return other
+
     def model(self, values: Mapping[str, float]) -> DriveModel:
         """Return the model with these values."""
         fast = DriveModel(0.0, **{name: values[name] for name in MODEL}, hold=self.hold)
-        return replace(fast, delay=values["lag"] - fast.lag)
+        return replace(fast, delay=values["lag"] - self.transport - fast.lag)
 
     def predicted(self, values: Mapping[str, float]) -> tuple[Array, ...]:
         """Return reported angle, rate, torque and its rate of change (M,) at the times of the replies."""
         record = self.record
         model = self.model(values)
-        grid, angle, rate, effort = model.respond(record.sent, record.goal, record.goal_rate)
+        grid, angle, rate, effort = model.respond(self.arrived, record.goal, record.goal_rate)
         pushed = values["inertia"] * (effort + values["viscous"] * rate)
         steep = np.abs(np.gradient(pushed, grid))
         seen, *others = (np.interp(self.times, grid, each) for each in (angle, rate, pushed, steep))

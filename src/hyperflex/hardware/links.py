@@ -4,6 +4,7 @@ import importlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -16,12 +17,16 @@ EMULATOR = "emulator"
 
 @dataclass(frozen=True)
 class Make:
-    """Names of the classes of a make, an example of a port, and the link's arguments by their names in an address."""
+    """Names of the classes of a make, an example of a port, and the link's arguments by their names in an address.
+
+    Those in `shared` are arguments of the emulated device as well.
+    """
 
     link: str
     device: str
     port: str
     options: dict[str, str] = field(default_factory=lambda: {"id": "number", "baud": "baud", "watchdog": "watchdog"})
+    shared: tuple[str, ...] = ("number",)
 
 
 MAKES = {
@@ -32,6 +37,7 @@ MAKES = {
         "ODriveDevice",
         "can0",
         {"id": "number"} | {name: name for name in ("bitrate", "trial", "torque_constant", "watchdog")},
+        ("number", "watchdog"),
     ),
 }
 
@@ -64,32 +70,50 @@ def open_link(address: str, **options: Any) -> Link:
             allowed=f"such as {place}:/dev/pts/1",
             fix="Start a hyperflex.hardware.emulate.Emulator and give its port",
         )
-    make = MAKES[name]
     port, _, query = place.partition("?")
-    given = dict(parse_qsl(query, keep_blank_values=True))
-    checks.keys(f"an address of {name}", given, make.options)
+    link = getattr(importlib.import_module("hyperflex.hardware"), MAKES[name].link)
+    made: Link = link(port, **_arguments(name, query, address), **options)
+    return made
+
+
+def emulated_device(address: str) -> tuple[str, Callable[..., Any]] | None:
+    """Return make and class of the device that "emulator:MAKE" means, for an Emulator; None for any other address.
+
+    Options, as in "emulator:moteus?watchdog=0.5", go to the device as far as it has them, and on with its port.
+    """
+    name, place = _make(address)
+    if name != EMULATOR:
+        return None
+    make, _, query = place.partition("?")
+    device: Callable[..., Any] = getattr(importlib.import_module("hyperflex.hardware.emulate"), MAKES[make].device)
+    if not query:
+        return make, device
+    given = _arguments(make, query, address)
+    return make, partial(_made, device, query, {key: given[key] for key in MAKES[make].shared if key in given})
+
+
+def _made(device: Callable[..., Any], query: str, given: dict[str, float], plant: Any) -> Any:
+    """Return a device whose address has further options."""
+    made = device(plant, **given)
+    made.options = f"{made.options}&{query}".lstrip("&")
+    return made
+
+
+def _arguments(make: str, query: str, address: str) -> dict[str, float]:
+    """Return the link's arguments that the options of an address give."""
+    known, given = MAKES[make].options, dict(parse_qsl(query, keep_blank_values=True))
+    checks.keys(f"an address of {make}", given, known)
     for key, value in given.items():
         if not re.fullmatch(r"\d+(\.\d+)?", value):
             allowed = "digits, with a decimal point where it makes sense"
             raise InvalidInput(f"{key} in the motor's address is not a number", got=address, allowed=allowed)
-        options[make.options[key]] = int(value) if value.isdecimal() else float(value)
-    link: Link = getattr(importlib.import_module("hyperflex.hardware"), make.link)(port, **options)
-    return link
-
-
-def emulated_device(address: str) -> tuple[str, Callable[..., Any]] | None:
-    """Return make and class of the device that "emulator:MAKE" means, for an Emulator; None for any other address."""
-    name, place = _make(address)
-    if name != EMULATOR:
-        return None
-    device: Callable[..., Any] = getattr(importlib.import_module("hyperflex.hardware.emulate"), MAKES[place].device)
-    return place, device
+    return {known[key]: int(value) if value.isdecimal() else float(value) for key, value in given.items()}
 
 
 def _make(address: str) -> tuple[str, str]:
     """Return what stands before and after the colon of an address."""
     name, _, place = checks.text("motor", address).partition(":")
-    if name == EMULATOR and place in MAKES:
+    if name == EMULATOR and place.partition("?")[0] in MAKES:
         return name, place
     examples = [f"{make}:{each.port}" for make, each in MAKES.items()] + [f"{EMULATOR}:{make}" for make in MAKES]
     if name not in MAKES or not place.partition("?")[0]:

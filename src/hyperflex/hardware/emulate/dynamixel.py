@@ -68,6 +68,8 @@ class DynamixelDevice:
     and the current limit is not applied.
     """
 
+    options = ""  # of its address
+
     def __init__(self, plant: Plant, number: int = 1, model: int = 1030, firmware: int = 48) -> None:
         self.plant, self.number, self.servo = plant, number, SERVOS[model]
         self.t = 0.0  # s

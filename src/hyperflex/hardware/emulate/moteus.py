@@ -39,6 +39,8 @@ class MoteusDevice:
     stream. A broken checksum is an error; after a line with a checksum, all need one.
     """
 
+    options = ""  # of its address
+
     def __init__(
         self,
         plant: Plant,

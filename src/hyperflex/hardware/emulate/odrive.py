@@ -55,6 +55,7 @@ class ODriveDevice:
         self.plant, self.number, self.watchdog, self.heartbeat = plant, number, watchdog, heartbeat
         self.firmware, self.hottest = firmware, hottest
         self._rated = plant.voltage  # V
+        self.options = f"torque_constant={plant.model.torque_constant:.6f}"
         self.t = 0.0  # s
         self._fed = 0.0  # when the watchdog was fed last, s
         self._beat = 0.0  # when the last heartbeat went out, s
@@ -64,11 +65,6 @@ class ODriveDevice:
         self._goal = Goal(0.0)
         self._buffer = b""
         self._listening = False  # whether the host has opened the adapter's channel
-
-    @property
-    def options(self) -> str:
-        """What an address of it needs: the torque constant of its motor."""
-        return f"?torque_constant={self.plant.model.torque_constant:.6f}"
 
     @property
     def expired(self) -> bool:

@@ -4,7 +4,6 @@ import gc
 import multiprocessing
 import os
 import select
-import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,6 +18,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import DriveError, HyperflexError, InvalidInput
 from hyperflex.hardware.emulate.faults import FaultyWire, WireFaults
 from hyperflex.hardware.emulate.plant import MotorModel, Plant
+from hyperflex.interruption import leave_terminal
 from hyperflex.model import Arm, Rope
 
 PATIENCE = 120.0  # s within which the process answers; it may have to compile its kernels first
@@ -30,9 +30,13 @@ GOALS = ("t", "angle", "rate", "torque")
 
 
 class Device(Protocol):
-    """The device's side of a wire, on the clock that :meth:`tick` gives it; 0 is when it was made."""
+    """The device's side of a wire, on the clock that :meth:`tick` gives it; 0 is when it was made.
+
+    `options` are those that its address needs, such as "torque_constant=0.1".
+    """
 
     plant: Plant
+    options: str
 
     def tick(self, t: float) -> bytes:
         """Advance plant and device to time t, s; return what it sends unasked."""
@@ -115,7 +119,7 @@ class Emulator:
     Attributes
     ----------
     port : str
-        Path of the serial port, then the options that an address of such a device needs (those of the ODrive).
+        Path of the serial port, then the options that an address of the device needs, or was given.
     states : Rows
         Rows as of :attr:`EmulatorLog.states`, to be handed to a process that draws the rope.
 
@@ -235,7 +239,7 @@ def emulate(
     goals: Rows,
 ) -> None:
     """Run a device in real time until the parent ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, whose drive is to answer it
+    leave_terminal()  # its signals are the host's, whose drive is to answer them
     try:
         motor = Plant(**plant)
         motor.warm()
@@ -255,7 +259,7 @@ def emulate(
 def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows, sample: float) -> None:
     wire, plant, began = FaultyWire(), device.plant, time.monotonic()
     _record(states, plant)
-    link.send(terminal.port + getattr(device, "options", ""))
+    link.send(f"{terminal.port}?{device.options}".rstrip("?"))
     due = began  # of the next sample
     while True:
         listened: list[Any] = [*terminal.ends, link]
