@@ -6,8 +6,6 @@ import pytest
 from hyperflex.paper import iterative_revision
 from hyperflex.paper.identification import (
     FINER,
-    FRICTION,
-    INERTIA,
     POINTS,
     SMALL,
     SWINGS,
@@ -21,10 +19,12 @@ from hyperflex.paper.identification import (
     record,
     revised,
     settles,
+    true_rope,
     whole_error,
 )
 
 pytestmark = pytest.mark.claims
+INERTIA, FRICTION = true_rope().inertia[0], true_rope().friction[0]
 
 each_swing = pytest.mark.parametrize("swing", SWINGS, ids=lambda swing: swing.key)
 

@@ -153,18 +153,20 @@ def run(arguments: Sequence[str]) -> int:
         text += _given(error, arguments)
         stop = "" if text.endswith(("?", ".")) else "."
         path = f"hyperflex {named.name}" if named else "hyperflex"
-        return output.complain(f"{text}{stop} See {path} --help.", "UsageError", output.REFUSED)
+        return output.complain(f"{text}{stop} See {path} --help.", "UsageError", output.ExitCode.REFUSED)
     except BrokenPipeError:  # the reader of standard output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (HyperflexError, MemoryError, OverflowError, RecursionError) as error:
-        return output.complain(_refusal(error, named), type(error).__name__, output.REFUSED)
+        return output.complain(_refusal(error, named), type(error).__name__, output.ExitCode.REFUSED)
     except Exception as error:  # noqa: BLE001 last resort: even a bug must not break the promise of --json
         if _short_of_resources(error):
-            return output.complain(_refusal(MemoryError(str(error)), named), type(error).__name__, output.REFUSED)
+            return output.complain(
+                _refusal(MemoryError(str(error)), named), type(error).__name__, output.ExitCode.REFUSED
+            )
         traceback.print_exc()
         message = f"{str(error) or 'no message'}. This is a bug in hyperflex; please report it with the lines above."
-        return output.complain(message, type(error).__name__, output.FAILED)
-    return output.FAILED
+        return output.complain(message, type(error).__name__, output.ExitCode.FAILED)
+    return output.ExitCode.FAILED
 
 
 def _given(error: Any, arguments: Sequence[str]) -> str:

@@ -61,7 +61,7 @@ def doctor(
             f"{len(wrong)} wrong: {', '.join(wrong)}" if wrong else "Nothing is wrong",
             [(f"{each.state:<9}{each.name}", f"{each.found} {each.fix}") for each in found],
         ),
-        code=output.REFUSED if wrong else 0,
+        code=output.ExitCode.REFUSED if wrong else 0,
     )
 
 

@@ -18,7 +18,6 @@ from hyperflex.recording import FASTEST, Declarations, Recording, read_channels,
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
 
-_ROWS, _OF_EACH = 24, 5  # most rows of a table in the terminal, and of one ratio
 _FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report.html"}
 _WRITTEN = {"rope": "rope", "figures": "numbers", "page": "all results on one page"}
 
@@ -158,13 +157,13 @@ def identify(
     else:
         files.rescued(result.to_toml, out)
         written = {"rope": out}
-    unusable = 0 if result.success else output.NOT_USABLE
+    unusable = 0 if result.success else output.ExitCode.NOT_USABLE
     output.show(
         summary | {"files": written},
         *_blocks(result, str(written.get("page", "the folder"))),
         Rows("Written", [(_WRITTEN[kind], str(path)) for kind, path in written.items()]),
         interrupted=f"Interrupted; the best so far is in {out}, marked as interrupted." if stopped else "",
-        code=unusable if result.converged and result.ended is None else output.NOT_CONVERGED,
+        code=unusable if result.converged and result.ended is None else output.ExitCode.NOT_CONVERGED,
     )
 
 
@@ -199,7 +198,8 @@ def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
     yield Rows("Fit", rows)
     for table in filter(None, (parameters_table(found, None), ratios_table(found))):
         first = [row[0] for row in table.rows]
-        kept = [row for k, row in enumerate(table.rows) if first[:k].count(row[0]) < _OF_EACH][:_ROWS]
+        # five rows of one ratio at most, and 24 in all: a screen
+        kept = [row for k, row in enumerate(table.rows) if first[:k].count(row[0]) < 5][:24]
         shown = [k for k, name in enumerate(table.header) if name != "what it is"]
         header, *lines = (tuple(row[k] for k in shown) for row in (table.header, *kept))
         yield TextTable(header, tuple(lines))

@@ -91,7 +91,7 @@ def check(
             [("holds the hanging rope with", f"{found.holding_torque:.3g} N m"), *demands.items()],
         ),
         f"Limits for cast, whip and insert: {words}",
-        code=0 if found.success else output.NO_PLAN,
+        code=0 if found.success else output.ExitCode.NO_PLAN,
     )
 
 
@@ -157,7 +157,7 @@ def identify(
         result,
         Rows("Identified drive, SI units, 95 % intervals", rows),
         fit.message or f"Written to {out}.",
-        code=output.NOT_USABLE if fit.message else 0,
+        code=output.ExitCode.NOT_USABLE if fit.message else 0,
     )
 
 

@@ -4,6 +4,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast
 
@@ -17,11 +18,20 @@ if TYPE_CHECKING:
     from hyperflex.report import TextTable
 
 _T = TypeVar("_T")
-# exit codes; interrupted: 128 and the number of the signal
-FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE = 1, 2, 3, 4, 5
 _VALUE = r"=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|-?[\w.]+)"  # of an argument, as errors advise it
 _mode = {"json": False}
 WARNED: list[str] = []  # by the command that runs
+
+
+class ExitCode(IntEnum):
+    """How a command ended; interrupted: 128 and the number of the signal."""
+
+    SUCCESS = 0
+    FAILED = 1
+    REFUSED = 2
+    NOT_CONVERGED = 3
+    NO_PLAN = 4
+    NOT_USABLE = 5
 
 
 class Rows(NamedTuple):

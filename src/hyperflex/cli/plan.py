@@ -264,7 +264,7 @@ class Task(Source):
             "\n".join(filter(None, (report.verdict, report.warning, *notes, *report.advice))),
             Rows("Written", [(text, str(written[kind])) for kind, text in _WRITTEN.items() if kind in written]),
             interrupted=stopped if plan.interrupted else "",
-            code=0 if plan.success else output.NO_PLAN,
+            code=0 if plan.success else output.ExitCode.NO_PLAN,
         )
 
 

@@ -169,7 +169,7 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
         *lines,
         Rows("Written", [(name, str(path)) for name, path in written.items()]),
         interrupted=f"Interrupted: {(message or 'the torque is off').removeprefix('interrupted: ')}" if stopped else "",
-        code=0 if good else output.NO_PLAN,
+        code=0 if good else output.ExitCode.NO_PLAN,
     )
 
 

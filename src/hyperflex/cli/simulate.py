@@ -77,7 +77,7 @@ def simulate(
         }
         if stopped:
             output.show(part, interrupted=text)
-        output.show(part, text, code=output.NOT_CONVERGED)
+        output.show(part, text, code=output.ExitCode.NOT_CONVERGED)
     result: dict[str, Any] = {
         "output": out,
         "status": found.status,

@@ -18,7 +18,6 @@ from hyperflex.simulation import first_moment, simulate, simulate_batch, tip_cro
 from hyperflex.trajectory import State
 
 SAMPLE_TIME = 0.02  # s, of predictions
-PLANNING_TOL = 1e-4  # m; docs/how-to/accuracy.md
 SOON = 1e-6  # s after now within which a crossing is not looked for: it may be the last one
 
 
@@ -101,7 +100,7 @@ class SwingModel:
             q0=now.q,
             qd0=now.qd,
             t_eval=t,
-            tol=PLANNING_TOL,
+            tol=1e-4,  # m, enough to compare motions: docs/how-to/accuracy.md
         )
         return t, np.nan_to_num(np.abs(batch.tip[:, :, 0] - self.arm.pivot[0]))
 

@@ -29,15 +29,17 @@ from hyperflex.vision import (
 LENGTH, FINE, COARSE = 2.0, 40, 10  # m; links of the rope that made the data, and of the one that is fitted
 ARC_LENGTHS = LENGTH * np.arange(1, COARSE + 1) / COARSE  # m, of the markers: at the joints of the coarse chain
 RATE, SECONDS = 30.0, 10.0  # Hz, s: frames and length of the video
-BENDING = 1e-4  # N m^2 s, joint friction times link length: between the paper's cable and its other rope
 FREE = ("friction:shared", "inertia:shared")
 BUNDLED = Path(__file__).parent / "data" / "demo_swing.mp4"
 MAPPED = Path(__file__).parent / "data" / "demo_mapped.toml"
 
 
 def coarse_rope() -> Rope:
-    """Return the rope divided into 10 links, with the mass and the radius of the paper's cable."""
-    friction = BENDING * COARSE / LENGTH
+    """Return the rope divided into 10 links, with the mass and the radius of the paper's cable.
+
+    Friction times link length, 1e-4 N m^2 s, lies between the paper's cable and its other rope.
+    """
+    friction = 1e-4 * COARSE / LENGTH
     return Rope.uniform(LENGTH, 0.125, COARSE, 0.0025, friction=friction, name=f"demo rope, {COARSE} links")
 
 

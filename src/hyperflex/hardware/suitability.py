@@ -16,8 +16,6 @@ from hyperflex.model import Arm, MotorLimits, Rope
 from hyperflex.motion import Motion, move_arm
 from hyperflex.options import check, option
 
-SAMPLES = 2001  # of a motion, at which speed and torque are compared with the motor's
-
 
 @dataclass(frozen=True)
 class MotorData:
@@ -196,7 +194,7 @@ def check_motor(
     wanted = {text: move_arm(*half, profile) for profile, text in profiles.items()}  # type: ignore[arg-type]
     demands = []
     for name, motion in {**wanted, **(motions or {})}.items():
-        times = np.linspace(motion.breaks[0], motion.breaks[-1], SAMPLES)
+        times = np.linspace(motion.breaks[0], motion.breaks[-1], 2001)
         speed = motion.rate(times)
         torque = inertia * motion.acceleration(times) + hanging * np.sin(motion.angle(times) - rope.hanging_angle)
         torque += arm.friction * speed + arm.dry_friction * np.sign(speed)

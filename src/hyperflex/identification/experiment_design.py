@@ -37,7 +37,6 @@ from hyperflex.status import Status
 MOST_FRAMES = 1_000_000  # of an experiment: some minutes of work
 MARKERS = 11  # at most, of the default experiments
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
-RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
 RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
 FAINT = 1e-3  # a ratio below this part of the largest of its kind is compared with that
 WEIGHED = ("mass", "com", "tip_mass")  # measurable with scales
@@ -106,7 +105,8 @@ def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
         bent = ANGLES[1]
         found.append(Experiment(f"let go bent, {bent:g} to {-bent:g} rad", q0=hangs + np.linspace(bent, -bent, n)))
     if arm is not None:
-        found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest)) for rest in RESTS]
+        rests = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
+        found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest)) for rest in rests]
     return [replace(each, markers=min(n + 1, MARKERS)) for each in found]
 
 

@@ -54,12 +54,6 @@ SAME_STATE = 0.01
 SHORT = 15
 # ratio of costs within which two starts, or states of a window, have come to the same
 ALIKE = 1.05
-# of the grid of delays on either side of 0; windows; rounds of their states
-DELAY_STEPS = 16
-DELAY_WINDOWS = 4
-DELAY_ROUNDS = 2
-# part of the cost without delay that another must come below
-CLEARLY = 0.8
 # part of the motion that predictions of windows twice as long may err by for these to be fitted
 PREDICTED = 0.3
 # by which derivatives with respect to the state may grow from one half of a window to the next: 2 if errors grow with
@@ -467,27 +461,30 @@ def nearest_turn(state: Array, guess: Array) -> Array:
     return np.append(state[:n] + 2.0 * np.pi * np.round((guess[:n] - state[:n]) / (2.0 * np.pi)), state[n:])
 
 
-def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss, budget: Budget) -> float:
+def search_delay(
+    plant: Plant, measured: Measurements, length: float, loss: Loss, budget: Budget, *, steps: int = 16, most: int = 4
+) -> float:
     """Return the delay, s, that a fit starts from: of least cost on a grid within `length` (s), or 0.0 if hardly less.
 
-    A grid, since the cost has a minimum for each swing. `plant` is without torque, its delay free.
+    A grid, of `steps` on either side of 0, since the cost has a minimum for each swing: summed over `most` windows,
+    whose states take two rounds. It must fall by a fifth. `plant` is without torque, its delay free.
     """
     windows, _ = measured.windows(length)
-    windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
+    windows = windows[:: -(-len(windows) // most)] if windows else []
 
     def cost(delay: float) -> float:
         budget.check()
         x, total = with_delay(plant, delay).parameters.start, 0.0
         for window in windows:
-            found = fit_state(plant, x, window, window.guess, loss=loss, rounds=DELAY_ROUNDS)
+            found = fit_state(plant, x, window, window.guess, loss=loss, rounds=2)
             if found is None:
                 return np.inf
             total += float(np.minimum(found[1] ** 2, 9.0 * np.median(found[1] ** 2)).sum())  # outliers count little
         return total
 
-    delays = length / DELAY_STEPS * np.arange(-DELAY_STEPS, DELAY_STEPS + 1)
+    delays = length / steps * np.arange(-steps, steps + 1)
     best = min(delays.tolist(), key=cost)
-    return best if cost(best) < CLEARLY * cost(0.0) else 0.0
+    return best if cost(best) < 0.8 * cost(0.0) else 0.0
 
 
 def with_delay(plant: Plant, delay: float) -> Plant:

@@ -21,7 +21,6 @@ MOST_LINKS = 100_000  # far beyond use: a typing error must not fill the memory
 DENSITIES = (0.01, 1e5)  # kg/m^3: a hundredth of air's, and four times that of the densest metal
 TOTALS = ("length", "mass")  # in a file of the whole rope or of each link: the key says which
 GRAVITY = (0.0, -9.81)  # m/s^2
-AIR_DENSITY = 1.204  # kg/m^3, at 20 degrees Celsius and 1013 hPa
 FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
 
@@ -163,7 +162,7 @@ class Rope:
         inertia: float | None = None,
         friction: float | None = None,
         drag_coefficient: float = 0.0,
-        air_density: float = AIR_DENSITY,
+        air_density: float = 1.204,
         **others: Any,
     ) -> "Rope":
         """Cut a uniform cable into equal links.
@@ -183,8 +182,8 @@ class Rope:
             is a tangle after some seconds, in which no result can be predicted. Of one material it is in inverse
             proportion to the length of a link.
         drag_coefficient, air_density : float
-            Of the cable across the wind (a cylinder's is about 1.2) and of the air, kg/m^3: they give `drag`; by
-            default there is none.
+            Of the cable across the wind (a cylinder's is about 1.2) and of the air, kg/m^3 (default: at 20 degrees
+            Celsius and 1013 hPa): they give `drag`; without a coefficient there is none.
         **others
             Any other field of :class:`Rope`, for instance ``friction_model="printed"``.
 

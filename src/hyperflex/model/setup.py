@@ -30,7 +30,6 @@ PLAN = "plan"  # table in which a planner keeps what a run does not need
 PLANNING = (PLAN, "target", "slot", "limits", "behind")  # tables of a planner, which a run leaves alone
 DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
-FOREVER = 1e6  # s, end of a constant torque
 Control = Callable[[float, float, float, Array, Array], float]
 
 
@@ -126,7 +125,8 @@ class Setup:
         if callable(torque):
             values["control"], torque = torque, 0.0
         if torque is not None and not isinstance(torque, Motion):
-            values["torque"] = torque_profile([0.0, FOREVER], [checks.number("torque", torque, unit="N m")] * 2)
+            # a constant torque ends after 1e6 s
+            values["torque"] = torque_profile([0.0, 1e6], [checks.number("torque", torque, unit="N m")] * 2)
         x, y = checks.array("tip_force", self.tip_force, (2,), unit="N")
         values["tip_force"] = (float(x), float(y))
         for name, unit in (("q0", "rad"), ("qd0", "rad/s")):

@@ -35,8 +35,7 @@ from hyperflex.simulation import angles, simulate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LENGTH, LINK_MASS, LINKS = 1.0, 1.53e-3, 5  # m, kg; inferred
-INERTIA, FRICTION = 0.143e-6, 0.631e-3  # kg m^2 of a link, N m s/rad of a joint: what the paper found
+LINKS = 5
 RATE, POINTS, FEW = 7.5, 81, 22  # frames a second; samples; samples of the first 3 s
 NOISE = 0.01  # rad, root mean square over all samples of a recording
 SEED = 2007
@@ -84,15 +83,20 @@ DRAWN = (*SWINGS, *FINER)
 CURVES = {SMALL: BLUE, WIDE: RED, FINER[0]: GREEN}  # of Fig. 6, with their colours
 
 
+def _cylinder(friction: float, name: str) -> Rope:
+    """Return a rope with the length, 1 m, and the mass, 1.53 g a link, that we infer from the paper."""
+    return Rope.uniform(1.0, LINKS * 1.53e-3, LINKS, friction=friction, name=f"identification {name}")
+
+
 def true_rope(links: int = LINKS) -> Rope:
     """Return the rope that makes the data: of 5 links with the paper's J and eta, or, as a thin cylinder, cut finer."""
-    rope = Rope.uniform(LENGTH, LINKS * LINK_MASS, LINKS, friction=FRICTION, name="identification twin")
-    return rope.replace(inertia=INERTIA) if links == LINKS else divided(rope, links // LINKS)
+    rope = _cylinder(0.631e-3, "twin")
+    return rope.replace(inertia=0.143e-6) if links == LINKS else divided(rope, links // LINKS)
 
 
 def guess() -> Rope:
     """Return what the revision starts from: the cylinder's inertia, and the paper's 1.26e-3 N m s/rad."""
-    rope = Rope.uniform(LENGTH, LINKS * LINK_MASS, LINKS, friction=1.26e-3, name="identification guess")
+    rope = _cylinder(1.26e-3, "guess")
     return rope.replace(inertia=cylinder_inertia(rope))
 
 
@@ -164,8 +168,10 @@ def _motion(rope: Rope, start: Array, t: Array) -> Array:
 
 
 def _table(title: str, columns: dict[str, Array], **notes: str) -> Table:
+    rope = true_rope()
     parameters = (
-        f"L = {LENGTH} m, {LINK_MASS} kg a link, J = {INERTIA} kg m^2, eta = {FRICTION} N m s/rad (length and mass "
+        f"L = {rope.total_length} m, {rope.mass[0]} kg a link, J = {rope.inertia[0]} kg m^2, "
+        f"eta = {rope.friction[0]} N m s/rad (length and mass "
         f"inferred), first guess J = {guess().inertia[0]:.3g}, eta = {guess().friction[0]:.3g}; {POINTS} samples "
         f"at {RATE} Hz, noise {NOISE} rad rms"
     )
@@ -345,14 +351,15 @@ def settles(swing: Swing) -> Claim:
 
 def finds_the_truth(swing: Swing, seed: int = SEED) -> Claim:
     """C6: J and eta lie within their uncertainty of the truth. Measured: the larger distance in standard deviations."""
-    found = revised(swing, seed=seed)
+    found, true = revised(swing, seed=seed), true_rope()
+    inertia, friction = true.inertia[0], true.friction[0]
     best, j_std, eta_std = found.best, found.std["inertia"], found.std["friction"]
     note = (
-        f"J = {1e6 * best.inertia:.3f} +- {1e6 * j_std:.3f} e-6 kg m^2 (true {1e6 * INERTIA:.3f}), "
+        f"J = {1e6 * best.inertia:.3f} +- {1e6 * j_std:.3f} e-6 kg m^2 (true {1e6 * inertia:.3f}), "
         f"eta = {1e3 * best.friction:.3f} +- {1e3 * eta_std:.3f} e-3 N m s/rad "
-        f"(true {1e3 * FRICTION:.3f}); J's relative standard deviation is {j_std / INERTIA:.2f}"
+        f"(true {1e3 * friction:.3f}); J's relative standard deviation is {j_std / inertia:.2f}"
     )
-    distance = max(abs(best.inertia - INERTIA) / j_std, abs(best.friction - FRICTION) / eta_std)
+    distance = max(abs(best.inertia - inertia) / j_std, abs(best.friction - friction) / eta_std)
     statement = "J and eta are the true ones: distance in standard deviations"
     return Claim("C6", statement, swing, distance, 2.0, note, "<=")
 
@@ -398,11 +405,12 @@ _STEP4 = (
 def _sections() -> list[Section]:
     truth, first = true_rope(), guess()
     text = (
-        f"Rope: {LENGTH:g} m and {LINK_MASS:g} kg a link (inferred), {LINKS} links, J = {truth.inertia[0]:g} kg m^2, "
-        f"eta = {truth.friction[0]:g} N m s/rad; first guess J = {first.inertia[0]:.3g} (cylinder), "
-        f"eta = {first.friction[0]:g}. It is held straight and let go at rest; {POINTS} samples at {RATE:g} frames a "
-        f"second, noise {NOISE:g} rad rms. The finer rope has {DRAWN[-1].links} links, is a thin cylinder and "
-        "bends with the same friction: the fitted J and eta are then what 5 links need to move like it."
+        f"Rope: {truth.total_length:g} m and {truth.mass[0]:g} kg a link (inferred), {LINKS} links, "
+        f"J = {truth.inertia[0]:g} kg m^2, eta = {truth.friction[0]:g} N m s/rad; "
+        f"first guess J = {first.inertia[0]:.3g} (cylinder), eta = {first.friction[0]:g}. "
+        f"It is held straight and let go at rest; {POINTS} samples at {RATE:g} frames a second, "
+        f"noise {NOISE:g} rad rms. The finer rope has {DRAWN[-1].links} links, is a thin cylinder and bends "
+        "with the same friction: the fitted J and eta are then what 5 links need to move like it."
     )
     return [Section("Set-up of the identification", text=(text,))]
 

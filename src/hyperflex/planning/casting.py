@@ -39,8 +39,8 @@ OnPlan = Callable[[CastPlan], bool | None]
 # feasible. The last one is not planned for
 MARGINS = (0.0, 0.25, 0.75, 1.5)
 TURNS_STEPS = 20.0  # a turn, in which fewer turns are proposed
+NEAR = 0.2  # rope lengths, within which a plan for one target helps to find one for another
 ROBUST = 0.9  # fraction of the time of a robust plan after which its success probability is estimated
-NEIGHBOURS, NEAR = 3, 0.2  # plans that a search for one of many targets starts from; how near they are, rope lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,10 +392,10 @@ def _expected(plan: CastPlan, number: int = 0) -> FallbackTarget | None:
     return None if peg is None else FallbackTarget(peg, _distance(plan.target, peg))
 
 
-def _nearest(target: Peg, plans: list[CastPlan], rope: Rope) -> list[CastPlan]:
-    """Return the plans whose targets lie near by, the nearest first."""
+def _nearest(target: Peg, plans: list[CastPlan], rope: Rope, most: int = 3) -> list[CastPlan]:
+    """Return up to `most` plans whose targets lie near by, the nearest first."""
     near = [plan for plan in plans if _distance(target, plan.target) <= NEAR * rope.total_length]
-    return sorted(near, key=lambda plan: _distance(target, plan.target))[:NEIGHBOURS]
+    return sorted(near, key=lambda plan: _distance(target, plan.target))[:most]
 
 
 def _distance(one: Peg, other: Peg) -> float:

@@ -65,7 +65,6 @@ class SwingCoefficients:
 
 SWING = SwingCoefficients()
 FACTOR = 1.05  # between changes that are tried as remedies
-ARM_ANGLES = 721  # of the motor's range, at which the tip's way aside is measured
 RING, DIRECTIONS = 1.2, 72  # of the search for the nearest feasible target
 
 
@@ -290,7 +289,7 @@ def _gain(problem: Problem, *, fast: bool = False) -> float:
     """Angle by which one stroke widens a swing, rad; `fast`: with a motor without limits of speed."""
     least, greatest = problem.limits.angles
     stroke = min(math.pi, greatest - least)
-    aside = np.ptp(np.sin(np.linspace(least, greatest, ARM_ANGLES) - problem.rope.hanging_angle))
+    aside = np.ptp(np.sin(np.linspace(least, greatest, 721) - problem.rope.hanging_angle))
     gain = SWING.gain * problem.arm.length * float(aside) / _pendulum(problem)
     time = float(problem.limits.fastest_moves([stroke])[0][0])
     return gain if fast else gain * min(1.0, 0.5 * problem.period / time)

@@ -33,7 +33,6 @@ from hyperflex.winding import TugTest, Winding
 
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 TOO_LONG = "the verification took longer than the time allowed for it"
-BUSY = 0.5, 1.0  # part of a processor below which others have kept it from a run, and the time, s, from which it counts
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -200,9 +199,11 @@ def verify_cast(
 
 
 def too_long(budget: Budget) -> str:
-    """Return that a verification took too long, and whether other programs were the cause."""
-    least, counts = BUSY
-    if (share := budget.processor_share) > least or budget.elapsed < counts:
+    """Return that a verification took too long, and whether other programs were the cause.
+
+    They were if this process had less than half of a processor for more than a second.
+    """
+    if (share := budget.processor_share) > 0.5 or budget.elapsed < 1.0:
         return TOO_LONG
     return f"{TOO_LONG}: this machine is busy, it had {100.0 * share:.0f} % of a processor; give a longer time_budget"
 

@@ -10,19 +10,17 @@ from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MOST = 6  # links or markers that are drawn; of more, some from the first to the last
-
 
 def recording_figure(recording: Recording, names: tuple[str, ...] = ()) -> "Figure":
     """Draw a recording: angles in degrees over time; of markers x and y, m, over time, and the paths.
 
-    `names` are those of links or markers, by default their numbers.
+    `names` are those of links or markers, by default their numbers. Of many, some from the first to the last are drawn.
     """
     marked = recording.kind == "markers"
     count = recording.data.shape[1] // (2 if marked else 1)
-    shown = np.unique(np.linspace(0, count - 1, min(count, _MOST)).round().astype(int))
     names = names or tuple(f"{'marker' if marked else 'link'} {k}" for k in range(count))
     colours = [BLUE, RED, GREEN, GREY, "#7a5ea8", "#c08a2b"]
+    shown = np.unique(np.linspace(0, count - 1, min(count, len(colours))).round().astype(int))
     with new_figure(10.0, 4.6, recording.name or "recording") as figure:
         if not marked:
             axis = figure.subplots()

@@ -17,7 +17,6 @@ Indices = npt.NDArray[np.int64]
 
 GATE = -2.0 * math.log(0.001)  # squared Mahalanobis distance of a marker's own blob, exceeded once in 1000
 SLACK = 0.02  # relative stretch of the rope in a picture that is allowed
-SPARSE = 1e-6  # 1/px^2, density of clutter: one blob of the colour in a picture of a megapixel
 _CLEAR = 12.0  # difference of squared distances from which a pair is unambiguous: odds of e^6
 _UNSURE = 6.0  # with less for every pair, nothing is clear at first: odds of e^3
 _ODDS = math.log(0.8 / 0.2)  # prior odds that a marker is seen
@@ -48,7 +47,7 @@ def assign_markers(
     covariance: Array,
     *,
     gate: float = GATE,
-    clutter: float | Array = SPARSE,
+    clutter: float | Array = 1e-6,
 ) -> Assignment:
     """Assign blobs to markers that a model predicts.
 
@@ -64,8 +63,9 @@ def assign_markers(
     gate : float
         Squared Mahalanobis distance beyond which a blob is not the marker's.
     clutter : float or (M,) float64
-        Density of blobs of the colour that are no markers where each was seen, 1/px^2; see :class:`ClutterMap`. A blob
-        is taken if a marker there is likelier than clutter, which it is not if the prediction is wide.
+        Density of blobs of the colour that are no markers where each was seen, 1/px^2, by default one in a megapixel;
+        see :class:`ClutterMap`. A blob is taken if a marker there is likelier than clutter, which it is not if the
+        prediction is wide.
 
     Notes
     -----

@@ -222,7 +222,6 @@ MIN_VIEWS = 4
 LEAST_TILT = 10.0  # degrees, between the boards of two views: with less the focal length is poorly determined
 MAX_RMS = 2.0  # px: a larger reprojection error means that the board is not the declared one
 MAX_FOCAL_STD = 0.01  # of the focal length
-_MANY = 30  # views that are used: more hardly improve the fit
 _OUTLIER = 3.0  # times the median rms of a view, beyond which it is dropped
 
 
@@ -392,15 +391,18 @@ def _explain(images: Sequence[Image], board: Board) -> None:
             )
 
 
-def _spread_out(views: list[BoardView]) -> list[BoardView]:
-    """Return the views that differ most in how the board lies in the picture (farthest point first)."""
-    if len(views) <= _MANY:
+def _spread_out(views: list[BoardView], most: int = 30) -> list[BoardView]:
+    """Return the views that differ most in how the board lies in the picture (farthest point first).
+
+    More than `most` hardly improve the fit.
+    """
+    if len(views) <= most:
         return views
     extents = [np.array([*np.full(2, np.ptp(view.points, axis=0).max()), 1.0]) for view in views]
     shapes = np.array([(extent[:, None] * view.affine).ravel() for extent, view in zip(extents, views, strict=True)])
     chosen = [int(np.argmax([len(view.points) for view in views]))]
     distance = np.full(len(views), np.inf)
-    while len(chosen) < _MANY:
+    while len(chosen) < most:
         distance = np.minimum(distance, np.linalg.norm(shapes - shapes[chosen[-1]], axis=1))
         chosen.append(int(np.argmax(distance)))
     return [views[k] for k in sorted(chosen)]

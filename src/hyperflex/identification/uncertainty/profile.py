@@ -33,11 +33,6 @@ from hyperflex.identification.uncertainty.covariance import (
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
 
-# Of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is at
-# its bound they may do so a thousand times more than the standard deviation suggests
-WEIGHT = 1000.0
-TRIED = 2  # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
-
 
 class Coordinate:
     """A function of x (P,) that a profile follows: the x of a parameter, or a ratio such as ``J/p1[0]``, by its label.
@@ -113,7 +108,7 @@ class Coordinate:
         """Return where a fit at `at` begins: x moved with its estimate, as far as the coordinate goes along."""
         away = at - self.at(x)
         move = self.basis.information.covariance @ self.slope / self.std**2 * away
-        for halvings in range(TRIED):
+        for halvings in range(WALK.tried):
             begun: Array = np.maximum(x + 0.5**halvings * move, self.parameters.lower)
             if self.parameters.possible(begun) is not None and abs(at - self.at(begun)) < 0.75 * abs(away):
                 return begun
@@ -124,14 +119,14 @@ class Coordinate:
 
         It lies beyond by what the data hold it back.
         """
-        weight = firmness * WEIGHT
+        weight = firmness * WALK.weight
         beyond = at + (at - self.at(self.basis.fit.x)) / weight**2
         return Target(self.at, self.gradient, beyond, weight * float(np.sqrt(self.unit)) / self.std)
 
 
 @dataclass(frozen=True)
 class ProfileOptions:
-    """How a profile walks away from the optimum."""
+    """Which parameters are profiled, and how a profile walks away from the optimum."""
 
     # gain of a round, as a rise of the profile, below which a point of it has settled
     finish: float = 0.01
@@ -150,10 +145,22 @@ class ProfileOptions:
     # fall of the squares, over the residual variance, from which another optimum is reported as better
     better: float = 1.0
 
+    # of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is
+    # at its bound they may do so a thousand times more than the standard deviation suggests
+    weight: float = 1000.0
+    # times this weight, one after the other, before a bound is taken to be in the way of a ratio
+    firmness: tuple[float, ...] = (1.0, 10.0, 100.0)
+    # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
+    tried: int = 2
+    # correlation with a parameter near its bound from which the bound matters
+    tied: float = 0.1
+    # part by which the root of the rise may depart from a straight line before the covariance is left
+    bent: float = 0.1
+    # profiles that "auto" takes on, each as dear as two or three fits
+    most: int = 4
+
 
 WALK = ProfileOptions()
-# Firmness with which a ratio is drawn there, one after the other, before a bound is taken to be in its way
-FIRMNESS = (1.0, 10.0, 100.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -307,7 +314,7 @@ class _ProfileSearch:
         x = self.along.aimed(start.x, value)
         follow = zip(start.states, self.along.basis.information.follow, strict=True)
         states, point = [s + f @ (x - start.x) for s, f in follow], start
-        for firmness in FIRMNESS:
+        for firmness in WALK.firmness:
             if self.rounds <= 0:
                 raise _TooLong
             target = self.along.target(value, firmness)
@@ -375,11 +382,6 @@ class _ProfileSearch:
                     self.at(float(value))
 
 
-TIED = 0.1  # correlation with a parameter near its bound from which the bound matters
-BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
-MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
-
-
 def all_intervals(
     basis: Basis,
     how: How,
@@ -440,7 +442,7 @@ def _remarks(found: Profile) -> list[Finding]:
 
 
 def skewed(basis: Basis) -> list[int]:
-    """Return the parameters for which the covariance does not suffice, MOST at most, those nearest to a bound first.
+    """Return the parameters for which the covariance does not suffice, `most` at most, those nearest to a bound first.
 
     Near a bound, its own or that of one it correlates with; or where, two standard deviations away along the line of
     the covariance, the squares rise otherwise than by four. Two rollouts of all windows for each.
@@ -450,9 +452,9 @@ def skewed(basis: Basis) -> list[int]:
     before = np.array([np.isfinite(each.prior) for each in basis.plant.parameters.all])  # normal, as was declared
     known = np.isfinite(information.deviations(np.ones(std.size))) & (std > 0.0) & ~before
     beside = near_bounds(information.covariance, above)
-    tied: Mask = np.any((np.abs(information.covariance) > TIED * np.outer(std, std)) & beside, axis=1)
+    tied: Mask = np.any((np.abs(information.covariance) > WALK.tied * np.outer(std, std)) & beside, axis=1)
     order = np.argsort(above / np.where(std > 0.0, std, 1.0), kind="stable")
-    return list(islice((int(k) for k in order if known[k] and (tied[k] or _bent(basis, int(k)))), MOST))
+    return list(islice((int(k) for k in order if known[k] and (tied[k] or _bent(basis, int(k)))), WALK.most))
 
 
 def _bent(basis: Basis, which: int) -> bool:
@@ -460,7 +462,7 @@ def _bent(basis: Basis, which: int) -> bool:
     plain = basis.information.plain
     line = plain[:, which] / np.sqrt(plain[which, which])
     roots = [np.sqrt(max(_rise(basis, step * line), 0.0)) / abs(step) for step in (-2.0, 2.0)]
-    return any(abs(root - 1.0) > BENT for root in roots)
+    return any(abs(root - 1.0) > WALK.bent for root in roots)
 
 
 def _rise(basis: Basis, move: Array) -> float:
@@ -479,7 +481,6 @@ NEAR = 4.0  # std: a bound so far off is not felt
 DRAWS = 4000  # their chance error is mostly cancelled by that of the F quantile on the same draws
 SWEEPS = 300  # of coordinate descent, at most
 SETTLED = 1e-4  # std
-SEED = 1
 
 
 def near_bounds(covariance: Array, above: Array) -> Mask:
@@ -522,7 +523,7 @@ def threshold(level: float, freedom: float, which: int, covariance: Array, above
 @functools.lru_cache(maxsize=8)
 def _draws(count: int, freedom: float) -> tuple[Array, Array]:
     """Return normal draws (DRAWS, count), and of the residual variance over its mean (DRAWS,)."""
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(1)
     half = random.standard_normal((DRAWS // 2, count))
     size = random.chisquare(min(freedom, 1e6), DRAWS // 2) / min(freedom, 1e6)
     return np.concatenate([half, -half]), np.concatenate([size, size])

@@ -22,12 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDTH = 10.0  # inches, of every figure on the page
-_LAGS = 40  # samples
-_COLUMNS = 4  # of small multiples
-_SHAPES = 5  # instants
 _FEW_WINDOWS = 3  # so few are seen well enough on the whole
-_LEAST_LINKS = 6  # with values of their own; fewer are read in a table
-_SPARSE = 120  # samples, up to which each is drawn as a ring; more of them as dots
 FEW = 4  # channels that are all shown large
 
 
@@ -91,9 +86,9 @@ def broken(axis: Any, t: Array, values: Array, number: Any = None, **style: Any)
     axis.plot(np.insert(t, breaks, np.nan), np.insert(values, breaks, np.nan), **style)
 
 
-def samples(axis: Any, t: Array, values: Array) -> None:
-    """Draw measured samples: rings if they are few, dots if they are many."""
-    if t.size < _SPARSE:
+def samples(axis: Any, t: Array, values: Array, many: int = 120) -> None:
+    """Draw measured samples: rings if they are few, dots if they are `many`."""
+    if t.size < many:
         axis.plot(t, values, "o", ms=4.0, mfc="none", mec=INK, mew=0.7, label="measured")
     else:
         axis.plot(t, values, ".", ms=2.0, color=GREY, label="measured")
@@ -221,13 +216,13 @@ def residual_figure(view: FittedChannels) -> Figure:
     return figure
 
 
-def correlations(values: Array) -> tuple[Array, Array]:
-    """Return the autocorrelations of a channel (m,), NaN in gaps, by lag from 1 sample on, and 95 % of white noise."""
+def correlations(values: Array, lags: int = 40) -> tuple[Array, Array]:
+    """Return the autocorrelations of a channel (m,), NaN in gaps, at 1 to `lags` samples, and 95 % of white noise."""
     from scipy.signal import correlate
 
     known = np.isfinite(values)
     both = (known.astype(np.float64), np.nan_to_num(values - np.nanmean(values)))
-    pairs, products = (correlate(each, each)[values.size - 1 :][: _LAGS + 1] for each in both)
+    pairs, products = (correlate(each, each)[values.size - 1 :][: lags + 1] for each in both)
     pairs = np.maximum(pairs, 0.5)  # where no two samples are so far apart
     return (products / pairs)[1:] * pairs[0] / max(products[0], 1e-300), 1.96 / np.sqrt(pairs[1:])
 
@@ -243,11 +238,11 @@ def _draw_histogram(axis: Any, values: Array) -> None:
     axis.set_yticks([])
 
 
-def multiples_figure(view: FittedChannels) -> Figure:
+def multiples_figure(view: FittedChannels, columns: int = 4) -> Figure:
     """Draw small multiples of all channels: measured, fitted, predicted."""
-    rows = -(-len(view.names) // _COLUMNS)
+    rows = -(-len(view.names) // columns)
     with new_figure(_WIDTH, 0.5 + 1.15 * rows) as figure:
-        axes = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True).ravel()
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
         for channel, axis in enumerate(axes[: len(view.names)]):
             _draw_fit(axis, view, channel)
             axis.set_title(view.rms_title(channel, 2), fontsize=8.0)
@@ -258,13 +253,13 @@ def multiples_figure(view: FittedChannels) -> Figure:
     return figure
 
 
-def shapes_figure(view: FittedChannels) -> Figure:
+def shapes_figure(view: FittedChannels, instants: int = 5) -> Figure:
     """Draw markers and fit in the plane at several instants of the fitted time."""
     fitted = view.fitted.reshape(view.fit_t.size, -1, 2)
     measured = fitted + view.found.residuals.reshape(fitted.shape)
     whole = np.flatnonzero(~np.isnan(fitted).any(axis=(1, 2)))
     rows = whole if whole.size else np.arange(view.fit_t.size)
-    picked = rows[np.unique(np.linspace(0, rows.size - 1, _SHAPES).round().astype(int))]
+    picked = rows[np.unique(np.linspace(0, rows.size - 1, instants).round().astype(int))]
     low, high = np.nanmin(fitted, axis=(0, 1)), np.nanmax(fitted, axis=(0, 1))
     wide, tall = high - low
     ends = np.stack([low, high], axis=1) + 0.05 * float(max(wide, tall)) * np.array([-1.0, 1.0])
@@ -301,13 +296,16 @@ def history_figure(found: Identification) -> Figure:
     return figure
 
 
-def along_figure(found: Identification, guess: Rope | None = None) -> Figure | None:
-    """Draw each property with separate values for many links, with 95 % intervals; None if there is none."""
+def along_figure(found: Identification, guess: Rope | None = None, least: int = 6) -> Figure | None:
+    """Draw each property with values of their own for so many links, with 95 % intervals; None if there is none.
+
+    Fewer are read in a table.
+    """
     own: dict[str, list[tuple[float, ...]]] = {}
     for each in numbers(found):
         if each.place is not None and PROPERTIES[each.name].owner == "link":
             own.setdefault(each.name, []).append((each.place, each.value, each.low, each.high))
-    shown = {name: np.array(rows).T for name, rows in own.items() if len(rows) >= _LEAST_LINKS}
+    shown = {name: np.array(rows).T for name, rows in own.items() if len(rows) >= least}
     if not shown:
         return None
     with new_figure(_WIDTH, 0.5 + 2.0 * len(shown)) as figure:
