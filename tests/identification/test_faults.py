@@ -63,6 +63,58 @@ def test_real_recordings_have_no_faults(data_dir, step):
     assert [each.decimate(step).check() for each in real] == [[]] * 6
 
 
+def held_before(right, seconds, lifted=0.0):
+    """The recording with a hand before it, which trembles by 1 mm, and may lift the rope from where it hangs."""
+    random, step = np.random.default_rng(5), float(right.t[1] - right.t[0])
+    before = -np.arange(round(seconds / step), 0, -1) * step
+    scale = 1.0 if right.kind == "markers" else LENGTHS.sum()
+    tremor = 1e-3 / scale * (np.sin(50.0 * before) + 4.0 * before + random.standard_normal(before.size))
+    rest = right.data[0] + np.where(np.ptp(right.data, axis=0) > 0.0, tremor[:, None], 0.0)
+    part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, round(lifted / step)))[:, None]
+    hanging = np.median(right.data, axis=0)
+    data = np.concatenate([hanging + part * (rest[0] - hanging), rest, right.data])
+    return hf.Recording(np.arange(len(data)) * step, data, kind=right.kind)
+
+
+@pytest.mark.parametrize("start", [SWING, TUMBLE], ids=["swing", "tumble"])
+@pytest.mark.parametrize("kind", ["angles", "markers"])
+@pytest.mark.parametrize("lifted", [0.0, 0.8])
+def test_a_rope_that_was_held_is_named_with_the_time_of_its_release(start, kind, lifted):
+    recording = held_before(recorded(60.0, start, kind), 1.0, lifted)
+    (found,) = recording.check()
+    assert found.kind is Kind.HELD_STILL
+    time = found.values["time"]
+    assert lifted + 1.0 - 0.05 < time < lifted + 1.0 + 0.2  # the last time at which it has hardly moved
+    assert f"recording.window({time:.6g}, inf)" in str(found)
+    assert recording.window(time, np.inf).check() == []
+
+
+def test_what_a_hand_did_is_all_that_is_reported():
+    guess = hf.Rope(LENGTHS, 0.1, com=LENGTHS, inertia=1e-5, friction=1e-4)
+    held = held_before(recorded(duration=4.0), 1.0)
+    found = hf.identify(held, guess)
+    assert [each.kind for each in found.findings if each.severity > Severity.NOTE] == [Kind.HELD_STILL]
+    after = hf.identify(held.window(found.findings[0].values["time"], np.inf), guess)
+    assert after.success
+
+
+def test_a_rope_that_is_driven_may_rest_before_it_moves():
+    t, arm = np.arange(300) / 60.0, hf.Arm(length=0.1)
+    motion = hf.sampled_motion(t, np.where(t < 3.0, 0.0, 0.5 - 0.5 * np.cos(6.0 * (t - 3.0))))
+    rope = hf.Rope(LENGTHS, 0.1, friction=1e-4)
+    run = hf.simulate(rope, motion, arm=arm, duration=float(t[-1]), t_eval=t)
+    recording = hf.Recording(t, noisy(run.q, 1e-3))
+    assert [each.kind for each in recording.check()] == [Kind.HELD_STILL]  # which tells nothing of a drive
+    setup = hf.RecordingSetup(motion=motion, arm=arm)
+    found = hf.identify(recording, rope, ["inertia", "friction"], setup=setup, options=hf.FitOptions(intervals=None))
+    assert not found.has(Kind.HELD_STILL)
+
+
+def test_a_rope_that_rests_near_the_top_and_falls_is_not_held():
+    right = recorded(start=([np.pi - 0.05] * 2, [0.0, 0.0]))
+    assert right.check() == []
+
+
 def lost(data, columns, where=None):
     data = data.copy()
     data[np.random.default_rng(2).random(len(data)) < 0.05 if where is None else where, columns] = 0.0

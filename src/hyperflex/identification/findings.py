@@ -63,6 +63,11 @@ class Kind(StrEnum):
         was stored at a higher rate, or lost frames were filled. Drop the repeated rows and keep the times of the
         others.""",
     )
+    HELD_STILL = (
+        "held, then released",
+        """The rope rests until t = {time:.6g} s and then moves at once. | A hand held or pushed it, unless it is
+        driven. Fit what follows: recording.window({time:.6g}, inf).""",
+    )
     UNEVEN_FRAMES = (
         "frames at wrong times",
         """Frames are early or late by {part:%} of a frame time or more, while their times are even. | Frames are

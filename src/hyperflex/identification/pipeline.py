@@ -150,11 +150,12 @@ def identify(
     budget = Budget.of(DEFAULT_TIME if time_budget is None else time_budget)
     setup = checks.instance("setup", RecordingSetup() if setup is None else setup, RecordingSetup)
     options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
-    faulty = faults(checks.instance("recording", recording, Recording))
+    driven = setup.motion is not None or setup.drives
+    faulty = faults(checks.instance("recording", recording, Recording), driven=driven)
     with _refused(faulty):
         measured, places = checked_measurements(recording, rope_guess, setup)
         fitted, rest = split(measured, options, setup.arc_lengths)
-        check_excitation(fitted.channels, fitted.shape, rope_guess, moved=setup.motion is not None or setup.drives)
+        check_excitation(fitted.channels, fitted.shape, rope_guess, moved=driven)
     seen = fitted
     if setup.torque is not None and not setup.drives:
         seen = split(with_torque(measured, setup.torque, setup.torque_noise), options, setup.arc_lengths)[0]

@@ -199,8 +199,9 @@ class Recording:
         """Return what is wrong with the samples themselves; nothing is repaired.
 
         Samples that programs write where they have lost a marker (such as exact (0, 0)), repeated and missing frames,
-        wrapped angles, and channels that jump by a constant. `identify` names them before anything else. A fault that
-        is small against noise and motion is not found; ``print(finding)`` shows one as a line.
+        wrapped angles, channels that jump by a constant, and a rope that was held before it moved. `identify` names
+        them before anything else. A fault that is small against noise and motion is not found; ``print(finding)``
+        shows one as a line.
 
         Examples
         --------

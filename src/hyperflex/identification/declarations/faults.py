@@ -47,12 +47,17 @@ class FaultLimits:
     # frames that are missing at a time at most, and by how much their number may seem to be no whole one
     missing: int = 3
     whole: float = 0.4
+    # parts of the motion's reach: what a hand that holds a rope trembles by at most, and a rope that moves for certain;
+    # time of rest over that in which it moves so far: the turn of a swing has 1.5, one that is flat for long has 4
+    rests: float = 0.05
+    moves: float = 0.2
+    longer: float = 5.0
 
 
 LIMITS = FaultLimits()
 TERMS = 6  # of a polynomial of fifth degree: twice as many samples as a cubic follows
 BAND = 0.95  # part of the windows from which the deviation of jumps is taken: those about a true one are fewer
-BLOCK = 1 << 12  # windows whose samples are in memory at a time
+BLOCK = 1 << 12  # windows whose samples are in memory at a time, and spans that a recording is cut into
 
 
 def lost(recording: Recording) -> Iterator[Finding]:
@@ -301,9 +306,61 @@ def jumps(recording: Recording) -> Iterator[Finding]:
     yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
 
 
-FAULTS = (lost, wrapped, repeated, uneven_frames, missing_frames, jumps)
+def held(recording: Recording) -> Iterator[Finding]:
+    """Yield that a rope rests and then moves at once, as one that a hand holds and releases, or pushes.
+
+    Friction takes energy, so a rope that nothing drives rests in equilibrium alone, and for good. At the turn of a
+    swing it pauses for hardly longer than it takes to move on.
+    """
+    from scipy.ndimage import median_filter
+
+    rows = np.isfinite(recording.data).any(axis=1)
+    t, data = recording.t[rows], recording.data[rows]
+    if t.size < LIMITS.many:
+        return
+    filled = np.column_stack([np.interp(t, t[np.isfinite(c)], c[np.isfinite(c)]) for c in data.T])
+    filled = median_filter(filled, size=(5, 1), mode="nearest")  # without outliers
+    reach = float(np.ptp(filled, axis=0).max())
+    reach = min(reach, 2.0 * np.pi) if recording.kind == "angles" else reach
+    spans = np.arange(0, t.size, -(-t.size // BLOCK))
+    high, low, end = np.maximum.reduceat(filled, spans), np.minimum.reduceat(filled, spans), np.append(t[spans], np.inf)
+    before = _steady(high[::-1], low[::-1], LIMITS.rests * reach)[::-1]
+    after = _steady(high, low, LIMITS.moves * reach)
+    at = np.arange(spans.size)
+    rest, start = t[spans] - t[spans[at - before + 1]], end[at + after] - t[spans]
+    released = np.flatnonzero(rest > LIMITS.longer * start)
+    if released.size:
+        yield Finding(Kind.HELD_STILL, values={"time": float(t[spans[released[-1]]])})
 
 
-def faults(recording: Recording) -> list[Finding]:
-    """Return what the first of them finds that finds anything: others may follow from it."""
-    return next((found for check in FAULTS if (found := list(check(recording)))), [])
+def _steady(high: Array, low: Array, most: float) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return for how many spans from each one on (N,) no channel leaves a range of `most`; 1 at least.
+
+    `high` and `low` (N, C) are the largest and the least value of each span.
+    """
+    size, levels = len(high), [(high, low)]
+    while 1 << len(levels) <= size:
+        (top, bottom), half = levels[-1], 1 << len(levels) - 1
+        levels.append((np.maximum(top[:-half], top[half:]), np.minimum(bottom[:-half], bottom[half:])))
+    count, top, bottom = np.ones(size, dtype=np.intp), high, low
+    for level, (tops, bottoms) in reversed(list(enumerate(levels))):
+        at = np.arange(size) + count
+        fits = at < len(tops)
+        at[~fits] = 0
+        upper, lower = np.maximum(top, tops[at]), np.minimum(bottom, bottoms[at])
+        fits &= (upper - lower <= most).all(axis=1)
+        count += fits << level
+        top, bottom = np.where(fits[:, None], upper, top), np.where(fits[:, None], lower, bottom)
+    return count
+
+
+FAULTS = (lost, wrapped, repeated, uneven_frames, missing_frames, jumps, held)
+
+
+def faults(recording: Recording, *, driven: bool = False) -> list[Finding]:
+    """Return what the first of them finds that finds anything: others may follow from it.
+
+    A rope that is `driven` may well rest and then move.
+    """
+    tried = (check for check in FAULTS if not (driven and check is held))
+    return next((found for check in tried if (found := list(check(recording)))), [])
