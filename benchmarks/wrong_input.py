@@ -413,6 +413,10 @@ def real_double(folder: Path) -> Iterator[Case]:
     guess = hf.Rope(length=markers.link_lengths(), mass=0.1, friction=1e-5)
     part = markers.angles()
     yield from slips("real double", part.t, part.data, guess, truth, error=error)
+    places = markers.data.reshape(markers.t.size, -1, 2)
+    for what, meant in (("y points down", places * [1.0, -1.0]), ("x and y swapped", places[:, :, ::-1])):
+        wrong = replace(markers, data=meant.reshape(markers.t.size, -1))
+        yield Case(f"real double, markers: {what}", lambda wrong=wrong: wrong, guess, truth, error=error)
     every = hf.read_recording(folder / "run06_500Hz.csv", time_unit="s", unit="m", y_axis="up").window(20.0, 28.0)
     tip = hf.Recording(every.t, every.data[:, 4:], kind="markers", noise=1e-3)
     setup = {"arc_lengths": [every.link_lengths().sum()], "origin": np.nanmedian(every.data[:, :2], axis=0)}

@@ -110,6 +110,11 @@ class Kind(StrEnum):
         noise's value and unit. """
         + COMPARE,
     )
+    GRAVITY_ROTATED = (
+        "gravity rotated",
+        """Gravity is rotated by {angle:deg}. | Axes or zero may not be as declared. Check zero, y_axis and the order
+        of the axes.""",
+    )
     SPRING_OR_ANGLES = (
         "angles scaled, or a spring",
         """Angles multiplied by {factor:.3g} explain the recording as well as the stiffness that was freed. | The
@@ -199,7 +204,8 @@ class Kind(StrEnum):
     )
     AXES_SWAPPED = (
         "x and y swapped",
-        """The data fit as if x and y were swapped. | The axes are not as declared. Check the order of the columns.""",
+        """The data fit as if x and y were swapped{down:?, and y pointed the other way}. | The axes are not as declared.
+        Check the order of the columns, and the direction of y.""",
     )
     MARKER_SCALE = (
         "scale of the markers",
@@ -345,11 +351,6 @@ class Kind(StrEnum):
         "no ratio known",
         """No ratio of moments and inertias is known better than to {limit:%}. | The recording determines too little.
         Record longer or larger swings, or more frames a second.""",
-    )
-    GRAVITY_ROTATED = (
-        "gravity rotated",
-        """Gravity is rotated by {angle:deg}. | Axes or zero may not be as declared. Check zero, y_axis and the order
-        of the axes.""",
     )
     UNTESTED = (
         "lengths and times untested",

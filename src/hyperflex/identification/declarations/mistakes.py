@@ -85,7 +85,7 @@ def _angles_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Varia
     for k in range(n) if 1 < n < SHORT_FIT.swaps else ():
         yield Finding(Kind.SENSE, values={"link": k}), q * np.where(np.arange(n) == k, -1.0, 1.0), 1.0
     for where, angle in (("pointing up", np.pi), ("level, along +x", 0.5 * np.pi), ("level, along -x", -0.5 * np.pi)):
-        yield Finding(Kind.ZERO_DIRECTION, values={"where": where}), q + angle, 1.0
+        yield Finding(Kind.ZERO_DIRECTION, values={"where": where, "turn": angle}), q + angle, 1.0
     if largest > SHORT_FIT.large:
         yield Finding(Kind.DEGREES), np.radians(q), np.pi / 180.0
     if largest < SHORT_FIT.turns:
@@ -98,8 +98,10 @@ def _markers_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Vari
     n = places.shape[1]
     middle = np.nanmedian(places[:, 0], axis=0) if setup.origin is None else np.asarray(setup.origin, dtype=np.float64)
     away = places - middle
-    yield Finding(Kind.Y_AXIS), middle + away * np.array([1.0, -1.0]), 1.0
-    yield Finding(Kind.AXES_SWAPPED), middle + away[:, :, ::-1], 1.0
+    yield Finding(Kind.Y_AXIS, values={"turn": np.pi}), middle + away * np.array([1.0, -1.0]), 1.0
+    for down, sign in ((False, 1.0), (True, -1.0)):  # a mirror image moves alike
+        values = {"down": down, "turn": 0.5 * sign * np.pi}
+        yield Finding(Kind.AXES_SWAPPED, values=values), middle + away[:, :, ::-1] * np.array([1.0, sign]), 1.0
     reach = np.hypot(*(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).T)
     if reach[-1] < reach[0]:  # what the rope hangs from moves least
         yield Finding(Kind.REVERSED, values={"what": "the markers"}), places[:, ::-1], 1.0
@@ -193,11 +195,15 @@ def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> l
         most = min(most, declared * float(np.sqrt(1.0 - named.gain)))
     tried = [*_meant(recording, left), *_driven(recording, left)]
     least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
-    if least > SHORT_FIT.better * skewed:
+    # Gravity does not only have to turn by a quarter or half, but turns so where its direction is free: no camera does
+    turned = least <= SHORT_FIT.better * most and any(
+        np.cos(angle + each.values["turn"]) > np.sqrt(0.5) for each in found if "turn" in each.values
+    )
+    if least > SHORT_FIT.better * skewed and not turned:
         as_well = found if least <= SHORT_FIT.as_good * skewed else []
         found = [] if name in SKEWED else [*as_well, *_skew(float(np.sqrt(scale)), float(angle))]
         least = min(least, skewed)
-    if least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
+    if not turned and least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
         return []
     gain = 1.0 - min(1.0, least / min(declared, 1.0)) ** 2
     shown = {"left": least, "before": min(declared, 1.0)}
