@@ -1,7 +1,6 @@
 """Status of a result: one enumeration for all of them, and what `success` and `message` mean."""
 
 from enum import StrEnum
-from typing import Protocol
 
 
 class Status(StrEnum):
@@ -22,15 +21,3 @@ class Status(StrEnum):
     FRICTION_CHATTERS = "dry friction chatters"
     JOINT_AT_LIMIT = "joint at its limit"
     WORKER_LOST = "worker lost"  # each worker process that ran it died
-
-
-class Result(Protocol):
-    """What each result has."""
-
-    status: Status
-    message: str
-
-    @property
-    def success(self) -> bool:
-        """Whether what was required has been achieved."""
-        return self.status is Status.SUCCESS

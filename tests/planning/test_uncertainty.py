@@ -146,17 +146,6 @@ def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path):
     assert Uncertainty.from_identification(fit, length=0.0).length == 0.0
 
 
-def test_a_punctual_world_differs_in_time_alone():
-    (draw,) = Uncertainty().sample(1, CAST_SETUP, PEG)
-    assert draw.delays.any()
-    assert not draw.without_delays().delays.any()
-    assert (draw.without_delays().rope, draw.without_delays().peg, draw.without_delays().lag) == (
-        draw.rope,
-        draw.peg,
-        draw.lag,
-    )
-
-
 @pytest.mark.parametrize("name", ["length", "mass", "friction", "mu", "lag", "timing"])
 def test_a_spread_that_is_none_is_refused(name):
     for wrong in (-0.1, np.nan, np.inf, "much"):

@@ -43,10 +43,6 @@ class Scenario:
     lag: float
     delays: Array
 
-    def without_delays(self) -> "Scenario":
-        """Return the same scenario with moves that start in time."""
-        return replace(self, delays=np.zeros_like(self.delays))
-
     def motion(self, moves: Moves, problem: Problem) -> Motion:
         """Return the arm's motion when these moves are commanded."""
         return self.executed_motion(moves.motion(problem.limits))
