@@ -2,6 +2,8 @@
 
 import math
 
+from hyperflex.hardware.emulate import MotorModel
+
 
 class Servo:
     """Follows its goal by a first-order lag of 5 ms; without torque it stands.
@@ -13,6 +15,7 @@ class Servo:
         self.t, self.angle, self.rate, self.torque, self.voltage, self.temperature = 0.0, angle, 0.0, 0.0, 24.0, 25.0
         self.enabled, self.goals, self.steps, self._goal = False, [], [], angle
         self.switched_off = None  # when last
+        self.model = MotorModel()
         self.on_goal = lambda goal: None
 
     def set_goal(self, goal):
