@@ -2,6 +2,7 @@
 
 import time
 from pathlib import Path
+from typing import Any
 
 from hyperflex.hardware import Drive, Goal, Reading
 from hyperflex.hardware.drive import NoReply
@@ -12,17 +13,25 @@ class IdealLink:
     """Reaches each goal at once, and notes each switch of its torque in a file.
 
     It falls silent after `silent_after` replies; the torque of one that is `stuck` stays on; of one that `loses`, each
-    so many-th reply is lost while its torque is on.
+    so many-th reply is lost while its torque is on. It `holds` the arm with a torque, N m.
     """
 
     name, watchdog, takes = "ideal motor", 0.1, frozenset({"rate", "torque"})
     clock = staticmethod(time.monotonic)
 
     def __init__(
-        self, notes: Path, silent_after: int = 10**9, fault_after: int = 10**9, *, stuck: bool = False, loses: int = 0
+        self,
+        notes: Path,
+        silent_after: int = 10**9,
+        fault_after: int = 10**9,
+        *,
+        stuck: bool = False,
+        loses: int = 0,
+        holds: float = 0.0,
     ) -> None:
         self.notes, self.left, self.sound, self.stuck = notes, silent_after, fault_after, stuck
         self.angle, self.on, self.loses = 0.3, False, loses
+        self.holds = holds
 
     def open(self) -> None:
         self.note("open")
@@ -40,7 +49,7 @@ class IdealLink:
             raise NoReply("lost")
         now = time.monotonic()
         fault = "" if self.sound >= 0 else "over-temperature (33)"
-        return Reading(self.angle, 0.0, 0.0, 24.0, 30.0, self.on, fault, now, now)
+        return Reading(self.angle, 0.0, self.holds, 24.0, 30.0, self.on, fault, now, now)
 
     def enable(self, limits: MotorLimits) -> None:
         self.on = True
@@ -64,17 +73,9 @@ class IdealLink:
         self.note("closed")
 
 
-def ideal_drive(
-    notes: Path,
-    silent_after: int = 10**9,
-    fault_after: int = 10**9,
-    limits: MotorLimits | None = None,
-    *,
-    stuck: bool = False,
-    loses: int = 0,
-) -> Drive:
+def ideal_drive(notes: Path, limits: MotorLimits | None = None, **link: Any) -> Drive:
     """Return a drive over an ideal link."""
-    return Drive(IdealLink(notes, silent_after, fault_after, stuck=stuck, loses=loses), limits or MotorLimits())
+    return Drive(IdealLink(notes, **link), limits or MotorLimits())
 
 
 def open_ideal(notes: Path, _: str, limits: MotorLimits, *more: object, stuck: bool = False) -> Drive:

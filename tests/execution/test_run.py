@@ -1,6 +1,7 @@
 """A planned cast carried out on a drive: its phases, its verdict, and what stops it."""
 
 import json
+import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -77,6 +78,17 @@ def test_a_rope_that_swings_is_not_cast(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="still swings"):
         run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, swings=1.0), options=QUICK)
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+
+
+@pytest.mark.parametrize("holds", [0.0, -1.0, 1.0])
+def test_an_arm_whose_weight_is_not_as_expected_is_told(tmp_path: Path, holds: float) -> None:
+    """0.049 N m at a quarter turn; `holds` in parts of what holds arm and rope at the start."""
+    plan, said = short_plan(), list[str]()
+    start = float(plan.required(plan.motion, "motion").angle(0.0))
+    drive = partial(ideal_drive, tmp_path / "notes", holds=holds * 0.05 * 9.80665 * 0.1 * math.sin(start))
+    run_plan(plan, drive, source=SeenRope(plan), options=QUICK, say=said.append)
+    assert any("without torque the arm stands at 0.30" in each for each in said)
+    assert any("Check zero, direction" in each for each in said) == (holds < 1.0)
 
 
 def test_a_fault_in_the_middle_ends_the_run_and_says_so(tmp_path: Path) -> None:

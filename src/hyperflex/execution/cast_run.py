@@ -17,7 +17,7 @@ from hyperflex.files import NetCDF, PathLike, Variable
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan, FollowResult
+from hyperflex.planning import CastPlan, FollowResult, Problem
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
@@ -40,6 +40,13 @@ def observed_turns(rope: Rope, arm: Arm, state: RopeState, arm_angle: float, peg
         return math.nan
     joints = rope.joints(state.q, arm.tip(arm_angle))
     return float(swept(joints - np.array([peg.x, peg.y])).sum() / math.tau)
+
+
+def weight_torque(problem: Problem, angle: float) -> float:
+    """Return the torque, N m, with which a motor holds arm and rope at an angle, rad, while the rope hangs still."""
+    arm, rope = problem.arm, problem.rope
+    weight = (rope.total_mass * arm.length + arm.mass * arm.com) * math.hypot(*rope.gravity)
+    return weight * math.sin(angle - rope.hanging_angle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,10 +186,7 @@ class CastRun:
         if self.prediction is None or not np.isfinite(torque).any():
             return None
         wound = float(self.prediction.torque[self.prediction.t >= since].mean())
-        arm, rope = self.plan.problem.arm, self.plan.problem.rope
-        angle = float(self.motion.angle(self._stop))
-        weight = (rope.total_mass * arm.length + arm.mass * arm.com) * math.hypot(*rope.gravity)
-        hanging = weight * math.sin(angle - rope.hanging_angle)
+        hanging = weight_torque(self.plan.problem, float(self.motion.angle(self._stop)))
         part = (float(np.nanmean(torque)) - hanging) / (wound - hanging) if wound != hanging else math.nan
         if abs(part - 1.0) <= NEAR_PLAN:
             return True

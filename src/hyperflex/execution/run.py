@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import DriveError, HyperflexError, InvalidInput
-from hyperflex.execution.cast_run import CastRun, Prediction
+from hyperflex.execution.cast_run import CastRun, Prediction, weight_torque
 from hyperflex.execution.page import RunPage
 from hyperflex.execution.stream import POLL, MotionStream, StreamLog
 from hyperflex.hardware import STEP, Drive, DriveZero, open_link
@@ -202,8 +202,12 @@ def _prepare(
     say: Callable[[str], None],
 ) -> None:
     """Bring the arm to the start, rad, wait until the rope hangs still, and count down."""
+    free = drive.state().angle
+    if abs(free - problem.rope.hanging_angle) > HANGS:
+        say(f"without torque the arm stands at {free:.2f} rad: if it hangs freely there, its zero is wrong")
     _approach(drive, start, problem, options, say)
     _wait_until_still(drive, source, problem.rope, options, say)
+    _compare_weight(drive.log(), problem, say)
     for k in range(math.ceil(options.countdown), 0, -1):
         say(f"the cast begins in {k} s")
         _sleep_until(time.monotonic() + min(1.0, options.countdown), drive)
@@ -258,6 +262,18 @@ def _wait_until_still(
                 raise InvalidInput("the rope does not hang down", got=away, allowed=f"{HANGS:g} rad", fix="Unwind it")
             raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {options.still:g} rad/s", fix=fix)
         _sleep_until(time.monotonic() + 10.0 * POLL, drive)
+
+
+def _compare_weight(log: StreamLog, problem: Problem, say: Callable[[str], None]) -> None:
+    """Say so if the last half second's torque is far from what holds arm and rope: zero or direction may be wrong."""
+    angle, torque = (log.column(name)[-math.ceil(0.5 * log.rate) :] for name in ("angle", "torque"))
+    if not np.isfinite(torque).any():
+        return
+    where, held = float(angle.mean()), float(np.nanmean(torque))
+    expected, most = (weight_torque(problem, each) for each in (where, problem.rope.hanging_angle + 0.5 * math.pi))
+    if abs(held - expected) > 0.5 * most:
+        causes = "Check zero, direction, rope and arm; friction of a gear may hide the weight"
+        say(f"at {where:.2f} rad the motor holds arm and rope with {held:.3f} N m, not {expected:.3f}. {causes}")
 
 
 def _sleep_until(end: float, drive: MotionStream, watch: "_Watch | None" = None) -> None:
