@@ -14,6 +14,7 @@ class IdealLink:
 
     It falls silent after `silent_after` replies; the torque of one that is `stuck` stays on; of one that `loses`, each
     so many-th reply is lost while its torque is on. It `holds` the arm with a torque, N m.
+    One that `pauses` answers this request late, by 0.2 s.
     """
 
     name, watchdog, takes = "ideal motor", 0.1, frozenset({"rate", "torque"})
@@ -28,10 +29,11 @@ class IdealLink:
         stuck: bool = False,
         loses: int = 0,
         holds: float = 0.0,
+        pauses: int = 0,
     ) -> None:
         self.notes, self.left, self.sound, self.stuck = notes, silent_after, fault_after, stuck
         self.angle, self.on, self.loses = 0.3, False, loses
-        self.holds = holds
+        self.holds, self.pauses = holds, pauses
 
     def open(self) -> None:
         self.note("open")
@@ -43,6 +45,9 @@ class IdealLink:
     def read(self) -> Reading:
         self.left -= 1
         self.sound -= 1
+        self.pauses -= 1
+        if self.pauses == 0:
+            time.sleep(0.2)
         if self.left < 0:
             raise NoReply("silent")
         if self.loses and self.on and self.left % self.loses == 0:

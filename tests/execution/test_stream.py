@@ -186,6 +186,14 @@ def test_a_test_motion_beyond_the_limits_moves_nothing(tmp_path: Path) -> None:
     assert lines(tmp_path / "notes") == ["open", "closed"]
 
 
+def test_a_test_motion_waits_for_a_busy_computer(tmp_path: Path) -> None:
+    motion = hf.arm_moves([0.3, 0.6, 0.3], [0.1, 0.1], [0.5, 0.5])
+    record = record_test_motion(partial(ideal_drive, tmp_path / "notes", pauses=120), motion)
+    assert np.diff(record.sent).max() >= 0.2
+    assert np.abs(np.diff(record.goal)).max() < 0.05  # of 0.2 s it would be at least 0.1
+    assert record.goal[-1] == pytest.approx(0.3)
+
+
 def test_replies_that_are_lost_are_gaps_of_the_record(tmp_path: Path) -> None:
     motion = hf.arm_moves([0.3, 0.6, 0.3], [0.1, 0.1], [0.5, 0.5])
     record = record_test_motion(partial(ideal_drive, tmp_path / "notes", loses=7), motion)

@@ -338,6 +338,18 @@ def test_a_lost_link_switches_off(drive, link):
     assert not link.state["enabled"]
 
 
+def test_with_a_long_watchdog_the_link_may_be_silent_for_longer(link):
+    link.watchdog = 0.4
+    with Drive(link, LIMITS) as drive:
+        drive.enable()
+        drive.command(Goal(0.0))
+        link.fails = silent(150)
+        stream(drive, 30 * [Goal(0.0)])  # 5 ms each
+        assert link.state["enabled"]
+        with pytest.raises(DriveError, match="no valid reply for 20"):
+            stream(drive, 30 * [Goal(0.0)])
+
+
 def test_one_lost_reply_after_a_pause_is_no_lost_link(link):
     with Drive(link, LIMITS) as drive:
         link.now += 10.0

@@ -118,6 +118,8 @@ def identify(
     limits allow; large ones (--stroke) show the drive's own limit of speed. A real drive needs a limit of --torque.
     Torque is off before and after. Drives have only been emulated so far.
     """
+    import numpy as np
+
     from hyperflex.execution import record_test_motion
     from hyperflex.hardware import emulated_device, identify_drive, plan_test_motion
     from hyperflex.report import save_png
@@ -150,9 +152,12 @@ def identify(
         (name.replace("_", " "), f"{value:.4g} ({fit.intervals[name][0]:.4g} to {fit.intervals[name][1]:.4g})")
         for name, value in fit.values.items()
     ]
+    lost = int(np.isnan(record.angle).sum())
+    rows.append(("replies lost, left out", f"{lost} of {record.angle.size}"))
     if "rate_limit" not in fit.values:
         rows.append(("rate limit", f"not reached: above {fit.reached[0]:.3g} rad/s"))
-    result = {"values": fit.values, "intervals": fit.intervals, "reached": fit.reached, "files": written}
+    result = {"values": fit.values, "intervals": fit.intervals, "reached": fit.reached}
+    result |= {"lost_replies": lost, "files": written}
     output.show(
         result,
         Rows("Identified drive, SI units, 95 % intervals", rows),
@@ -201,6 +206,6 @@ def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int 
     if device is None:
         yield partial(connect, address)
         return
-    make, kind = device
+    make, kind = device if "?" in address else emulated_device(f"{address}?watchdog=1") or device  # a busy computer
     with Emulator(kind, MotorModel(), None, Arm(inertia=1e-3)) as emulator:
         yield partial(connect, f"{make}:{emulator.port}")

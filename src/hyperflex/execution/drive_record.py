@@ -20,6 +20,8 @@ def record_test_motion(
 ) -> DriveRecord:
     """Make a test motion on a drive; its torque is on during the motion, and off after it.
 
+    The motion waits when the computer is late. Replies that are lost are gaps of the record.
+
     Parameters
     ----------
     connect : callable
@@ -40,13 +42,13 @@ def record_test_motion(
         As of :class:`MotionStream`.
     """
     drive = connect()
-    with MotionStream(connect, rate=rate) as stream:
+    with MotionStream(connect, rate=rate, waits=True) as stream:
         chosen = motion or plan_test_motion(drive.limits, stream.state().angle, stroke=stroke)
         drive.check_motion(chosen)
         stream.enable()
         stream.start_clock(time.monotonic() + REST)
         stream.set_motion(chosen, 0.0)
-        while stream.now < chosen.breaks[-1] + REST:
+        while stream.now < chosen.breaks[-1] + REST + stream.log().missed / rate:
             raise_if_cancelled()
             stream.raise_if_ended()
             time.sleep(POLL)

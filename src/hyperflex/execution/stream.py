@@ -104,6 +104,8 @@ class MotionStream:
         Longest time for which rows are logged, s; later cycles replace the oldest.
     clear : bool
         Clear a fault of the device at the start.
+    waits : bool
+        Whether a motion waits for a process that was late by more than a cycle, instead of being caught up with.
 
     Attributes
     ----------
@@ -118,9 +120,15 @@ class MotionStream:
     """
 
     def __init__(
-        self, connect: Callable[[], Drive], *, rate: float = 200.0, duration: float = 300.0, clear: bool = False
+        self,
+        connect: Callable[[], Drive],
+        *,
+        rate: float = 200.0,
+        duration: float = 300.0,
+        clear: bool = False,
+        waits: bool = False,
     ) -> None:
-        self.connect, self.clear = connect, clear
+        self.connect, self.clear, self.waits = connect, clear, waits
         self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
         rows = math.ceil(self.rate * checks.number("duration", duration, sign="positive", unit="s"))
         context = multiprocessing.get_context("spawn")
@@ -130,7 +138,7 @@ class MotionStream:
 
     def __enter__(self) -> Self:
         self._link, theirs = self._context.Pipe()
-        arguments = (self.connect, self.clear, 1.0 / self.rate, theirs, self._shared)
+        arguments = (self.connect, self.clear, 1.0 / self.rate, self.waits, theirs, self._shared)
         self._worker = self._context.Process(target=stream, args=arguments, name="motion stream", daemon=True)
         self._worker.start()
         theirs.close()
@@ -318,7 +326,9 @@ class Shared:
         return StreamLog(found, rate, int(self._counts[1]))
 
 
-def stream(connect: Callable[[], Drive], clear: bool, period: float, link: Connection, shared: Shared) -> None:
+def stream(
+    connect: Callable[[], Drive], clear: bool, period: float, waits: bool, link: Connection, shared: Shared
+) -> None:
     """Serve requests and, with the torque on, send a goal each period, s, until the parent ends or asks for the end.
 
     The exit code is 0 if the torque is off for certain.
@@ -334,7 +344,7 @@ def stream(connect: Callable[[], Drive], clear: bool, period: float, link: Conne
             gc.disable()
             with suppress(OSError, AttributeError):  # only with the right to do so
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-            _Cycle(drive, period, link, shared).run()
+            _Cycle(drive, period, waits, link, shared).run()
     except HyperflexError as error:
         ended = error
     except SystemExit as error:
@@ -351,8 +361,8 @@ def stream(connect: Callable[[], Drive], clear: bool, period: float, link: Conne
 class _Cycle:
     """The loop of the process, and what it streams: paths, each from a time on."""
 
-    def __init__(self, drive: Drive, period: float, link: Connection, shared: Shared) -> None:
-        self.drive, self.period, self.link, self.shared = drive, period, link, shared
+    def __init__(self, drive: Drive, period: float, waits: bool, link: Connection, shared: Shared) -> None:
+        self.drive, self.period, self.waits, self.link, self.shared = drive, period, waits, link, shared
         self.write, self.zero = shared.writer(), 0.0
         self.paths: list[tuple[float, Path]] = []
 
@@ -367,6 +377,7 @@ class _Cycle:
                 if self.drive.enabled:
                     self.shared.miss(missed)
                 due += missed * self.period
+                self.zero += missed * self.period * self.waits
             _wait_until(due)
             if self.drive.enabled:
                 self.send(due)

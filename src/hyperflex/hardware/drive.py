@@ -24,7 +24,7 @@ from hyperflex.model import MotorLimits
 from hyperflex.motion import Motion
 
 STEP = 0.05  # rad; a goal that jumps by more, or a first one farther from the shaft, would be a jerk (a stripped gear)
-SILENCE = 0.05  # s without a valid reply after which the link counts as lost: half of a watchdog of 100 ms
+SILENCE = 0.05  # s without a valid reply after which the link counts as lost, or half of a watchdog beyond 100 ms
 SLACK = 1.02  # of a limit: goals are sampled from polynomials that reach the limit exactly, and rounded on the wire
 CONFIRM = 0.2  # s for which a request that must be answered (torque off, first reading) is repeated
 
@@ -217,6 +217,7 @@ class Drive:
             raise InvalidInput("direction of a drive", got=direction, allowed="1 or -1")
         self.direction = direction
         self.max_temperature = checks.number("max_temperature", max_temperature, sign="positive", unit="C")
+        self.silence = max(SILENCE, 0.5 * link.watchdog)  # s without a valid reply after which the link counts as lost
         self.max_deviation = checks.number("max_deviation", max_deviation, sign="positive", unit="rad")
         self._state: DriveState | None = None
         self._fault = ""  # latched
@@ -356,7 +357,8 @@ class Drive:
         """Check a goal against all limits, send it, and return the state that answers it.
 
         `at` is the time, s, on the link's monotonic clock for which the goal was evaluated; now without it. It must not
-        be older than 50 ms, nor more than 1 ms ahead. A goal that the host sends late is then judged by its own time.
+        be older than 50 ms, or half of a watchdog of more than 100 ms, nor more than 1 ms ahead. A goal that the host
+        sends late is then judged by its own time.
 
         The first goal after :meth:`enable` must lie within 0.05 rad of the shaft. Later ones may differ from the one
         before by what the limits of speed and acceleration allow in the time between them (of which 50 ms count at
@@ -370,11 +372,11 @@ class Drive:
                 raise DriveError(f"{self.link.name}: {why}.")
             now = self.link.clock()
             at = now if at is None else checks.number("at", at, unit="s")
-            if not now - SILENCE <= at <= now + 1e-3:
+            if not now - self.silence <= at <= now + 1e-3:
                 raise InvalidInput(
                     "goal's time is not now",
                     got=f"{1e3 * (at - now):.1f} ms from now",
-                    allowed=f"{-1e3 * SILENCE:g} to 1 ms",
+                    allowed=f"{-1e3 * self.silence:g} to 1 ms",
                 )
             self._check_goal(goal, now, at)
             torque = max(-self.limits.torque, min(self.limits.torque, goal.torque))
@@ -491,8 +493,9 @@ class Drive:
     def _check_first(self, goal: Goal, now: float) -> None:
         """Refuse a first goal that is not where the shaft is now; what follows is counted from the shaft."""
         state = self._state
-        if state is None or state.stale or now - state.received > SILENCE:
-            raise InvalidInput("first goal without a fresh reading", allowed=f"a reading of the last {SILENCE:g} s")
+        if state is None or state.stale or now - state.received > self.silence:
+            allowed = f"a reading of the last {self.silence:g} s"
+            raise InvalidInput("first goal without a fresh reading", allowed=allowed)
         if not abs(goal.angle - state.angle) <= STEP:
             raise InvalidInput(
                 "first goal is far from the shaft",
@@ -513,7 +516,7 @@ class Drive:
             self._silent = begun if self._silent is None else self._silent
             self._state = replace(before, stale=True, lost=before.lost + 1)
             silence = self.link.clock() - self._silent
-            if silence > SILENCE:
+            if silence > self.silence:
                 self._latch(f"no valid reply for {1e3 * silence:.0f} ms")
             return self._state
         self._check_state(state, before)

@@ -205,6 +205,14 @@ def identify_drive(record: DriveRecord) -> DriveFit:
     InvalidInput
         If the arm hardly moved.
     """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):  # matrices are small: threads would wait for each other
+        return _identified(record)
+
+
+def _identified(record: DriveRecord) -> DriveFit:
+    """Fit goals that the drive advances with their rates and, from there, goals that are held; return the better."""
     period = float(np.median(np.diff(record.sent)))
     smooth = _Fit(record, 0.0)
     smooth.start()
