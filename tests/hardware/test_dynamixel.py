@@ -5,41 +5,31 @@ import math
 import struct
 import sys
 import time
-from contextlib import contextmanager
 
 import pytest
 
 from hyperflex.errors import DriveError, MissingPackage
 from hyperflex.hardware import DynamixelLink, Goal, dynamixel, serial_port
 from hyperflex.hardware.drive import NoReply
-from hyperflex.hardware.emulate import DynamixelDevice, MotorModel, Plant
-from hyperflex.model import Arm, MotorLimits
-from tests.hardware.wire import Wire
+from hyperflex.hardware.emulate import DynamixelDevice
+from hyperflex.model import MotorLimits
+from tests.hardware.wire import Wire, be_patient, light_arm, opened, try_open
 
 LIMITS = MotorLimits(torque=1.5)
 COUNT = math.tau / 4096
 
 
 def servo(**options) -> DynamixelDevice:
-    plant = Plant(MotorModel(voltage=12.0), None, Arm(length=0.2, inertia=1e-3))
-    return DynamixelDevice(plant, **options)
+    return DynamixelDevice(light_arm(voltage=12.0), **options)
 
 
-@contextmanager
 def link_to(wire: Wire, **options):
-    link = DynamixelLink(wire.port, **{"watchdog": 2.0, "patience": 0.3} | options)
-    link.open()
-    try:
-        yield link
-    finally:
-        link.close()
+    return opened(DynamixelLink(wire.port, **{"watchdog": 2.0, "patience": 0.3} | options))
 
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Wait longer than a busy machine may take: what is tested here is order and content, not speed."""
-    monkeypatch.setattr(dynamixel, "SILENCE", 0.3)
-    monkeypatch.setattr(dynamixel, "CONFIRM", 5.0)
+    be_patient(monkeypatch, dynamixel, silence=0.3)
 
 
 def settled(link: DynamixelLink, angle: float):
@@ -226,7 +216,7 @@ def quick(monkeypatch):
 )
 def test_a_wrong_setting_is_named(device, bus, said):
     with Wire(servo(**device), **bus) as wire, pytest.raises(DriveError, match=said):
-        DynamixelLink(wire.port).open()
+        try_open(DynamixelLink(wire.port))
 
 
 @pytest.mark.usefixtures("quick")
@@ -235,19 +225,19 @@ def test_other_devices_and_silence_are_named():
     with Wire(device) as wire:
         device._store(0, 2, 350)
         with pytest.raises(DriveError, match=r"model number 350 is no servo of the X series"):
-            DynamixelLink(wire.port).open()
+            try_open(DynamixelLink(wire.port))
         wire.mute = True
         with pytest.raises(DriveError, match=r"does not answer at 1000000 baud, nor at 57600, .*Check its power"):
-            DynamixelLink(wire.port).open()
+            try_open(DynamixelLink(wire.port))
 
 
 def test_ports_that_cannot_be_opened():
     with pytest.raises(DriveError, match=r"/dev/ttyNONE: there is no such port. Ports of this machine: "):
-        DynamixelLink("/dev/ttyNONE").open()
+        try_open(DynamixelLink("/dev/ttyNONE"))
     with Wire(servo()) as wire, link_to(wire) as link:
         assert not link.read().enabled
         with pytest.raises(DriveError, match=r"another program uses the port"):
-            DynamixelLink(wire.port).open()
+            try_open(DynamixelLink(wire.port))
     text = str(serial_port.open_problem("/dev/ttyUSB0", PermissionError(errno.EACCES, "Permission denied")))
     assert text.startswith("/dev/ttyUSB0: no permission. Join the group")
     assert "it cannot be opened (odd)" in str(serial_port.open_problem("/dev/ttyUSB0", ValueError("odd")))
@@ -266,4 +256,4 @@ def test_an_adapter_that_holds_replies_back_is_named(tmp_path, monkeypatch):
 def test_a_missing_package_is_named_with_its_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
     with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[dynamixel\]'"):
-        DynamixelLink("/dev/ttyUSB0").open()
+        try_open(DynamixelLink("/dev/ttyUSB0"))

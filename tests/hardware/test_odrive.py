@@ -5,7 +5,7 @@ import struct
 import sys
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import can
 import pytest
@@ -13,33 +13,24 @@ import pytest
 from hyperflex.errors import DriveError, MissingPackage
 from hyperflex.hardware import Drive, Goal, ODriveLink, odrive
 from hyperflex.hardware.drive import NoReply
-from hyperflex.hardware.emulate import MotorModel, ODriveDevice, Plant
-from hyperflex.model import Arm, MotorLimits
-from tests.hardware.wire import Wire
+from hyperflex.hardware.emulate import ODriveDevice
+from hyperflex.model import MotorLimits
+from tests.hardware.wire import Wire, be_patient, light_arm, opened, try_open
 
 LIMITS = MotorLimits(speed=40.0, torque=1.5)  # a step of half a radian is faster than an arm may be
 
 
 def axis(**options) -> ODriveDevice:
-    plant = Plant(MotorModel(), None, Arm(length=0.2, inertia=1e-3))
-    return ODriveDevice(plant, **options)
+    return ODriveDevice(light_arm(), **options)
 
 
-@contextmanager
 def link_to(wire: Wire, **options):
-    link = ODriveLink(wire.port, **{"patience": 0.3, "torque_constant": 0.1} | options)
-    link.open()
-    try:
-        yield link
-    finally:
-        link.close()
+    return opened(ODriveLink(wire.port, **{"patience": 0.3, "torque_constant": 0.1} | options))
 
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Wait longer than a busy machine may take: what is tested here is order and content, not speed."""
-    monkeypatch.setattr(odrive, "SILENCE", 2.0)
-    monkeypatch.setattr(odrive, "CONFIRM", 5.0)
+    be_patient(monkeypatch, odrive, silence=2.0)
 
 
 def wait_for(condition) -> None:
@@ -277,30 +268,30 @@ def test_without_heartbeat_nobody_knows_whether_it_is_armed(monkeypatch):
 def test_wrong_node_old_firmware_and_silence_are_named(monkeypatch):
     monkeypatch.setattr(odrive, "FIRST_HEARTBEAT", 0.2)
     with Wire(axis(number=5)) as wire, pytest.raises(DriveError, match=r"no heartbeat. Nodes on this bus: 5"):
-        ODriveLink(wire.port).open()
+        try_open(ODriveLink(wire.port))
     with Wire(axis(firmware=(0, 5, 6))) as wire, pytest.raises(DriveError, match=r"firmware 0.5.6 speaks another"):
-        ODriveLink(wire.port).open()
+        try_open(ODriveLink(wire.port))
     with Wire(axis()) as wire:
         wire.mute = True
         with pytest.raises(DriveError, match=r"nothing is heard on the bus. Check power, .* runs at 250000 bit/s"):
-            ODriveLink(wire.port).open()
+            try_open(ODriveLink(wire.port))
 
 
 def test_rates_of_messages_that_do_not_serve_are_named(monkeypatch):
     monkeypatch.setattr(odrive, "SILENCE", 0.2)
     with Wire(axis(heartbeat=0.5)) as wire, pytest.raises(DriveError, match=r"Set .*heartbeat_msg_rate_ms = 10"):
-        ODriveLink(wire.port).open()
+        try_open(ODriveLink(wire.port))
     with Wire(axis()) as wire:
         wire.spoil = lambda reply: [b"t00980000000000000000\r" + reply]
         with pytest.raises(DriveError, match=r"estimates unasked. Set .*encoder_msg_rate_ms = 0"):
-            ODriveLink(wire.port).open()
+            try_open(ODriveLink(wire.port))
 
 
 def test_interfaces_that_cannot_be_opened(monkeypatch):
     with pytest.raises(DriveError, match=r"/dev/ttyNONE: there is no such port"):
-        ODriveLink("/dev/ttyNONE").open()
+        try_open(ODriveLink("/dev/ttyNONE"))
     with pytest.raises(DriveError, match=r"can77: no CAN interface of that name is ready .* sudo ip link set can77 up"):
-        ODriveLink("can77").open()
+        try_open(ODriveLink("can77"))
     monkeypatch.setitem(sys.modules, "can", None)
     with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[odrive\]'"):
-        ODriveLink("can0").open()
+        try_open(ODriveLink("can0"))

@@ -1,5 +1,9 @@
-"""A rig in real time, whose replies a function of the test spoils."""
+"""A rig in real time, whose replies a function of the test spoils, and what tests of makes on it share."""
 
+from contextlib import contextmanager
+
+from hyperflex.hardware.emulate import MotorModel, Plant
+from hyperflex.model import Arm
 from tests.hardware.rig import Rig
 
 
@@ -19,3 +23,30 @@ class Wire(Rig):
     def receive(self, now):
         come, self._waiting = b"".join(self._waiting), []
         return come
+
+
+def light_arm(**motor):
+    """A motor that turns an arm without a rope."""
+    return Plant(MotorModel(**motor), None, Arm(length=0.2, inertia=1e-3))
+
+
+@contextmanager
+def opened(link):
+    """The link, open in the block."""
+    try:
+        link.open()
+        yield link
+    finally:
+        link.close()
+
+
+def try_open(link):
+    """Open the link and close it."""
+    with opened(link):
+        pass
+
+
+def be_patient(monkeypatch, make, silence):
+    """Wait longer than a busy machine may take: what is tested is order and content, not speed."""
+    monkeypatch.setattr(make, "SILENCE", silence)
+    monkeypatch.setattr(make, "CONFIRM", 5.0)

@@ -120,7 +120,10 @@ class Link(Protocol):
     clock: Callable[[], float]
 
     def open(self) -> None:
-        """Open the port and identify the device; DriveError says what is wrong (port, permission, rate, device)."""
+        """Open the port and identify the device; DriveError says what is wrong (port, permission, rate, device).
+
+        After an error the caller closes the link.
+        """
 
     def read(self) -> Reading:
         """Return the state; NoReply without a valid reply."""

@@ -182,12 +182,8 @@ class DynamixelLink:
         self._packets: Any = PacketHandler(2.0)
         self._missing = {}
         self._bus = _Bus(self.port, self.baud)
-        try:
-            self._identify()
-            self._prepare()
-        except BaseException:
-            self.close()
-            raise
+        self._identify()
+        self._prepare()
 
     def close(self) -> None:
         """Close the port."""

@@ -109,9 +109,6 @@ class MoteusLink:
                     self.read()
                     return
             raise DriveError(f"{self.name} {self._why_silent()}")
-        except BaseException:
-            self.close()
-            raise
         finally:
             self.patience = patience
 

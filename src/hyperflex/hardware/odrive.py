@@ -159,12 +159,8 @@ class ODriveLink:
         extras.require(("can",), "odrive", "ODrive controllers")
         self._bus = self._open_bus()
         self._messages, self._beat, self._missing = {}, -math.inf, 0
-        try:
-            with _as_os_error():
-                self._identify()
-        except BaseException:
-            self.close()
-            raise
+        with _as_os_error():
+            self._identify()
 
     def close(self) -> None:
         """Close the bus."""
