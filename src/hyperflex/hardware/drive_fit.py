@@ -212,17 +212,16 @@ def identify_drive(record: DriveRecord) -> DriveFit:
 
 
 def _identified(record: DriveRecord) -> DriveFit:
-    """Fit goals that the drive advances with their rates and, from there, goals that are held; return the better."""
-    period = float(np.median(np.diff(record.sent)))
-    smooth = _Fit(record, 0.0)
-    smooth.start()
-    smooth.solve(15)
-    smooth.weigh()
-    smooth.solve(30)
-    best = held = smooth.held(period)
-    held.solve(30)
-    if record.goal_rate.any() and smooth.cost < held.cost:
-        best = smooth
+    """Fit all kinds of loops: with goals that are held or advanced, whose rates are used or not; keep the best."""
+    first = _Fit(record, 0.0)
+    first.start()
+    first.solve(15)
+    first.weigh()
+    period, rates = float(np.median(np.diff(record.sent))), bool(record.goal_rate.any())
+    kinds = [first.variant(hold, part) for hold in (period, 0.0)[: 1 + rates] for part in (0.0, 1.0)[: 1 + rates]]
+    for each in kinds:
+        each.solve(30)
+    best = min(kinds, key=lambda each: each.cost)
     for _ in range(3):
         best.weigh()
         best.solve(30)
@@ -255,10 +254,17 @@ class _Fit:
         self.values["acceleration_limit"] = 2.0 * self.reached[1]
         self.free: list[str] = []
 
-    def held(self, hold: float) -> "_Fit":
-        """Return a fit with goals that are held, from here on."""
+    def variant(self, hold: float, feedforward: float) -> "_Fit":
+        """Return the fit of another kind of loop, from the best of a grid around this one: it has several minima."""
         other = copy(self)
-        other.hold, other.values = hold, dict(self.values)
+        other.hold = hold
+        starts = [
+            self.values | {"feedforward": feedforward, "frequency": w * self.values["frequency"], "damping": z}
+            for w in np.geomspace(0.6, 1.6, 5)
+            for z in np.geomspace(0.5, 2.0, 5) * self.values["damping"]
+        ]
+        costs = [float((other.residuals(each) ** 2).sum()) for each in starts]
+        other.values = starts[int(np.argmin(costs))]
         return other
 
     def model(self, values: Mapping[str, float]) -> DriveModel:
