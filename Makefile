@@ -8,7 +8,7 @@ INSTALLED := .venv/.installed
 # --no-compile: Python compiles what is imported, a small part of the packages, when it is imported
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
-.PHONY: help demo test nightly browser lint docs bench clean
+.PHONY: help demo test nightly browser kernels lint docs bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -21,7 +21,7 @@ demo: $(INSTALLED) ## video -> identified rope -> cast on an emulated drive: a f
 
 PYTEST = $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(if $(filter 1,$(REQUIRE_DATA)),--require-data)
 
-test: $(INSTALLED) browser ## the gate: all tests that take seconds
+test: $(INSTALLED) browser kernels ## the gate: all tests that take seconds
 	$(PYTEST) -m "not nightly"
 
 nightly: $(INSTALLED) browser docs ## all tests, kernels without the compiler, faults by the thousand, the strict site: hours
@@ -38,6 +38,9 @@ browser: # for the tests of pages, which skip without one (and fail in CI, and w
 			apt-get install -y -qq --no-install-recommends chromium; } >/dev/null 2>&1 && exit 0; \
 	fi; \
 	echo "No browser ($(BROWSERS)): install chromium to run the tests of pages." >&2
+
+kernels: $(INSTALLED) # once for each state of them; each process of the tests would compile those that it needs first
+	$(BIN)/hyperflex warm
 
 lint: $(INSTALLED) ## ruff, mypy and import-linter
 	$(BIN)/ruff check

@@ -45,6 +45,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "data_dir" in getattr(item, "fixturenames", ()):
             item.add_marker("data")
+    # before tests/claims, so that one process makes the paper's runs for both
+    items.sort(key=lambda item: "paper" not in item.path.parts)
 
 
 def recordings_folder(root: Path) -> Path:

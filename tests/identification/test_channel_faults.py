@@ -9,6 +9,7 @@ from hyperflex.identification import Kind
 T = np.arange(600) / 60.0
 NOISE = {"angles": 3e-3, "markers": 1e-3}  # rad, m
 CHANNEL_FAULTS = (Kind.JUMP, Kind.LINK_ZERO, Kind.LINK_LATE)
+each_draw = pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 
 
 def rope(n, **more):
@@ -76,16 +77,16 @@ def test_a_zero_of_one_link_that_is_off_is_named_first():
     assert first.values["angle"] == pytest.approx(0.03, rel=0.1)
 
 
+@each_draw
 @pytest.mark.parametrize("kind", ["angles", "markers"])
 @pytest.mark.parametrize("omitted", [{}, {"drag": 0.02}, {"dry_friction": 2e-4}], ids=["right", "drag", "dry"])
-def test_right_recordings_and_errors_of_the_model_are_no_fault_of_a_channel(kind, omitted):
-    for seed in range(2):
-        found = identified(2, swing(2, kind, seed=seed, **omitted), kind, free=["inertia", "friction"])
-        assert not any(map(found.has, CHANNEL_FAULTS))
+def test_right_recordings_and_errors_of_the_model_are_no_fault_of_a_channel(kind, omitted, seed):
+    found = identified(2, swing(2, kind, seed=seed, **omitted), kind, free=["inertia", "friction"])
+    assert not any(map(found.has, CHANNEL_FAULTS))
 
 
-def test_a_marker_that_errs_along_its_link_is_no_jump():
+@each_draw
+def test_a_marker_that_errs_along_its_link_is_no_jump(seed):
     """y of a marker hardly turns a link of a small swing: its pattern is that of the fit, not of noisy angles."""
-    for seed in range(2):
-        data = swing(1, "markers", seed=seed, amplitude=0.3)
-        assert not any(map(identified(1, data, "markers").has, CHANNEL_FAULTS))
+    data = swing(1, "markers", seed=seed, amplitude=0.3)
+    assert not any(map(identified(1, data, "markers").has, CHANNEL_FAULTS))
