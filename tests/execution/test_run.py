@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 import hyperflex as hf
+from hyperflex.checks import Array
 from hyperflex.control import TrueState
 from hyperflex.errors import InvalidInput
 from hyperflex.execution import RunOptions, observed_turns, run_plan
@@ -39,6 +41,7 @@ class SeenRope:
     def __init__(self, plan: CastPlan, swings: float = 0.0) -> None:
         self.plan, self.swings = plan, swings
         self.starts: list[float] = []
+        self.given: list[RopeState] = []
 
     def start_clock(self, at: float | None = None) -> None:
         self.starts.append(time.monotonic() if at is None else at)
@@ -48,10 +51,13 @@ class SeenRope:
         n = ROPE.n_links
         if len(self.starts) == 1:
             return RopeState(t, np.zeros(n), np.full(n, self.swings))
-        return self.rope.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion"))
+        self.given.append(self.rope.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
+        return self.given[-1]
 
-    def turns(self, state: RopeState, arm_angle: float, peg: hf.Peg) -> float:
-        return observed_turns(ROPE, self.plan.problem.arm, state, arm_angle, peg)
+    def turns(self, arm_angle: Callable[[Array], Array], peg: hf.Peg, side: int) -> tuple[Array, Array]:
+        t = np.array([each.t for each in self.given])
+        rows = zip(self.given, arm_angle(t).tolist(), strict=True)
+        return t, np.array([observed_turns(ROPE, self.plan.problem.arm, state, angle, peg) for state, angle in rows])
 
 
 def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(tmp_path: Path) -> None:

@@ -1,25 +1,86 @@
 """``hyperflex run``: a planned cast carried out on a drive."""
 
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex import files
+from hyperflex import checks, files
 from hyperflex.cli import output
-from hyperflex.cli.command import Given, OutFolder, positive
+from hyperflex.cli.command import ArcLengths, Given, OutFolder, numbers, positive
 from hyperflex.cli.output import Rows
 from hyperflex.errors import DriveError, Interrupted, InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
 
 if TYPE_CHECKING:
-    from hyperflex.execution import CastRun
+    from hyperflex.estimate import TrackingTask
+    from hyperflex.execution import CastRun, ClockedSource
     from hyperflex.hardware import DriveZero
     from hyperflex.planning import CastPlan
+    from hyperflex.vision import Camera
 
 EMULATED = "EMULATED: motor and rope are simulated in real time behind the drive's protocol"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """Options on the camera that sees the rope."""
+
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="Number of a camera (0 is the first) or a stream (rtsp://...) that sees the rope. With an emulated "
+            "motor: emulated, for rendered pictures."
+        ),
+    ] = None
+    calibration: Annotated[
+        Path | None, typer.Option(help="TOML file of the calibrated camera, with the swing plane (calibrate).")
+    ] = None
+    arc_lengths: ArcLengths = None
+    click: Annotated[
+        list[str] | None,
+        typer.Option(help="Pixel u,v of a marker. [default: the colour that most small things share]"),
+    ] = None
+
+    @property
+    def arcs(self) -> Any:
+        """Distances (K,) of the markers along the rope, m; None if they are not given."""
+        given = numbers("--arc-lengths", self.arc_lengths or (), "0.2,0.4,0.6")
+        return checks.array("--arc-lengths", given, (-1,)) if given else None
+
+    @property
+    def view(self) -> "Camera | None":
+        """The calibrated camera; None if it is not given."""
+        from hyperflex.vision import read_camera
+
+        return None if self.calibration is None else read_camera(self.calibration)
+
+    def check(self, emulated: bool) -> None:
+        """Refuse, before any work, a camera that cannot see this rope, and missing options."""
+        if self.camera is None:
+            return
+        if emulated != (self.camera == "emulated"):
+            whose, fix = ("an emulated", "emulated") if emulated else ("a real", "the number of a camera")
+            raise InvalidInput(f"--camera does not see the rope of {whose} motor", got=self.camera, allowed=fix)
+        missing = {"--calibration": self.calibration, "--arc-lengths": self.arc_lengths}
+        if not emulated and not all(missing.values()):
+            no = "no " + ", ".join(name for name, value in missing.items() if not value)
+            raise InvalidInput("--camera needs more options", got=no, fix="Give them, as for hyperflex watch")
+
+    def task(self, plan: "CastPlan") -> "TrackingTask":
+        """Return what a real camera tracks: the plan's rope; the markers' colour is taken from its first frames."""
+        from hyperflex.cli.track import marker_colours, newest_images
+        from hyperflex.estimate import TrackingTask, open_frames
+        from hyperflex.vision import Camera
+
+        view = checks.instance("--calibration", self.view, Camera)
+        with open_frames(self.camera or "") as frames:
+            colours = marker_colours(newest_images(frames, 10.0), self.click or ())
+        return TrackingTask(plan.problem.rope, self.arcs, view, colours, plan.problem.arm)
 
 
 def run(
@@ -43,6 +104,7 @@ def run(
     learn: Annotated[
         bool, typer.Option("--learn", help="Learn from each cast; stop when the rope winds three times running.")
     ] = False,
+    sight: Sight,
     page: Annotated[int | None, typer.Option(help="Show the run in a browser at this port; 0 for any.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not wait for Enter before each cast on a real motor.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the plan; connect nothing.")] = False,
@@ -54,12 +116,16 @@ def run(
     Read the how-to page "Run a plan on a drive" before you connect a motor. All of this was tested on emulated drives
     only.
 
-    With emulator:MAKE a process emulates drive, motor and rope in real time; its rope's true state is what is observed.
+    A camera (--camera, --calibration, --arc-lengths) shows whether the rope hangs still and whether it is wound, and
+    what --follow and --learn need. A run whose camera no longer sees the rope is stopped.
+
+    With emulator:MAKE a process emulates drive, motor and rope in real time. Without --camera emulated, its rope's true
+    state is what is observed.
     The command writes the log (NetCDF and MCAP) and a figure. The exit code is 4 if the rope is not
     wound, or nothing shows that it is.
     """
-    from hyperflex.execution import EmulatedRope, RunPage, emulator_of, open_drive, run_plan
-    from hyperflex.hardware import Drive, MotorModel, open_link
+    from hyperflex.execution import CameraRope, RunPage, open_drive, run_plan
+    from hyperflex.hardware import Drive, open_link
     from hyperflex.planning import CastPlan, FollowOptions, read_plan
     from hyperflex.report import check_folder
 
@@ -70,6 +136,7 @@ def run(
     if not planned.success:
         output.note(f"{plan} does not succeed in simulation: {planned.message}")
     limits, emulated = planned.problem.limits, motor.startswith("emulator:")
+    sight.check(emulated)
     known = None if emulated else _zero(motor, zero, dry_run)
     if dry_run:
         link = open_link("moteus:none" if emulated else motor)
@@ -89,23 +156,42 @@ def run(
                 shown.say(phase)
 
         given: dict[str, Any] = {"follow": closed, "options": chosen, "say": say, "page": shown}
+        task = None if emulated or sight.camera is None else sight.task(planned)
 
         def real(motion: Any = None) -> "CastRun":
             if not yes:
                 typer.prompt("Unwind the rope and keep clear. Enter switches the torque on", default="", err=True)
             connect = partial(open_drive, motor, limits, known, max_deviation)
-            return run_plan(planned, connect, motion=motion, **given)
+            with nullcontext() if task is None else CameraRope(sight.camera or "", task) as source:
+                return run_plan(planned, connect, motion=motion, source=source, **given)
 
         def emulate(motion: Any = None) -> "CastRun":
-            make, emulator = emulator_of(planned, motor, MotorModel(extrapolates=motor.startswith("emulator:moteus")))
-            with emulator:  # a new one for each cast: nobody unwinds the rope
-                source = EmulatedRope(emulator, planned.problem.rope, planned.setup().rope, planned.problem.arm)
-                connect = partial(open_drive, f"{make}:{emulator.port}", limits, None, max_deviation)
+            with _emulated(planned, motor, sight) as (address, source):  # a new one for each cast: nobody unwinds it
+                connect = partial(open_drive, address, limits, None, max_deviation)
                 return run_plan(planned, connect, motion=motion, source=source, **given)
 
         _carry_out(planned, emulate if emulated else real, out, repeat=repeat, learn=learn, emulated=emulated)
         if shown is not None:
             shown.end("the casts are over")
+
+
+@contextmanager
+def _emulated(plan: "CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str, ClockedSource]]":
+    """Yield the address of an emulated motor, and its rope: its true state, or what an emulated camera sees of it."""
+    from hyperflex.execution import CameraRope, EmulatedCamera, EmulatedRope, emulator_of
+    from hyperflex.hardware import MotorModel
+
+    make, emulator = emulator_of(plan, motor, MotorModel(extrapolates=motor.startswith("emulator:moteus")))
+    rope = plan.setup().rope
+    with ExitStack() as stack:
+        stack.enter_context(emulator)
+        address = f"{make}:{emulator.port}"
+        if sight.camera is None:
+            yield address, EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
+            return
+        camera = EmulatedCamera(plan, emulator, rope, camera=sight.view, arc_lengths=sight.arcs)
+        stack.enter_context(camera)
+        yield address, stack.enter_context(CameraRope(camera.frames, camera.task))
 
 
 def _zero(motor: str, path: Path | None, dry_run: bool) -> "DriveZero":

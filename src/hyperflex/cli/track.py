@@ -100,7 +100,7 @@ class Markers:
             unnamed = [name for name in ("offset_x", "offset_y") if all(name != each.name for each in estimated)]
             estimated += [EstimatedParameter(name, doubt) for name in unnamed]
         return TrackingTask(
-            line, arcs, lens, _marker_colours(images, self.click or ()), parameters=estimated, tests=tests
+            line, arcs, lens, marker_colours(images, self.click or ()), parameters=estimated, tests=tests
         )
 
 
@@ -115,7 +115,7 @@ def _parameter(text: str) -> "EstimatedParameter":
     return EstimatedParameter(name, numbers("--estimate", [std], "scale=0.01")[0])
 
 
-def _marker_colours(images: "Iterable[Image]", clicks: Sequence[str]) -> "list[MarkerColour]":
+def marker_colours(images: "Iterable[Image]", clicks: Sequence[str]) -> "list[MarkerColour]":
     """Return the colours of the markers: that of the first picture which shows one, or those at pixels of the first."""
     from hyperflex.vision import MarkerColour
 
@@ -295,7 +295,7 @@ def watch(
         if not frames.live and frames.image_size != lens.image_size:
             got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
             raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
-        task = markers.task(_images(frames, reconnect_timeout))
+        task = markers.task(newest_images(frames, reconnect_timeout))
         task.rehearse()
         tracker = task.tracker()
         follow = Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
@@ -398,7 +398,7 @@ class _Record:
         }
 
 
-def _images(frames: "FrameThread", reconnect_timeout: float) -> "Iterator[Image]":
+def newest_images(frames: "FrameThread", reconnect_timeout: float) -> "Iterator[Image]":
     """Yield pictures for so long, s; the last one that was yielded stays in the queue."""
     until, count = time.monotonic() + reconnect_timeout, 0
     while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:

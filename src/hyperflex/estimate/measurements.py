@@ -142,6 +142,10 @@ class MarkerMeasurement:
         clutter.learn(blobs, np.isin(everything, taken))
         return pixels, wide
 
+    def spots(self, image: Image) -> Array:
+        """Return pixels (M, 2) of all that looks like a marker, in the whole picture."""
+        return self._detect(image)[0].places
+
     def _detect(self, image: Image, gates: list[Gate] | None = None) -> tuple[Blobs, npt.NDArray[np.int64]]:
         """Return the blobs of all colours (M,), and of which each is. A gate is searched for its marker's colour."""
         found = [

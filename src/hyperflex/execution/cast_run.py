@@ -53,13 +53,15 @@ def weight_torque(problem: Problem, angle: float) -> float:
 class Prediction:
     """The simulated run of a plan: times (T,), s, joints (T, n + 1, 2), m, and the motor's torque (T,), N m.
 
-    `touch` is the time at which the rope first touches the target, s; inf if it never does.
+    `touch` is the time at which the rope first touches the target, s; inf if it never does. `side` is 1 if it winds
+    counterclockwise, else -1.
     """
 
     t: Array
     places: Array
     torque: Array
     touch: float
+    side: int
 
     @classmethod
     def of(cls, plan: CastPlan, motion: Motion) -> "Prediction | None":
@@ -74,7 +76,9 @@ class Prediction:
         shared = np.searchsorted(_arcs(run.setup.rope) + 1e-9, _arcs(problem.rope))  # links may be cut near pegs
         touched = np.isfinite(measure_winding(run, plan.target).before)
         touch = float(run.t[touched.argmax()]) if touched.any() else math.inf
-        return cls(run.t, run.joints[:, shared], run.motor_torque, touch)
+        places = run.joints[:, shared]
+        wound = float(swept(places[-1] - np.array([plan.target.x, plan.target.y])).sum())
+        return cls(run.t, places, run.motor_torque, touch, 1 if wound > 0.0 else -1)
 
     @property
     def free_torque(self) -> tuple[Array, Array] | None:
@@ -104,8 +108,8 @@ class CastRun:
         The simulated run of the plan; None if it cannot be simulated.
     recording : Recording or None
         Absolute link angles as the source of the rope's state gave them; None without a source.
-    observed : (T,) float64, or None
-        Turns of the observed rope about the target at the recording's times; NaN where they do not show.
+    observed : ((T,) float64, (T,) float64), or None
+        Times, s, and the turns of the rope about the target as it was seen then; NaN where they do not show.
     follow : FollowResult or None
         The decisions, if the plan was followed in closed loop.
     stopped : str
@@ -121,7 +125,7 @@ class CastRun:
     log: StreamLog
     prediction: "Prediction | None" = None
     recording: Recording | None = None
-    observed: Array | None = None
+    observed: tuple[Array, Array] | None = None
     follow: FollowResult | None = None
     stopped: str = ""
     interrupted: bool = False
@@ -170,11 +174,11 @@ class CastRun:
     @property
     def turns(self) -> float | None:
         """Least turns of the observed rope about the target while it is watched; None where nothing shows them."""
-        if self.recording is None or self.observed is None:
+        if self.observed is None:
             return None
-        watched = self.recording.t >= self._stop + self.plan.problem.criteria.settle
-        found = self.observed[watched]
-        if not found.size or not np.isfinite(found).all():
+        t, turns = self.observed
+        found = turns[(t >= self._stop + self.plan.problem.criteria.settle) & np.isfinite(turns)]
+        if not found.size:
             return None
         return float(found[np.argmin(np.sign(found[-1]) * found)])
 

@@ -1,6 +1,7 @@
 """An emulated drive with the rope of a plan behind it, and that rope as a source of its state."""
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -69,10 +70,11 @@ class EmulatedRope:
         self._parts[now] = RopeState(now, q, qd), arm_angle
         return RopeState(now, *self._joined(q, qd))
 
-    def turns(self, state: RopeState, arm_angle: float, peg: Peg) -> float:
-        """Return the turns of the emulated rope about a peg when its `state` was returned."""
-        parts, true_angle = self._parts[state.t]
-        return observed_turns(self.emulated, self.arm, parts, true_angle, peg)
+    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
+        """Return the times (T,) at which states were returned, s, and the turns of the emulated rope about a peg."""
+        parts = [self._parts[t] for t in sorted(self._parts)]
+        turns = [observed_turns(self.emulated, self.arm, *each, peg) for each in parts]
+        return np.array([state.t for state, _ in parts]), np.array(turns)
 
     def _joined(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Angles and rates of the chords of the links that are made of parts."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import DriveError, HyperflexError, InvalidInput
+from hyperflex.errors import DriveError, EstimatorLost, HyperflexError, InvalidInput
 from hyperflex.execution.cast_run import CastRun, Prediction, weight_torque
 from hyperflex.execution.page import RunPage
 from hyperflex.execution.stream import POLL, MotionStream, StreamLog
@@ -30,13 +31,17 @@ LOST = 0.3  # s without a state of the rope after which a cast is stopped: some 
 
 
 class ClockedSource(StateSource, Protocol):
-    """A source of the rope's state whose t = 0 can be set, such as :class:`EmulatedRope`."""
+    """A source of the rope's state whose t = 0 can be set: :class:`CameraRope` or :class:`EmulatedRope`."""
 
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0."""
 
-    def turns(self, state: RopeState, arm_angle: float, peg: Peg) -> float:
-        """Return the signed turns of the rope about a peg in a state; NaN if its links are too long to tell."""
+    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
+        """Return times (T,), s, and the turns of the rope about a peg as it was seen then; NaN where they do not show.
+
+        `arm_angle` returns the arm's angles, rad, at times, s; `side` is 1 for a rope that is to wind counterclockwise,
+        else -1.
+        """
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,9 @@ class RunOptions:
         Clear a fault of the device at the start.
     sampling : float
         Rate at which the rope's state is recorded, Hz.
+    lag : float
+        Identified lag of the drive, s: so much later than its goals the arm is known to move, where the rope is
+        estimated from pictures and where a plan is followed.
     """
 
     rate: float = option(200.0, "goals a second", unit="Hz", sign="positive")
@@ -75,6 +83,7 @@ class RunOptions:
     feed_forward: bool = option(True, "send the torque that the simulation needs along")
     clear_fault: bool = option(False, "clear a fault of the device at the start")
     sampling: float = option(60.0, "rate at which the rope's state is recorded", unit="Hz", sign="positive")
+    lag: float = option(0.0, "identified lag of the drive", unit="s", sign="nonnegative")
 
     def __post_init__(self) -> None:
         check(self, "")
@@ -153,18 +162,18 @@ def run_plan(
     connect().check_motion(made)
     say("simulating the plan")
     prediction, stop, found, turns = Prediction.of(plan, made), "", None, None
-    watch = _Watch(None, 0.0, chosen.sampling)
+    watch = _Watch(None, 0.0, made, chosen)
     duration = 120.0 + 2.0 * float(made.breaks[-1])
     drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
     begun = False
-    with stoppable() as stopped:
+    with stoppable() as stopped, threadpool_limits(1):  # of small matrices: more threads wait for each other
         try:
             with drive:
                 if page is not None:
                     page.attach(drive, lambda: watch.states[-1] if watch.states else None)
                 _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say)
                 begin = time.monotonic() + LEAD
-                watch = _Watch(source, begin, chosen.sampling)
+                watch = _Watch(source, begin, made, chosen)
                 begun = True
                 try:
                     drive.start_clock(begin)
@@ -175,7 +184,10 @@ def run_plan(
                         found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
                         made = found.motion
                     criteria = plan.problem.criteria
-                    _sleep_until(begin + float(made.breaks[-1]) + criteria.settle + criteria.watch, drive, watch)
+                    end = float(made.breaks[-1])
+                    strike = end if prediction is None else min(end, prediction.touch)
+                    _sleep_until(begin + strike, drive, watch)  # what is seen after it changes nothing
+                    _sleep_until(begin + end + criteria.settle + criteria.watch, drive)
                     drive.off()
                 except HyperflexError as error:
                     stop = str(error)
@@ -187,7 +199,7 @@ def run_plan(
     watch.stop()
     log, recording = drive.log(), watch.recording()
     if recording is not None and source is not None:
-        turns = watch.turns(source, log, plan.target)
+        turns = source.turns(log.angle, plan.target, 1 if prediction is None else prediction.side)
     return stopped.deliver(
         CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received, drive.late)
     )
@@ -206,7 +218,7 @@ def _prepare(
     if abs(free - problem.rope.hanging_angle) > HANGS:
         say(f"without torque the arm stands at {free:.2f} rad: if it hangs freely there, its zero is wrong")
     _approach(drive, start, problem, options, say)
-    _wait_until_still(drive, source, problem.rope, options, say)
+    _wait_until_still(drive, hold_arm(start), source, problem.rope, options, say)
     _compare_weight(drive.log(), problem, say)
     for k in range(math.ceil(options.countdown), 0, -1):
         say(f"the cast begins in {k} s")
@@ -240,7 +252,12 @@ def _approach(
 
 
 def _wait_until_still(
-    drive: MotionStream, source: ClockedSource | None, rope: Rope, options: RunOptions, say: Callable[[str], None]
+    drive: MotionStream,
+    held: Motion,
+    source: ClockedSource | None,
+    rope: Rope,
+    options: RunOptions,
+    say: Callable[[str], None],
 ) -> None:
     if source is None:
         if options.wait:
@@ -251,8 +268,14 @@ def _wait_until_still(
     begin = time.monotonic()
     source.start_clock(begin)
     while True:
+        _sleep_until(time.monotonic() + 10.0 * POLL, drive)
         t = time.monotonic() - begin
-        state = source.state(t, hold_arm(0.0))
+        try:
+            state = source.state(t, held)
+        except EstimatorLost:  # not found yet
+            if t > options.wait:
+                raise
+            continue
         rate, away = float(np.abs(state.qd).max()), float(np.abs(state.q - rope.hanging_angle).max())
         if rate <= options.still and away <= HANGS:
             return
@@ -261,7 +284,6 @@ def _wait_until_still(
             if away > HANGS and rate <= options.still:
                 raise InvalidInput("the rope does not hang down", got=away, allowed=f"{HANGS:g} rad", fix="Unwind it")
             raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {options.still:g} rad/s", fix=fix)
-        _sleep_until(time.monotonic() + 10.0 * POLL, drive)
 
 
 def _compare_weight(log: StreamLog, problem: Problem, say: Callable[[str], None]) -> None:
@@ -286,12 +308,15 @@ def _sleep_until(end: float, drive: MotionStream, watch: "_Watch | None" = None)
 
 
 class _Watch:
-    """A source in real time: it waits for the time that is asked for, and records the rope meanwhile."""
+    """A source in real time: it waits for the time that is asked for, and records the rope meanwhile.
 
-    def __init__(self, source: ClockedSource | None, begin: float, rate: float) -> None:
-        self.source, self.begin, self.period = source, begin, 1.0 / rate
+    The arm moves later than it is commanded, by the lag: the rope's state now belongs to what was commanded then.
+    """
+
+    def __init__(self, source: ClockedSource | None, begin: float, motion: Motion, options: RunOptions) -> None:
+        self.source, self.begin, self.lag, self.period = source, begin, options.lag, 1.0 / options.sampling
         self.states: list[RopeState] = []
-        self._motion: Motion | None = None
+        self._motion = motion.shifted(self.lag)
         self._lock, self._over = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._record, name="rope recorder", daemon=True)
         self._failed: HyperflexError | None = None  # since the last state
@@ -315,14 +340,15 @@ class _Watch:
             raise self._failed
 
     def state(self, t: float, motion: Motion) -> RopeState:
-        """Return the state at a time, s, once that time has come."""
+        """Return the state at a time, s, once that time has come, for a command that the arm follows at once."""
         checks.number("t", t, unit="s")
         if self.source is None:
             raise InvalidInput("there is no source of the rope's state")
         time.sleep(max(0.0, self.begin + t - time.monotonic()))
         with self._lock:
-            self._motion = motion
-            return self.source.state(time.monotonic() - self.begin, motion)
+            self._motion = motion.shifted(self.lag)
+            found = self.source.state(time.monotonic() - self.begin, self._motion)
+        return replace(found, t=found.t - self.lag)
 
     def recording(self) -> Recording | None:
         """Return the observed link angles; None of fewer than two."""
@@ -335,23 +361,18 @@ class _Watch:
         t, q = np.array([each.t for each in self.states]), np.array([each.q for each in self.states])
         return Recording(t, q, "angles", noise, name="a cast carried out")
 
-    def turns(self, source: ClockedSource, log: StreamLog, peg: Peg) -> Array:
-        """Return the turns of the observed rope about a peg at the recording's times (T,)."""
-        angles = log.angle(np.array([each.t for each in self.states]))
-        return np.array([source.turns(*each, peg) for each in zip(self.states, angles.tolist(), strict=True)])
-
     def _record(self) -> None:
-        due = self.begin
+        due = time.monotonic()  # a camera's process is told the motion before it begins
         while not self._over.wait(max(0.0, due - time.monotonic())):
             due += self.period
             t = time.monotonic() - self.begin
             try:
                 with self._lock:
                     assert self.source is not None  # noqa: S101 the thread runs with a source alone
-                    state = self.source.state(t, self._motion or hold_arm(0.0))
+                    state = self.source.state(t, self._motion)
             except HyperflexError as error:
                 self._failed = error
                 continue
             self._failed, self._seen = None, time.monotonic()
-            if not self.states or state.t > self.states[-1].t:
+            if state.t >= 0.0 and (not self.states or state.t > self.states[-1].t):
                 self.states.append(state)

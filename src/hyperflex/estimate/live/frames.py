@@ -199,13 +199,13 @@ class FrameThread:
             self._notes += notes
 
 
-def open_frames(source: int | str, *, paced: bool = False, reconnect_timeout: float = 10.0) -> FrameThread:
+def open_frames(source: int | str | Source, *, paced: bool = False, reconnect_timeout: float = 10.0) -> FrameThread:
     """Open a camera by its number, a stream by its address (``rtsp://...``), or a file in place of one.
 
     Parameters
     ----------
-    source : int or str
-        A number in digits is a camera's.
+    source : int, str or Source
+        A number in digits is a camera's. A source that is open already counts as a camera.
     paced : bool
         Play a file at its own speed; else as fast as its frames are taken.
     reconnect_timeout : float
@@ -216,6 +216,8 @@ def open_frames(source: int | str, *, paced: bool = False, reconnect_timeout: fl
     FileProblem
         If the source cannot be opened, or gives no frame.
     """
+    if not isinstance(source, int | str):
+        return FrameThread(lambda: source, live=True, reconnect_timeout=reconnect_timeout)
     words = str(source)
     if words.isdecimal() or "://" in words:
         address = int(words) if words.isdecimal() else words

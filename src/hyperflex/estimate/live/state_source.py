@@ -19,15 +19,15 @@ from hyperflex.checks import Array
 from hyperflex.errors import EstimatorLost, HyperflexError, InvalidInput
 from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
-from hyperflex.estimate.live.frames import Arrival, open_frames
+from hyperflex.estimate.live.frames import Arrival, Source, open_frames
 from hyperflex.estimate.live.watch import Watch
 from hyperflex.estimate.measurements import MarkerMeasurement
 from hyperflex.estimate.parameters import EstimatedParameter
-from hyperflex.estimate.tracker import RopeTracker
+from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector
+from hyperflex.vision import Camera, Frame, Image, MarkerColour, MarkerDetector
 
 READY = "ready"
 TICK = 0.05  # s, longest time between two packets: the parent sees that the process runs
@@ -107,6 +107,8 @@ class Packet(NamedTuple):
         The last that were noticed.
     motions : int
         Motions received so far.
+    spots : (M, 2) float64
+        Places in the swing plane of all that looks like a marker in the last picture, m.
     """
 
     written: float
@@ -119,6 +121,7 @@ class Packet(NamedTuple):
     rows: Array
     changes: tuple[Change, ...]
     motions: int
+    spots: Array
 
 
 class StampClock:
@@ -146,12 +149,12 @@ class StampClock:
         return Frame(self._last, arrival.frame.image, arrival.frame.index)
 
 
-def work(source: int | str, task: TrackingTask, link: Connection) -> None:
+def work(source: int | str | Source, task: TrackingTask, link: Connection) -> None:
     """Send a :class:`Packet` for each frame, and while none comes, until the parent ends; errors are sent as text.
 
     Parameters
     ----------
-    source : int or str
+    source : int, str or Source
         Camera, stream or file.
     task : TrackingTask
     link : Connection
@@ -165,7 +168,7 @@ def work(source: int | str, task: TrackingTask, link: Connection) -> None:
             link.send(str(error))
 
 
-def _follow(source: int | str, task: TrackingTask, link: Connection) -> None:
+def _follow(source: int | str | Source, task: TrackingTask, link: Connection) -> None:
     from threadpoolctl import threadpool_limits
 
     tracker, motions = task.tracker(), 0
@@ -180,17 +183,30 @@ def _follow(source: int | str, task: TrackingTask, link: Connection) -> None:
             motions += 1
 
     with open_frames(source, paced=True) as frames, threadpool_limits(1):
+        if frames.image_size != task.camera.image_size:
+            got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, task.camera.image_size))
+            raise InvalidInput("the frames have another size than the camera's calibration", got=got, allowed=allowed)
         link.send(READY)
-        count, changes = 0, deque[Change](maxlen=MOST_CHANGES)
+        count, changes, spots = 0, deque[Change](maxlen=MOST_CHANGES), np.zeros((0, 2))
         for estimate in Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion):
             count += estimate.frame is not None
-            changes.extend(() if estimate.tracked is None else estimate.tracked.changes)
+            if estimate.frame is not None and estimate.tracked is not None:
+                changes.extend(estimate.tracked.changes)
+                spots = _spots(tracker, estimate.frame.image, estimate.tracked)
             t, seen_at, found = estimate.t, -math.inf, estimate.found and estimator.t is not None
             if found and estimator.t is not None:
                 t, seen_at = estimator.t, estimator.t - estimator.age
             state = estimator.process_noise.value, estimator.x, estimator.factor
-            link.send(Packet(time.monotonic(), t, seen_at, found, count, *state, tuple(changes), motions))
+            link.send(Packet(time.monotonic(), t, seen_at, found, count, *state, tuple(changes), motions, spots))
         link.send(f"no more frames come: {frames.ended}")
+
+
+def _spots(tracker: RopeTracker, image: Image, tracked: TrackedFrame) -> Array:
+    """Return places (M, 2), m, of all that looks like a marker: the rope's, or if some are missing, of a search."""
+    if tracked.seen.all() or not isinstance(tracker.measurement, MarkerMeasurement):
+        return tracked.places[tracked.seen]
+    places = tracker.adjusted_camera.locate(tracker.measurement.spots(image))
+    return np.asarray(places[np.isfinite(places).all(axis=1)])
 
 
 _POLL = 0.005  # s between two checks while waiting
@@ -206,8 +222,9 @@ class CameraStateSource:
 
     Parameters
     ----------
-    source : int or str
-        The camera's number, a stream's address, or a video file, which is played at its own speed.
+    source : int, str or Source
+        The camera's number, a stream's address, a video file, which is played at its own speed, or frames that another
+        process shares.
     task : TrackingTask
         Rope, markers and camera. The camera's ``delay`` is the delay that all frames have.
     longest : float
@@ -217,6 +234,11 @@ class CameraStateSource:
     start_timeout : float
         How long the process may take to start, s; compiling kernels takes a minute or more.
 
+    Attributes
+    ----------
+    spots : list of (float, (M, 2) float64)
+        For each picture since the clock's start: its time, s, and the places of all that looks like a marker, m.
+
     Notes
     -----
     t = 0 is when the block is entered, or when :meth:`start_clock` is called. The process ends with the block, or when
@@ -225,7 +247,7 @@ class CameraStateSource:
 
     def __init__(
         self,
-        source: int | str,
+        source: int | str | Source,
         task: TrackingTask,
         *,
         longest: float = 1.0,
@@ -240,6 +262,7 @@ class CameraStateSource:
         self._motion: Motion | None = None
         self._pending, self._sent, self._zero = False, 0, 0.0
         self._packet: Packet | None = None
+        self.spots: list[tuple[float, Array]] = []
         self._message = ""
         self._worker: multiprocessing.process.BaseProcess | None = None
 
@@ -251,10 +274,10 @@ class CameraStateSource:
     def __exit__(self, *_: object) -> None:
         self._end()
 
-    def start_clock(self) -> None:
-        """Make now t = 0."""
-        self._zero = time.monotonic()
-        self._motion = None
+    def start_clock(self, at: float | None = None) -> None:
+        """Make a moment of the monotonic clock, s, or now, t = 0."""
+        self._zero = time.monotonic() if at is None else checks.number("at", at, unit="s")
+        self._motion, self.spots = None, []
 
     @property
     def now(self) -> float:
@@ -371,6 +394,8 @@ class CameraStateSource:
             while True:
                 received = link.recv()
                 if isinstance(received, Packet):
+                    if self._packet is not None and received.frames > self._packet.frames:
+                        self.spots.append((received.t - self._zero, received.spots))
                     self._packet = received
                 else:
                     self._message = received

@@ -1,6 +1,7 @@
 """The synthetic camera: a scene with a moving rope, and its frames, integrated over each row's exposure."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -277,6 +278,12 @@ class Renderer:
         noise = self._rng.standard_normal((height + 64, width + 64, 3), dtype=np.float32)
         self._noise = np.float32(scene.noise) * noise
         self._upright = camera.readout_direction in ("down", "up")
+
+    def with_motion(self, motion: RopeMotion) -> "Renderer":
+        """Return the same camera, before the same wall, with another motion."""
+        other = copy(self)
+        other.motion = motion
+        return other
 
     def image(self, stamp: float) -> Image:
         """Return the frame (height, width, 3) with a time stamp, s."""
