@@ -31,6 +31,12 @@ class CameraRope(CameraStateSource):
     The estimate knows no contact: it ends soon after the rope has struck. Whether it is wound is seen in the markers.
     """
 
+    def start_clock(self, at: float | None = None) -> None:
+        """Make a moment of the monotonic clock, s, or now, t = 0; in the latter case search the rope anew."""
+        super().start_clock(at)
+        if at is None:
+            self.search()
+
     def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
         """Return the times (T,), s, of the pictures, and the turns of the rope about a peg in each; NaN: not seen."""
         arm, rope, arcs = checks.instance("arm", self.task.arm, Arm), self.task.rope, np.asarray(self.task.arc_lengths)

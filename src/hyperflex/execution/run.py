@@ -34,7 +34,7 @@ class ClockedSource(StateSource, Protocol):
     """A source of the rope's state whose t = 0 can be set: :class:`CameraRope` or :class:`EmulatedRope`."""
 
     def start_clock(self, at: float | None = None) -> None:
-        """Make a moment of the monotonic clock, s, or now, t = 0."""
+        """Make a moment of the monotonic clock, s, or now, t = 0; in the latter case the rope may be anywhere."""
 
     def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
         """Return times (T,), s, and the turns of the rope about a peg as it was seen then; NaN where they do not show.
@@ -266,7 +266,7 @@ def _wait_until_still(
         return
     say("waiting until the rope hangs still")
     begin = time.monotonic()
-    source.start_clock(begin)
+    source.start_clock()
     while True:
         _sleep_until(time.monotonic() + 10.0 * POLL, drive)
         t = time.monotonic() - begin

@@ -158,7 +158,7 @@ def work(source: int | str | Source, task: TrackingTask, link: Connection) -> No
         Camera, stream or file.
     task : TrackingTask
     link : Connection
-        Receives motions, each with the time of its t = 0, s.
+        Receives motions, each with the time of its t = 0, s; None in place of one: the rope is searched anew.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
     with suppress(OSError):  # the parent has ended
@@ -179,7 +179,10 @@ def _follow(source: int | str | Source, task: TrackingTask, link: Connection) ->
         nonlocal motions
         while link.poll():
             motion, zero = link.recv()
-            estimator.process.set_motion(motion.shifted(zero))
+            if motion is None:
+                estimator.restart()
+            else:
+                estimator.process.set_motion(motion.shifted(zero))
             motions += 1
 
     with open_frames(source, paced=True) as frames, threadpool_limits(1):
@@ -335,6 +338,12 @@ class CameraStateSource:
         begin, n = packet.t - self._zero, self.task.rope.n_links
         until = moment + self._parameters.value("delay", packet.x[2 * n :])
         return self._model.state_at(packet.x, packet.rows, begin, max(until, begin), packet.noise)
+
+    def search(self) -> None:
+        """Let the rope be searched anew, wherever it was."""
+        with suppress(OSError):  # the process has ended: the next call reports it
+            self._link.send((None, 0.0))
+        self._sent += 1
 
     @property
     def changes(self) -> tuple[Change, ...]:

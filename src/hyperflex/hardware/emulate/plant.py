@@ -108,9 +108,9 @@ class Plant:
             raise InvalidInput("the sampled position loop is unstable: kd", got=model.kd, allowed=allowed)
         rope = rope or Rope.uniform(length=0.01, mass=1e-6, n_links=1, friction=1e-3)  # too light to be felt
         self._stepper = Stepper(rope, command="torque", refine=False, arm=driven, pegs=tuple(obstacles), tol=tol)
-        self._state = self._stepper.start(arm_angle=angle)
         self._ticks, self._now = 0, 0.0
-        self._rotor = angle, 0.0  # angle and rate, apart from the arm's if there is backlash
+        self.hang(angle)
+        self._held = False
         self._offset = 0.0  # of the encoder
         self._stops = -math.inf, math.inf
         self._goals: deque[tuple[float, Goal]] = deque()  # with the time at which each takes effect
@@ -133,7 +133,7 @@ class Plant:
         if on and not self.enabled:
             self._goals.clear()
             self._goal = self._now, Goal(self.angle)
-        self.enabled = on
+        self.enabled, self._held = on, self._held and not on
 
     def advance(self, t: float) -> None:
         """Integrate to time t, s, of the plant's own clock."""
@@ -177,6 +177,12 @@ class Plant:
         """True rate of the arm at the last step, rad/s."""
         return float(self._state.arm_rate or 0.0)
 
+    def hang(self, angle: float) -> None:
+        """Hang the rope from the arm at an angle, rad, and hold both still until the torque is switched on."""
+        self._state = self._stepper.start(arm_angle=angle)
+        self._rotor = angle, 0.0  # angle and rate, apart from the arm's if there is backlash
+        self._held = True
+
     def rope_state(self) -> tuple[Array, Array]:
         """Return link angles q (n,), rad, and rates qd (n,), rad/s, at the last step."""
         return self._state.q, self._state.qd
@@ -216,6 +222,9 @@ class Plant:
     # ------------------------------------------------------------------ one step
 
     def _tick(self) -> None:
+        if self._held:
+            self._ticks += 1
+            return
         model, step, now = self.model, self.step, self._ticks * self.step
         while self._goals and self._goals[0][0] <= now + 1e-9:
             self._goal = self._goals.popleft()

@@ -184,6 +184,10 @@ class Emulator:
         q, qd = np.split(row[len(STATES) :], 2)
         return float(row[0]), float(row[1]), q, qd
 
+    def hang(self, angle: float) -> None:
+        """Unwind the rope by hand, and hold arm and rope still at an angle, rad, until the torque is switched on."""
+        self._ask("hang", angle)
+
     def inject(self, wire: WireFaults | None = None, *, disconnect: bool = False, **plant: Any) -> None:
         """Inject faults from now on.
 
@@ -300,6 +304,8 @@ def _answer(link: Connection, plant: Plant, wire: FaultyWire, terminal: "_Termin
             wire.set(*values)
         elif kind == "impose":
             plant.impose(**values[0])
+        elif kind == "hang":
+            plant.hang(*values)
         elif kind == "disconnect":
             terminal.close()
     except (HyperflexError, TypeError) as error:
