@@ -49,6 +49,18 @@ def test_a_real_motor_needs_its_zero(refused, plan, tmp_path):
     assert "needs its zero" in refused("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done")
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--motor", "emulator:moteus", "--camera", "0"), "does not see the rope of an emulated motor"),
+        (("--motor", "moteus:/dev/none", "--camera", "emulated"), "does not see the rope of a real motor"),
+        (("--motor", "moteus:/dev/none", "--camera", "0"), "no --calibration, --arc-lengths"),
+    ],
+)
+def test_a_camera_that_cannot_see_the_rope_is_one_line(refused, plan, tmp_path, options, message):
+    assert message in refused("run", plan, "-o", tmp_path / "done", *options)
+
+
 def test_a_plan_of_a_whip_is_refused(refused, tmp_path):
     planned_whip().to_toml(tmp_path / "whip.toml")
     assert "no plan of a cast" in refused(
@@ -95,3 +107,15 @@ def test_learning_stops_after_three_casts_that_wind(hyperflex_json, plan, tmp_pa
     how = "--motor", "emulator:moteus", "--repeat", 5, "--learn", "--countdown", 0
     code, result = hyperflex_json("run", plan, *how, "-o", tmp_path / "done")
     assert (code, len(result["casts"]), len(result["learned"])) == (0, 3, 3)
+
+
+@pytest.mark.nightly
+def test_a_cast_that_an_emulated_camera_sees_winds(hyperflex_json, plan, tmp_path):
+    """Renderer, tracker, follower, stream and emulated drive in processes of their own."""
+    how = "--motor", "emulator:moteus", "--camera", "emulated", "--follow", "--countdown", 0
+    code, result = hyperflex_json("run", plan, *how, "-o", tmp_path / "done")
+    assert (code, result["success"]) == (0, True)
+    (run,) = result["casts"]
+    assert run["judged_by"] == "state"
+    assert abs(run["turns"]) == pytest.approx(2.3, abs=0.4)
+    assert run["decisions"]

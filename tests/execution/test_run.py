@@ -15,11 +15,11 @@ from mcap.reader import make_reader
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.control import TrueState
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import EstimatorLost, InvalidInput
 from hyperflex.execution import RunOptions, observed_turns, run_plan
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan, Moves, WindCriteria, check_feasibility
+from hyperflex.planning import CastPlan, FollowOptions, Moves, WindCriteria, check_feasibility
 from tests.execution.ideal_link import ideal_drive
 
 ROPE = hf.Rope.uniform(length=0.8, mass=0.05, n_links=10, radius=0.0025, friction=1e-3)
@@ -36,10 +36,15 @@ def short_plan() -> CastPlan:
 
 
 class SeenRope:
-    """A simulated rope under the motion that was commanded; it may swing before the clock is started a second time."""
+    """A simulated rope under the motion that was commanded; it may swing before the clock is started a second time.
 
-    def __init__(self, plan: CastPlan, swings: float = 0.0) -> None:
-        self.plan, self.swings = plan, swings
+    In the cast it is seen until `seen`, s; if that is negative, not before it either. `told` are the motions that it
+    was given.
+    """
+
+    def __init__(self, plan: CastPlan, swings: float = 0.0, seen: float = 1e9) -> None:
+        self.plan, self.swings, self.seen = plan, swings, seen
+        self.told: list[Motion] = []
         self.starts: list[float] = []
         self.given: list[RopeState] = []
 
@@ -49,6 +54,9 @@ class SeenRope:
 
     def state(self, t: float, motion: Motion) -> RopeState:
         n = ROPE.n_links
+        self.told.append(motion)
+        if t > self.seen and (len(self.starts) > 1 or self.seen < 0.0):
+            raise EstimatorLost("No marker has been seen for 0.30 s.")
         if len(self.starts) == 1:
             return RopeState(t, np.zeros(n), np.full(n, self.swings))
         self.given.append(self.rope.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
@@ -129,6 +137,34 @@ def test_the_logs_of_drive_and_rope_are_one_mcap_file(tmp_path: Path) -> None:
     assert [each["t"] for _, each in found] == run.log.column("sent").tolist()
     assert found[0][0] == 0  # the arm went to its start before t = 0 of the cast
     replace(run, recording=None).to_mcap(tmp_path / "alone.mcap")
+
+
+@pytest.mark.parametrize("follow", [None, FollowOptions(decision_time=0.05)])
+def test_a_camera_that_is_lost_in_the_middle_stops_the_run_with_one_line(
+    tmp_path: Path, follow: FollowOptions | None
+) -> None:
+    plan = short_plan()
+    drive = partial(ideal_drive, tmp_path / "notes")
+    run = run_plan(plan, drive, source=SeenRope(plan, seen=0.1), follow=follow, options=QUICK)
+    assert run.message == "No marker has been seen for 0.30 s."
+    assert not run.success
+    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+
+
+def test_a_camera_that_never_finds_the_rope_moves_nothing(tmp_path: Path) -> None:
+    plan = short_plan()
+    with pytest.raises(EstimatorLost, match="No marker"):
+        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, seen=-1.0), options=QUICK)
+    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+
+
+def test_the_arm_is_known_to_be_late_by_the_lag(tmp_path: Path) -> None:
+    plan = short_plan()
+    source = SeenRope(plan)
+    run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=replace(QUICK, lag=0.02))
+    motion = plan.required(plan.motion, "motion")
+    assert source.told[0].angle(0.0) == pytest.approx(motion.angle(0.0))  # while it hangs
+    assert source.told[-1] == motion.shifted(0.02)
 
 
 def test_without_a_source_and_a_torque_nobody_says_that_it_wound(tmp_path: Path) -> None:

@@ -38,6 +38,21 @@ def test_without_torque_the_arm_falls_and_hangs() -> None:
     assert plant.torque == 0.0
 
 
+def test_a_rope_that_is_hung_by_hand_is_held_until_the_torque_comes_on() -> None:
+    plant = Plant(MotorModel(), rope(), ARM, angle=1.0)
+    plant.advance(0.5)
+    plant.hang(-1.2)
+    plant.advance(1.5)
+    assert plant.arm_angle == pytest.approx(-1.2)
+    assert not plant.rope_state()[0].any()
+    plant.set_enabled(True)
+    plant.advance(1.6)
+    assert plant.arm_angle == pytest.approx(-1.2, abs=0.01)
+    plant.set_enabled(False)
+    plant.advance(2.0)
+    assert plant.arm_angle > -1.1  # it falls
+
+
 def test_dry_friction_holds_an_arm_that_it_can_hold_and_no_other() -> None:
     weight = 9.81 * 0.05 * 0.05 * math.sin(1.0)
     held, falling = (Plant(MotorModel(dry_friction=part * weight), None, ARM, angle=1.0) for part in (1.01, 0.99))
