@@ -15,8 +15,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import EstimatorLost
 from hyperflex.estimate import CameraStateSource, TrackingTask
-from hyperflex.hardware import Emulator
-from hyperflex.hardware.emulate import EmulatorLog, Rows
+from hyperflex.hardware import Emulator, EmulatorLog, Rows
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import CastPlan
 from hyperflex.trajectory import swept

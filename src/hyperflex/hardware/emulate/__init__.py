@@ -10,6 +10,6 @@ if TYPE_CHECKING:
     from hyperflex.hardware.emulate.moteus import MoteusDevice
     from hyperflex.hardware.emulate.odrive import ODriveDevice
     from hyperflex.hardware.emulate.plant import MotorModel, Plant
-    from hyperflex.hardware.emulate.process import Emulator, EmulatorLog, Rows
+    from hyperflex.hardware.emulate.process import Emulator, EmulatorLog
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
