@@ -8,12 +8,12 @@ from hyperflex.hardware.emulate import MotorModel
 class Servo:
     """Follows its goal by a first-order lag of 5 ms; without torque it stands.
 
-    `goals` came at times, s, and were `steps`, rad, from the shaft then.
+    `goals` came at times, s; `path` are times and angles of the shaft.
     """
 
     def __init__(self, angle=0.0):
         self.t, self.angle, self.rate, self.torque, self.voltage, self.temperature = 0.0, angle, 0.0, 0.0, 24.0, 25.0
-        self.enabled, self.goals, self.steps, self._goal = False, [], [], angle
+        self.enabled, self.goals, self.path, self._goal = False, [], [(0.0, angle)], angle
         self.switched_off = None  # when last
         self.model = MotorModel()
         self.on_goal = lambda goal: None
@@ -21,7 +21,6 @@ class Servo:
     def set_goal(self, goal):
         self._goal = goal.angle
         self.goals.append((self.t, goal))
-        self.steps.append(abs(goal.angle - self.angle))
         self.on_goal(goal)
 
     def set_enabled(self, on):
@@ -37,6 +36,8 @@ class Servo:
             self.angle += (self._goal - self.angle) * -math.expm1((self.t - t) / 0.005)
             self.rate = (self.angle - before) / (t - self.t)
         self.t = max(t, self.t)
+        if self.angle != before:
+            self.path.append((self.t, self.angle))
 
     def impose(self, **values):
         vars(self).update(values)

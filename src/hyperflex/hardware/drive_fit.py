@@ -198,7 +198,7 @@ def identify_drive(record: DriveRecord) -> DriveFit:
 
     Errors of the angle have a constant part (the encoder's steps) and one that grows with the speed (jitter of the
     time stamps); both are estimated. The covariance is that of Gauss and Newton with the residuals' autocorrelation,
-    by the jackknife over blocks of time.
+    by the jackknife over blocks of time, and intervals are those of Student's t.
 
     Raises
     ------
@@ -366,7 +366,7 @@ class _Fit:
         jacobian = self.jacobian(self.values, self.free)
         seen = np.abs(jacobian).sum(axis=0) > 0.0
         names = [name for name, each in zip(self.free, seen, strict=True) if each]
-        covariance = _covariance(jacobian[:, seen], residuals, self.times)
+        changes = _jackknife(jacobian[:, seen], residuals, self.times)
         values, gradients = self._derived()
         known, intervals = {}, {}
         for name, value in values.items():
@@ -376,8 +376,8 @@ class _Fit:
             if beyond or not gradient.keys() <= set(names):
                 continue
             row = np.array([gradient.get(each, 0.0) for each in names])
-            std = math.sqrt(max(float(row @ covariance @ row), 0.0))
-            low, high = value - 1.96 * std, value + 1.96 * std
+            half = _half_width(changes @ row)
+            low, high = value - half, value + half
             known[name], intervals[name] = value, (max(low, 0.0) if name != "weight_torque" else low, high)
         unseen = {name: math.inf for name in _LIMITS if name not in known}
         model = self.model(self.values | unseen)
@@ -419,10 +419,11 @@ def _deviations(errors: Array, changes: Array) -> Array:
 _LIMITS = ("rate_limit", "acceleration_limit")
 
 
-def _covariance(jacobian: Array, residuals: Array, times: Array, blocks: int = 40) -> Array:
-    """Return the covariance by the jackknife: each of the blocks of time is left out once, in one Gauss-Newton step.
+def _jackknife(jacobian: Array, residuals: Array, times: Array, blocks: int = 40) -> Array:
+    """Return changes (blocks, P) of P parameters, the sum of whose squares is their variance.
 
-    So residuals may be correlated within a block, also those of angle and torque, and may be larger in some moves.
+    Each of the blocks of time is left out once, in one Gauss-Newton step. So residuals may be correlated within a
+    block, also those of angle and torque, and may be larger in some moves.
     """
     scale = np.linalg.norm(jacobian, axis=0)
     rows = jacobian / scale
@@ -432,8 +433,21 @@ def _covariance(jacobian: Array, residuals: Array, times: Array, blocks: int = 4
     for k in range(blocks):
         own = rows[block == k]
         changes.append(np.linalg.lstsq(information - own.T @ own, own.T @ residuals[block == k], rcond=1e-12)[0])
-    spread = np.array(changes) / scale
-    return np.asarray((blocks - 1.0) / blocks * spread.T @ spread)
+    return np.asarray(math.sqrt((blocks - 1.0) / blocks) * np.array(changes) / scale)
+
+
+def _half_width(changes: Array) -> float:
+    """Return half of the 95 % interval of a value that the blocks change by these (blocks,).
+
+    Student's t has the degrees of freedom of Satterthwaite: few, if a few blocks tell of the value.
+    """
+    from scipy.special import stdtrit
+
+    squares = changes**2
+    if not squares.any():
+        return 0.0
+    freedom = 3.0 * squares.sum() ** 2 / (squares**2).sum() - 2.0  # 3: of a fourth power of normal numbers
+    return float(stdtrit(freedom, 0.975) * math.sqrt(squares.sum()))
 
 
 def _judged(angles: Array, residual: float) -> str:
