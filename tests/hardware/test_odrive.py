@@ -234,6 +234,22 @@ def test_a_late_frame_is_not_taken_for_the_answer_to_a_later_request():
         assert link.read().angle == pytest.approx(math.tau)
 
 
+def test_a_frame_is_not_lost_before_one_that_was_asked_for_later_has_come():
+    """As if the adapter held all frames of the axis back, for longer than any usual delay."""
+    device = axis()
+    with Wire(device) as wire, link_to(wire) as link:
+        held = []
+        wire.spoil = lambda reply: held.append(reply) or []
+        link.patience = 0.01
+        for _ in range(10):
+            with pytest.raises(NoReply):
+                link.read()
+        device.plant.impose(encoder_turns=1.0)  # what the late frame tells is no longer true
+        link.patience = 0.3
+        wire.spoil = lambda reply: [*(held.pop(0) for _ in range(len(held))), reply]
+        assert link.read().angle == pytest.approx(math.tau)
+
+
 def test_after_a_lost_frame_goals_are_sent_and_states_come_again(monkeypatch):
     monkeypatch.setattr(odrive, "LATEST", 0.5)
     device = axis()

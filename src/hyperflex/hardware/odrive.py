@@ -116,8 +116,9 @@ class ODriveLink:
     the arm at rest, it sends nothing for a little longer than the watchdog's time. An axis that is not disarmed by then
     is refused.
 
-    Frames bear no number. After one that is missing, nothing is asked for until it has come, or for 30 ms, while goals
-    are still sent: a frame that is later than that may pass for a newer one.
+    Frames bear no number. After one that is missing, nothing is asked for until it has come, or 30 ms have passed and a
+    message has come that was asked for later, while goals are still sent. So a late frame never passes for a newer one,
+    as long as frames of the axis keep their order.
 
     Values are those of the motor's shaft: a gear between it and the arm is not known here. The axis must be calibrated.
     """
@@ -148,7 +149,7 @@ class ODriveLink:
         self._trial = bool(trial)
         self._bus: Any = None
         self._messages: dict[int, bytes] = {}  # the newest of each kind
-        self._beat = -math.inf  # when the last heartbeat came, s
+        self._beat = self._version = -math.inf  # when the last heartbeat and version came, s
         self._asked = -math.inf  # when the encoder was asked for last, s
         self._missing = 0  # replies of the encoder that have not come
 
@@ -158,7 +159,7 @@ class ODriveLink:
         """Open the bus and find the axis; its torque stays as it is."""
         extras.require(("can",), "odrive", "ODrive controllers")
         self._bus = self._open_bus()
-        self._messages, self._beat, self._missing = {}, -math.inf, 0
+        self._messages, self._beat, self._version, self._missing = {}, -math.inf, -math.inf, 0
         with _as_os_error():
             self._identify()
 
@@ -319,9 +320,10 @@ class ODriveLink:
             self._listen(0.0, lambda *_: False)  # what came meanwhile
             if goal:
                 self._send(Message.INPUT_POS, goal)
-            if self._missing and self.clock() - self._asked < LATEST:
-                self._listen(until - time.monotonic(), lambda *_: not self._missing)
-                if self._missing:
+            if not self._settled():
+                if self._version < self._asked:
+                    self._send(Message.VERSION)
+                if not self._listen(until - time.monotonic(), lambda *_: self._settled()):
                     raise NoReply(f"{self.name}: a reply to an earlier request is still missing")
             sent = self.clock()
             self._send(Message.ENCODER)
@@ -343,6 +345,10 @@ class ODriveLink:
             sent=sent,
             received=received,
         )
+
+    def _settled(self) -> bool:
+        """Return whether the encoder's reply has come, or is lost: a message that was asked for later has come."""
+        return not self._missing or (self._version > self._asked and self.clock() - self._asked >= LATEST)
 
     def _pair(self, message: Message) -> tuple[float, float]:
         """Return the numbers of the newest message of a kind, NaN before there is one."""
@@ -393,6 +399,8 @@ class ODriveLink:
             self._messages[message] = bytes(frame.data)
             if message == Message.HEARTBEAT:
                 self._beat = self.clock()
+            elif message == Message.VERSION:
+                self._version = self.clock()
             elif message == Message.ENCODER:
                 self._missing = max(0, self._missing - 1)
         return node, message
