@@ -148,6 +148,7 @@ def test_a_camera_that_is_lost_in_the_middle_stops_the_run_with_one_line(
     run = run_plan(plan, drive, source=SeenRope(plan, seen=0.1), follow=follow, options=QUICK)
     assert run.message == "No marker has been seen for 0.30 s."
     assert not run.success
+    assert np.abs(run.log.column("goal_torque")).max() > 1e-3  # N m; of the plan, in closed loop as well
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
 
 

@@ -177,11 +177,12 @@ def run_plan(
                 begun = True
                 try:
                     drive.start_clock(begin)
-                    drive.set_motion(made, 0.0, prediction.free_torque if prediction and chosen.feed_forward else None)
+                    fed = _FedDrive(drive, made, prediction.free_torque if prediction and chosen.feed_forward else None)
+                    fed.set_motion(made, 0.0)
                     say("the cast runs")
                     watch.start()
                     if follow is not None:
-                        found = follow_plan(plan, watch, motor=drive, options=replace(follow, real_time=True))
+                        found = follow_plan(plan, watch, motor=fed, options=replace(follow, real_time=True))
                         made = found.motion
                     criteria = plan.problem.criteria
                     end = float(made.breaks[-1])
@@ -203,6 +204,30 @@ def run_plan(
     return stopped.deliver(
         CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received, drive.late)
     )
+
+
+class _FedDrive:
+    """A drive that gets the torque of a motion with all motions (a :class:`hyperflex.interfaces.Motor`).
+
+    It is sent while a motion is within `near`, rad, of the one whose `torque` it is: times (K,), s, and N m (K,).
+    """
+
+    def __init__(
+        self, drive: MotionStream, planned: Motion, torque: tuple[Array, Array] | None, near: float = 0.2
+    ) -> None:
+        self.drive, self.planned, self.torque, self.near = drive, planned, torque, near
+
+    def set_motion(self, motion: Motion, at: float) -> None:
+        """Stream a motion from a time `at`, s, on."""
+        torque = self.torque
+        if torque is not None:
+            far = np.abs(motion.angle(torque[0]) - self.planned.angle(torque[0])) > self.near
+            torque = torque[0], np.where(far, 0.0, torque[1])
+        self.drive.set_motion(motion, at, torque)
+
+    def angle(self, t: float) -> float:
+        """Return the encoder's angle at a time `t`, s, rad."""
+        return self.drive.angle(t)
 
 
 def _prepare(
