@@ -8,6 +8,11 @@ INSTALLED := .venv/.installed
 # --no-compile: Python compiles what is imported, a small part of the packages, when it is imported
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
+# What Python compiles is kept, even if the environment says otherwise: the tests start hundreds of processes, which spend
+# half of their time on it without.
+unexport PYTHONDONTWRITEBYTECODE
+export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/bytecode
+
 .PHONY: help demo test nightly browser kernels lint docs bench clean
 .DEFAULT_GOAL := help
 
