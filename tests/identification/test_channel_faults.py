@@ -1,4 +1,4 @@
-"""Faults of one channel that a fit's residuals show: a zero that moves or is off, and a link that is late."""
+"""Faults that a fit's residuals show: a zero that moves or is off, a link that is late, smoothed samples."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hyperflex.identification import Kind
 
 T = np.arange(600) / 60.0
 NOISE = {"angles": 3e-3, "markers": 1e-3}  # rad, m
-CHANNEL_FAULTS = (Kind.JUMP, Kind.LINK_ZERO, Kind.LINK_LATE)
+CHANNEL_FAULTS = (Kind.JUMP, Kind.LINK_ZERO, Kind.LINK_LATE, Kind.SMOOTHED)
 each_draw = pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 
 
@@ -75,6 +75,23 @@ def test_a_zero_of_one_link_that_is_off_is_named_first():
     assert first.kind is Kind.LINK_ZERO
     assert first.values["link"] == 1
     assert first.values["angle"] == pytest.approx(0.03, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["angles", "markers"])
+def test_smoothed_samples_are_named_first_and_free_no_spring(kind):
+    """A mean over 9 frames; springs that the guess has not explain as much, and moved J/p1 by 8 % when freed for it."""
+    data = swing(2, kind)
+    smooth = np.stack([np.convolve(column, np.full(9, 1.0 / 9.0), "same") for column in data.T], axis=1)[4:-4]
+    guess = rope(2).replace(friction=1e-3, inertia=1.2 * rope(2).inertia)
+    found = hf.identify(hf.Recording(T[4:-4], smooth, kind=kind), guess, options=hf.FitOptions(intervals=None))
+    first = found.findings[0]
+    assert first.kind is Kind.SMOOTHED
+    assert first.values["width"] == pytest.approx(9.0 / 60.0, rel=0.1)
+    np.testing.assert_allclose(found.ratios["J/p1"], hf.identification.ratios(rope(2))["J/p1"], rtol=0.02)
+
+
+def test_a_spring_is_no_smoothing():
+    assert not identified(2, swing(2, stiffness=[2e-3, 8e-3])).has(Kind.SMOOTHED)
 
 
 @each_draw

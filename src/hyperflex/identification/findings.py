@@ -83,6 +83,11 @@ class Kind(StrEnum):
         """The {channel} jumps by {size:{unit}} at t = {time:.4g} s and stays there. | A zero has moved, a marker has
         slipped, or frames are missing there. Use the recording before or after it, or subtract a moved zero.""",
     )
+    SMOOTHED = (
+        "smoothed samples",
+        """Samples seem smoothed, as by a moving mean over {width:.2g} s. | Fast motion is weakened, so ratios are off,
+        and noise is correlated. Use the tracker's raw positions, or a shorter filter.""",
+    )
     PICTURE_SCALE = (
         "different scales along x and y",
         """Lengths at {angle:deg} from +x are about {factor:.3g} times those across. | Pixels are not square, x and y
@@ -118,8 +123,8 @@ class Kind(StrEnum):
     SPRING_OR_ANGLES = (
         "angles scaled, or a spring",
         """Angles multiplied by {factor:.3g} explain the recording as well as the stiffness that was freed. | The
-        stiffness may stand for a wrong scale of the angles. Check the angles' scale in radians, or name in 'free' what
-        is free.""",
+        stiffness may stand for a wrong scale of the angles, or for smoothed samples. Check the angles' scale in
+        radians and the tracker's filter, or name in 'free' what is free.""",
     )
     # Declarations that contradict the data
     CLOCK = (

@@ -324,8 +324,8 @@ def fit(
             if report is not None:
                 report(history[-1])
             stalled = stalled + 1 if gain < least else 0
-            settled = free or promised < max(least, ROUGH) * before
-            converged = stalled > 0 and (settled or part_left(windows, best.residuals, best.loss) < EXACT)
+            settled = promised < max(least, ROUGH) * before or part_left(windows, best.residuals, best.loss) < EXACT
+            converged = (stalled > 0 and settled) or (stalled > 1 and free)
             if converged or stalled == STALLS or (best is start and tried <= DAMPING):  # the next would be the same
                 break
     return stop.deliver(replace(best, converged=converged, status=stop.status, history=tuple(history)))

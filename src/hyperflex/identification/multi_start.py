@@ -9,6 +9,7 @@ fits of the parameters to the windows that fit.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -256,15 +257,16 @@ class MultiStart:
     def other_starts(self, best: Fitted, starts: Sequence[Array]) -> Iterator[Fitted]:
         """Yield the best fit so far after each of other `starts`, as long as it is bad.
 
-        States are fitted to each start first, window after window, so that no start is lost by a bad guess of states.
+        From each first with the states of the best fit, which have followed the data, then with states that are fitted
+        to that start, window after window, so that no start is lost by bad states.
         """
         costs, length = [best.fit.cost], best.settings["window"]
-        for number, x in enumerate(starts):
+        for number, (x, search) in enumerate(product(starts, (False, True))):
             if not self.is_bad(best.windows, best.fit):
                 break
             entry: dict[str, Any] = {"phase": "start", "start": number, "window": length, "stage": 0, "stages": 1}
             every, states = dict.fromkeys(range(len(best.windows)), np.inf), list(best.fit.states)
-            if len(self.search_states(best.windows, x, states, every, self.loss)) < len(every):
+            if search and len(self.search_states(best.windows, x, states, every, self.loss)) < len(every):
                 continue
             try:
                 tried = self.settled(best.windows, x, states, with_entries(self.report, entry))

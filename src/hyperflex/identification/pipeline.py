@@ -320,6 +320,8 @@ class _Case:
             required = [each for each in trial.tests if self._required(each, trial.free) and each.gain > least]
             if not required or not trial.complete or com_moved(trial.plain):
                 break
+            if channel_faults(trial.plain, self.recording, trial.tests, self.budget):
+                break  # a fault of the recording explains more
             equals = [each for each in required if each.gain > required[0].gain - TESTING.equal]
             chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
             richer: Trial | None = None

@@ -1,4 +1,4 @@
-"""Faults of a single measured channel, which the residuals of a fit show: its zero moves or is off, or it comes late.
+"""Faults that the residuals of a fit show: a channel whose zero moves or is off, or that is late; smoothed samples.
 
 To add one, yield its pattern from `_patterns`.
 """
@@ -63,7 +63,7 @@ class _Explained(NamedTuple):
     @property
     def possible(self) -> bool:
         """Whether it explains anything; no sensor sees ahead."""
-        return self.squares > 0.0 and (self.size > 0.0 or self.pattern.kind is not Kind.LINK_LATE)
+        return self.squares > 0.0 and (self.size > 0.0 or self.pattern.kind not in (Kind.LINK_LATE, Kind.SMOOTHED))
 
     @property
     def windows(self) -> list[Array]:
@@ -82,7 +82,7 @@ class _Explained(NamedTuple):
 def channel_faults(
     basis: Basis, recording: Recording, tests: Sequence[ScoreTest], budget: Budget | None = None
 ) -> list[Finding]:
-    """Return the fault of one channel that explains the residuals of a fit, or nothing.
+    """Return the fault of one channel, or the smoothing of all, that explains the residuals of a fit, or nothing.
 
     Notes
     -----
@@ -105,8 +105,10 @@ def channel_faults(
         return []
     gain, left = best.squares / total, (total - best.squares) / freedom
     chance = sum(int(each.steps.sum()) for each in patterns) * fdtrc(1.0, freedom, best.squares / left)
+    # springs, which the guess has not, explain about as much as smoothing does
+    more = -TESTING.equal if best.pattern.kind is Kind.SMOOTHED else TESTING.equal
     others = max((each.gain for each in tests), default=0.0)
-    if chance > CHANCE or best.rms < CHANNEL_TEST.visible * np.sqrt(left) or gain <= others + TESTING.equal:
+    if chance > CHANCE or best.rms < CHANNEL_TEST.visible * np.sqrt(left) or gain <= others + more:
         return []
     every = list(zip(pieces, best.windows, strict=True))
     without = _orthogonal([replace(piece, residual=piece.residual - made * piece.seen) for piece, made in every], own)
@@ -139,7 +141,7 @@ def _orthogonal(pieces: Sequence[Piece], own: int) -> list[Piece]:
 
 
 def _patterns(basis: Basis, recording: Recording) -> Iterator[_Pattern]:
-    """Yield all faults: a zero of each channel that moves or is off, and links whose samples are late."""
+    """Yield all faults: a zero of each channel that moves or is off, links whose samples are late, and smoothing."""
     fitted = [_fitted(basis, *each) for each in zip(basis.windows, basis.fit.states, strict=True)]
     steps = np.zeros(sum(len(seen) for seen in fitted), dtype=np.bool_)
     always = np.arange(steps.size) == 0
@@ -153,6 +155,11 @@ def _patterns(basis: Basis, recording: Recording) -> Iterator[_Pattern]:
             yield _Pattern(Kind.LINK_ZERO, channel, moved, always)
             late = [-rate * each for rate, each in zip(rates, moved, strict=True)]
             yield _Pattern(Kind.LINK_LATE, channel, late, always)
+    # a mean over times of variance 2 s about each instant adds s times the second derivative
+    bent = [
+        np.gradient(rate, window.t, axis=0) * window.weight for rate, window in zip(rates, basis.windows, strict=True)
+    ]
+    yield _Pattern(Kind.SMOOTHED, 0, bent, always)
 
 
 def _fitted(basis: Basis, window: Window, state: Array) -> Array:
@@ -206,6 +213,8 @@ def _finding(found: _Explained, severity: Severity, gain: float, recording: Reco
     if kind is Kind.JUMP:
         values = {"channel": recording.channel(channel), "size": found.size, "unit": UNIT[recording.kind]}
         values |= {"time": float(t[found.at])}
+    elif kind is Kind.SMOOTHED:
+        values = {"width": float(np.sqrt(24.0 * found.size))}  # of a moving mean
     else:
         values = {"link": channel, {Kind.LINK_ZERO: "angle", Kind.LINK_LATE: "delay"}[kind]: found.size}
     return Finding(kind, severity, values, gain)

@@ -11,7 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.model import lumped
 from hyperflex.model import Rope
-from hyperflex.recording import Recording
+from hyperflex.recording import Recording, unwrap
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ def uneven_scale(recording: Recording, rope: Rope) -> list[Finding]:
     """Return that links are longer in one direction of the picture than across it.
 
     With theta the direction of a link in the picture, log d = c + p cos(2 theta) + q sin(2 theta) to first order, with
-    the same p and q for all links; exp(2 hypot(p, q)) is the ratio of the scales.
+    the same p and q for all links; exp(2 hypot(p, q)) is the ratio of the scales. A mean over some time makes a link
+    shorter as well, the faster it turns: log d = c - s (d theta/dt)^2; what that explains better is no scale.
     """
     along = np.diff(recording.data.reshape(recording.t.size, -1, 2), axis=1)
     along = along[:, np.count_nonzero(np.hypot(*along.T) > 0.0, axis=1) >= EVIDENT.many]
@@ -95,19 +96,22 @@ def uneven_scale(recording: Recording, rope: Rope) -> list[Finding]:
     size[np.isinf(size)] = np.nan
     off = size - np.nanmedian(size, axis=1, keepdims=True)
     limit = EVIDENT.outlying * np.maximum(np.nanmedian(np.abs(off), axis=1, keepdims=True), 1e-12)
-    table = np.where(np.abs(off) <= limit, [off, np.cos(double), np.sin(double)], np.nan)
-    off, *columns = (table - np.nanmean(table, axis=2, keepdims=True))[:, ~np.isnan(table[0])]
+    fast = np.gradient(unwrap(0.5 * double.T), recording.t, axis=0).T ** 2
+    table = np.where(np.abs(off) <= limit, [off, np.cos(double), np.sin(double), fast], np.nan)
+    off, *columns, fast = (table - np.nanmean(table, axis=2, keepdims=True))[:, ~np.isnan(table[0])]
     if not off.size:
         return []
     matrix = np.transpose(columns)
     step = np.linalg.pinv(matrix, rcond=1e-3) @ off
     seen = float(np.mean((matrix @ step) ** 2))
-    variance, enough = (
-        float(np.mean((off - matrix @ step) ** 2)),
-        (0.1 * EVIDENT.uneven) ** 2,
-    )  # else links turn too little
+    variance = float(np.mean((off - matrix @ step) ** 2))
+    enough = (0.1 * EVIDENT.uneven) ** 2  # else links turn too little
+    fast = np.nan_to_num(fast)  # beside gaps
+    smoothed = min(float(fast @ off), 0.0) ** 2 / max(float(fast @ fast), 1e-300)
     factor = float(np.exp(2.0 * np.hypot(*step)))
-    if factor - 1.0 <= EVIDENT.uneven or seen <= max(EVIDENT.beyond**2 * variance / off.size, enough):
+    if factor - 1.0 <= EVIDENT.uneven or seen <= max(
+        EVIDENT.beyond**2 * variance / off.size, enough, smoothed / off.size
+    ):
         return []
     values = {"angle": 0.5 * float(np.arctan2(step[1], step[0])), "factor": factor}
     return [Finding(Kind.PICTURE_SCALE, Severity.WRONG, values)]
