@@ -91,10 +91,29 @@ def test_ctrl_c_keeps_the_log_and_tells_of_the_torque(hyperflex_json, plan, tmp_
     assert all(Path(path).is_file() for path in result["files"].values())
 
 
+BUSY = "behind the clock", "no valid reply", "has not answered", "goal jumps", "too late", "watchdog expired"
+
+
+@pytest.fixture
+def in_time(hyperflex_json):
+    """Run a command until it succeeds or fails with the machine in time, at most three times; skip if it never is."""
+
+    def call(*words):
+        for _ in range(3):
+            code, result = hyperflex_json(*words)
+            told = " ".join(map(str, [*result["warnings"], result.get("message"), result.get("error")]))
+            missed = any(cast["missed_cycles"] > 0.01 * cast["cycles"] for cast in result.get("casts", []))
+            if code == 0 or not (missed or any(each in told for each in BUSY)):
+                return code, result
+        return pytest.skip(f"this machine is too busy for real time: {told}")
+
+    return call
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("make", ["moteus", "dynamixel", "odrive"])
-def test_a_cast_on_an_emulated_drive_winds(hyperflex_json, plan, tmp_path, make):
-    code, result = hyperflex_json("run", plan, "--motor", f"emulator:{make}", "-o", tmp_path / "done", "--countdown", 0)
+def test_a_cast_on_an_emulated_drive_winds(in_time, plan, tmp_path, make):
+    code, result = in_time("run", plan, "--motor", f"emulator:{make}", "-o", tmp_path / "done", "--countdown", 0)
     assert (code, result["success"], result["emulated"]) == (0, True, True)
     (run,) = result["casts"]
     assert abs(run["turns"]) >= 1.25
@@ -103,17 +122,17 @@ def test_a_cast_on_an_emulated_drive_winds(hyperflex_json, plan, tmp_path, make)
 
 
 @pytest.mark.nightly
-def test_learning_stops_after_three_casts_that_wind(hyperflex_json, plan, tmp_path):
+def test_learning_stops_after_three_casts_that_wind(in_time, plan, tmp_path):
     how = "--motor", "emulator:moteus", "--repeat", 5, "--learn", "--countdown", 0
-    code, result = hyperflex_json("run", plan, *how, "-o", tmp_path / "done")
+    code, result = in_time("run", plan, *how, "-o", tmp_path / "done")
     assert (code, len(result["casts"]), len(result["learned"])) == (0, 3, 3)
 
 
 @pytest.mark.nightly
-def test_a_cast_that_an_emulated_camera_sees_winds(hyperflex_json, plan, tmp_path):
+def test_a_cast_that_an_emulated_camera_sees_winds(in_time, plan, tmp_path):
     """Renderer, tracker, follower, stream and emulated drive in processes of their own."""
     how = "--motor", "emulator:moteus", "--camera", "emulated", "--follow", "--countdown", 0
-    code, result = hyperflex_json("run", plan, *how, "-o", tmp_path / "done")
+    code, result = in_time("run", plan, *how, "-o", tmp_path / "done")
     assert (code, result["success"]) == (0, True)
     (run,) = result["casts"]
     assert run["judged_by"] == "state"

@@ -50,6 +50,13 @@ def test_an_emulator_moves_logs_and_takes_faults() -> None:
         log = emulator.log()
         assert log.replies["lost"] == 1
         assert log.column("voltage")[-1] == 7.0
+        os.kill(emulator.pid, signal.SIGSTOP)
+        time.sleep(0.3)
+        os.kill(emulator.pid, signal.SIGCONT)
+        until = time.monotonic() + 10.0
+        while emulator.behind < 0.25 and time.monotonic() < until:
+            time.sleep(0.01)
+        assert emulator.behind > 0.25
         emulator.inject(disconnect=True)
         with pytest.raises(OSError, match=r"write failed|disconnected|Input/output"):
             exchange(port)

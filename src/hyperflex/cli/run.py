@@ -1,5 +1,6 @@
 """``hyperflex run``: a planned cast carried out on a drive."""
 
+import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from hyperflex.execution import RunOptions
 if TYPE_CHECKING:
     from hyperflex.estimate import TrackingTask
     from hyperflex.execution import CastRun, ClockedSource
-    from hyperflex.hardware import DriveZero
+    from hyperflex.hardware import DriveZero, Emulator
     from hyperflex.planning import CastPlan
     from hyperflex.vision import Camera
 
@@ -185,6 +186,7 @@ def _emulated(plan: "CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str
     rope = plan.setup().rope
     with ExitStack() as stack:
         stack.enter_context(emulator)
+        stack.callback(_warn_if_behind, emulator)
         address = f"{make}:{emulator.port}"
         if sight.camera is None:
             yield address, EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
@@ -192,6 +194,13 @@ def _emulated(plan: "CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str
         camera = EmulatedCamera(plan, emulator, rope, camera=sight.view, arc_lengths=sight.arcs)
         stack.enter_context(camera)
         yield address, stack.enter_context(CameraRope(camera.frames, camera.task))
+
+
+def _warn_if_behind(emulator: "Emulator") -> None:
+    """Warn where a busy computer has spoiled an emulated cast: its motor and rope were slower than the clock."""
+    if emulator.behind > 0.02:  # s; the time in which a usual drive follows
+        text = f"the emulated motor and rope fell {1e3 * emulator.behind:.0f} ms behind the clock: no fair trial."
+        warnings.warn(f"{text} Lower this computer's load, or plan with fewer links", UserWarning, stacklevel=2)
 
 
 def _zero(motor: str, path: Path | None, dry_run: bool) -> "DriveZero":

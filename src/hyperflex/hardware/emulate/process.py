@@ -25,7 +25,7 @@ PATIENCE = 120.0  # s within which the process answers; it may have to compile i
 AHEAD = (
     5e-3  # s of the plant that are integrated between two looks at the wire; a slow machine falls behind, and answers
 )
-STATES = ("t", "arm_angle", "arm_rate", "angle", "rate", "torque", "voltage", "temperature", "enabled")
+STATES = ("t", "arm_angle", "arm_rate", "angle", "rate", "torque", "voltage", "temperature", "enabled", "behind")
 GOALS = ("t", "angle", "rate", "torque")
 
 
@@ -53,9 +53,10 @@ class EmulatorLog:
     ----------
     goals : (G, 4) float64
         Time, angle, rad, rate, rad/s, and torque, N m, of each goal that the motor was given.
-    states : (T, 9 + 2 n) float64
+    states : (T, 10 + 2 n) float64
         Columns as in STATES (true angle and rate of the arm, those of the encoder, torque, voltage, temperature,
-        whether the torque is on), then link angles q, rad, and rates qd, rad/s.
+        whether the torque is on, by how much motor and rope are behind the clock, s), then link angles q, rad, and
+        rates qd, rad/s.
     replies : dict of str to int
         Number of replies that were good, lost, late, garbled and truncated.
     """
@@ -178,6 +179,11 @@ class Emulator:
         """Return what the device has received and done until now."""
         return EmulatorLog(self._goals.read(), self.states.read(), self._ask("replies"))
 
+    @property
+    def behind(self) -> float:
+        """Greatest time by which motor and rope were behind the clock, s: what they did then is no fair trial."""
+        return float(self.states.read()[:, STATES.index("behind")].max())
+
     def rope_state(self) -> tuple[float, float, Array, Array]:
         """Return the newest true state: time, s, arm angle, rad, q (n,), rad, and qd (n,), rad/s."""
         row = self.states.read(newest=1)[0]
@@ -262,7 +268,7 @@ def emulate(
 
 def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows, sample: float) -> None:
     wire, plant, began = FaultyWire(), device.plant, time.monotonic()
-    _record(states, plant)
+    _record(states, plant, 0.0)
     link.send(f"{terminal.port}?{device.options}".rstrip("?"))
     due = began  # of the next sample
     while True:
@@ -277,7 +283,7 @@ def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows
             wire.send(sent, now)
         terminal.write(wire.receive(now))
         if now >= due:
-            _record(states, plant)
+            _record(states, plant, now - began - plant.t)
             due = max(due + sample, now)
         if link in ready and not _answer(link, plant, wire, terminal):
             return
@@ -285,8 +291,8 @@ def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows
             time.sleep(0.1 * AHEAD)
 
 
-def _record(states: Rows, plant: Plant) -> None:
-    read = plant.angle, plant.rate, plant.torque, plant.voltage, plant.temperature, float(plant.enabled)
+def _record(states: Rows, plant: Plant, behind: float) -> None:
+    read = plant.angle, plant.rate, plant.torque, plant.voltage, plant.temperature, float(plant.enabled), behind
     states.write(time.monotonic(), plant.arm_angle, plant.arm_rate, *read, *plant.rope_state())
 
 
