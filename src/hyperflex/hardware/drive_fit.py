@@ -185,6 +185,7 @@ class _Guess:
     rate_limit: tuple[float, float, float] = (10.0, 0.1, 1e3)
     slope: tuple[float, float, float] = (50.0, 1.0, 5e3)
     acceleration_limit: tuple[float, float, float] = (300.0, 1.0, 1e5)
+    current_lag: tuple[float, float, float] = (5e-4, 0.0, 1e-2)
     offset: tuple[float, float, float] = (0.0, -0.2, 0.2)
     inertia: tuple[float, float, float] = (1e-3, 1e-8, 1e3)
     viscous: tuple[float, float, float] = (1.0, 0.0, 1e4)
@@ -279,8 +280,9 @@ class _Fit:
         grid, angle, rate, effort = model.respond(self.arrived, record.goal, record.goal_rate)
         pushed = values["inertia"] * (effort + values["viscous"] * rate)
         steep = np.abs(np.gradient(pushed, grid))
-        seen, *others = (np.interp(self.times, grid, each) for each in (angle, rate, pushed, steep))
-        return seen + values["offset"], *others
+        middles = grid - 0.5 * (grid[1] - grid[0])
+        seen, speed = (np.interp(self.times, grid, each) for each in (angle, rate))
+        return seen + values["offset"], speed, *(np.interp(self.times, middles, each) for each in (pushed, steep))
 
     def residuals(self, values: Mapping[str, float]) -> Array:
         """Return measured less predicted angles, and torques where they are told, over their deviations."""

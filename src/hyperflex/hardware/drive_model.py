@@ -42,13 +42,15 @@ class DriveModel:
         Greatest acceleration by the motor, rad/s^2.
     hold : float
         Time from one goal to the next, s, if each is held until then; 0 if the drive advances it with its rate.
+    current_lag : float
+        Time constant with which the torque, as its current, follows its command, s.
 
     Notes
     -----
-    With goal u after the delay, angle y of the motor and acceleration a = w^2 (u - y) + 2 z w (f u' - y'), limited to
-    ``acceleration_limit``: y'' = a - dry sign(y') - weight sin(y), at most slope (rate_limit - y') - weight sin(y), and
-    the same the other way. The lag at constant speed is delay + hold / 2 + 2 z (1 - f) / w. Integrated by the implicit
-    midpoint rule with the mean of the goal in each step.
+    With goal u after the delay and angle y of the motor, the command is a = w^2 (u - y) + 2 z w (f u' - y'), limited to
+    ``acceleration_limit`` and to slope (rate_limit - y') + dry, and the same the other way. The effort e follows it by
+    e' = (a - e) / current_lag, and y'' = e - dry sign(y') - weight sin(y). The lag at constant speed is
+    delay + hold / 2 + 2 z (1 - f) / w. Integrated by the implicit midpoint rule with the mean of the goal in each step.
     """
 
     delay: float
@@ -62,6 +64,7 @@ class DriveModel:
     slope: float = 50.0
     acceleration_limit: float = math.inf
     hold: float = 0.0
+    current_lag: float = 0.0
 
     @property
     def lag(self) -> float:
@@ -69,18 +72,20 @@ class DriveModel:
         return self.delay + 0.5 * self.hold + 2.0 * self.damping * (1.0 - self.feedforward) / self.frequency
 
     def respond(self, t: Array, angles: Array, rates: Array, step: float = 3.7e-4) -> tuple[Array, Array, Array, Array]:
-        """Return times, angle, rate of the motor and its acceleration by torque (K,), from goals given at times t (N,).
+        """Return times, angle, rate of the motor and its effort, rad/s^2 (K,), from goals given at times t (N,).
 
-        Goals are `angles` and `rates` (N,). It starts at rest at the first one. The `step`, s, is no part of usual
-        periods, so that the result depends smoothly on the delay.
+        The effort is the mean of the step that ends then. Goals are `angles` and `rates` (N,). It starts at rest at the
+        first one. The `step`, s, is no part of usual periods, so that the result depends smoothly on the delay.
         """
         grid = t[0] + step * np.arange(math.floor((t[-1] - t[0]) / step) + 1)
         edges = np.maximum(grid - self.delay, t[0])
         goal, rate = _means(edges, t, angles, rates, 0.0 if self.hold > 0.0 else 1.0)
         w, d = self.frequency, 2.0 * self.damping * self.frequency
         limits = self.rate_limit, self.slope, self.acceleration_limit
+        kept = math.exp(-step / self.current_lag) if self.current_lag > 0.0 else 0.0
+        torque = self.current_lag / step * (1.0 - kept), kept
         loop = w * w, d, self.feedforward * d, self.dry, self.weight, 0.5 * self.backlash
-        return grid, *_compiled()(step, float(angles[0]), goal, rate, *loop, *limits)
+        return grid, *_compiled()(step, float(angles[0]), goal, rate, *loop, *limits, *torque)
 
 
 def _means(edges: Array, t: Array, angles: Array, rates: Array, advance: float) -> tuple[Array, Array]:
@@ -110,9 +115,14 @@ def _respond(
     fastest: float,
     slope: float,
     most: float,
+    part: float,
+    kept: float,
 ) -> tuple[Array, Array, Array]:
-    """Return encoder angle, rate and effort of the motor (K + 1,) under mean goals and rates (K,) in each step."""
-    y, v, seen = start, 0.0, start
+    """Return encoder angle, rate and effort of the motor (K + 1,) under mean goals and rates (K,) in each step.
+
+    Of the difference between effort and command the mean in a step is a `part`, and so much is `kept` at its end.
+    """
+    y, v, seen, before = start, 0.0, start, 0.0
     angle, speed, effort = np.empty(goals.size + 1), np.empty(goals.size + 1), np.zeros(goals.size + 1)
     angle[0], speed[0] = y, v
     for k in range(goals.size):
@@ -122,17 +132,19 @@ def _respond(
         mean = (v + 0.5 * h * (aim - drag)) / (1.0 + 0.5 * h * (0.5 * h * w2 + d))
         wanted = aim - (0.5 * h * w2 + d) * mean
         wanted = max(-most, min(most, wanted))
-        free = v + h * (wanted - pull)
-        after = np.sign(free) * max(0.0, abs(free) - h * dry)
-        rubbing = (free - after) / h
         if fastest < math.inf:
-            way, loaded = h * slope * fastest, v - h * pull
-            after = max((loaded - way) / (1.0 + h * slope), min((loaded + way) / (1.0 + h * slope), after))
+            up = (v + 0.5 * h * (slope * fastest - pull)) / (1.0 + 0.5 * h * slope)
+            down = (v - 0.5 * h * (slope * fastest + pull)) / (1.0 + 0.5 * h * slope)
+            wanted = max(-slope * (fastest + down) - dry, min(slope * (fastest - up) + dry, wanted))
+        behind = before - wanted
+        push = wanted + part * behind
+        before = wanted + kept * behind
+        free = v + h * (push - pull)
+        after = np.sign(free) * max(0.0, abs(free) - h * dry)
         y += 0.5 * h * (v + after)
-        effort[k + 1] = (after - v) / h + pull + rubbing
         v = after
         seen = min(y + gap, max(y - gap, seen))
-        angle[k + 1], speed[k + 1] = seen, v
+        angle[k + 1], speed[k + 1], effort[k + 1] = seen, v, push
     return angle, speed, effort
 
 
