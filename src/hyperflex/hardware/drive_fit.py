@@ -81,7 +81,8 @@ class DriveFit:
     values : dict of str to float
         By name, SI units: lag (at constant speed, in all, see :class:`DriveModel`), delay, frequency, damping,
         feedforward, rate_limit, acceleration_limit, backlash, and where the drive tells its torque: inertia, friction,
-        dry_friction and weight_torque. What the test motion did not show is missing.
+        dry_friction and weight_torque. What the test motion did not show is missing. So is the delay where only the
+        lag is known, which is the sum of delay, hold and loop.
     intervals : dict of str to (float, float)
         95 % intervals of the values.
     reached : (float, float)
@@ -220,9 +221,11 @@ def _identified(record: DriveRecord) -> DriveFit:
     first.weigh()
     period, rates = float(np.median(np.diff(record.sent))), bool(record.goal_rate.any())
     kinds = [first.variant(hold, part) for hold in (period, 0.0)[: 1 + rates] for part in (0.0, 1.0)[: 1 + rates]]
-    for each in kinds:
-        each.solve(30)
-    best = min(kinds, key=lambda each: each.cost)
+    for most in (8, 30):
+        for each in kinds:
+            each.solve(most)
+        kinds = sorted(kinds, key=lambda each: each.cost)[:2]
+    best = kinds[0]
     for _ in range(3):
         best.weigh()
         best.solve(30)
@@ -239,8 +242,8 @@ class _Fit:
         if np.ptp(record.angle[self.known]) < 0.05:
             raise InvalidInput("arm hardly moved in the test motion", got=float(np.ptp(record.angle[self.known])))
         self.times, self.angles = record.read_at[self.known], record.angle[self.known]
-        self.transport = float(np.mean(self.times - record.sent[self.known]))
-        self.arrived = np.where(self.known, record.read_at, record.sent + self.transport)  # goals: with the requests
+        usual = float(np.mean(self.times - record.sent[self.known]))  # s from sending a goal to its arrival
+        self.sent = np.where(self.known, record.read_at - usual, record.sent)  # as if all arrived after that time
         self.torques = record.torque[self.known]
         self.told = bool(np.isfinite(self.torques).all()) and float(np.ptp(self.torques)) > 0.0
         self.values = {name: bound[0] for name, bound in self.bounds.items()}
@@ -271,13 +274,13 @@ class _Fit:
     def model(self, values: Mapping[str, float]) -> DriveModel:
         """Return the model with these values."""
         fast = DriveModel(0.0, **{name: values[name] for name in MODEL}, hold=self.hold)
-        return replace(fast, delay=values["lag"] - self.transport - fast.lag)
+        return replace(fast, delay=values["lag"] - fast.lag)
 
     def predicted(self, values: Mapping[str, float]) -> tuple[Array, ...]:
         """Return reported angle, rate, torque and its rate of change (M,) at the times of the replies."""
         record = self.record
         model = self.model(values)
-        grid, angle, rate, effort = model.respond(self.arrived, record.goal, record.goal_rate)
+        grid, angle, rate, effort = model.respond(self.sent, record.goal, record.goal_rate)
         pushed = values["inertia"] * (effort + values["viscous"] * rate)
         steep = np.abs(np.gradient(pushed, grid))
         middles = grid - 0.5 * (grid[1] - grid[0])
@@ -374,12 +377,13 @@ class _Fit:
         for name, value in values.items():
             gradient = gradients[name]
             beyond = name in _LIMITS and value > self.reached[_LIMITS.index(name)]  # of what was asked for
-            beyond |= name == "delay" and value < 0.0  # how the lag is divided was not seen
             if beyond or not gradient.keys() <= set(names):
                 continue
             row = np.array([gradient.get(each, 0.0) for each in names])
             half = _half_width(changes @ row)
             low, high = value - half, value + half
+            if name == "delay" and low <= 0.0:  # how the lag is divided was not seen: its sum alone is known
+                continue
             known[name], intervals[name] = value, (max(low, 0.0) if name != "weight_torque" else low, high)
         unseen = {name: math.inf for name in _LIMITS if name not in known}
         model = self.model(self.values | unseen)
