@@ -324,8 +324,9 @@ def fit(
             if report is not None:
                 report(history[-1])
             stalled = stalled + 1 if gain < least else 0
-            settled = promised < max(least, ROUGH) * before or part_left(windows, best.residuals, best.loss) < EXACT
-            converged = (stalled > 0 and settled) or (stalled > 1 and free)
+            # of a step that promised much and gained nothing another round may make more
+            settled = promised < max(least, HARDLY if free else ROUGH) * before or (free and stalled > 1)
+            converged = stalled > 0 and (settled or part_left(windows, best.residuals, best.loss) < EXACT)
             if converged or stalled == STALLS or (best is start and tried <= DAMPING):  # the next would be the same
                 break
     return stop.deliver(replace(best, converged=converged, status=stop.status, history=tuple(history)))
