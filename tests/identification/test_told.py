@@ -19,7 +19,7 @@ from hyperflex.identification.fit import Loss
 from hyperflex.identification.measurements import measure
 from hyperflex.identification.multi_start import search_delay
 from hyperflex.identification.prediction import HeldOut, predict
-from hyperflex.identification.symptoms import _far, _of_prediction, score_findings
+from hyperflex.identification.symptoms import _far, _of_prediction, score_findings, without_unexplained
 from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
@@ -230,9 +230,14 @@ def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used():
     rope = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09])
     known = np.zeros(2)
     assert list(_far(rope, rope, known)) == []
-    for link, inertia in ((0, [0.0225, rope.inertia[1]]), (1, [rope.inertia[0], 0.05])):
+    for link, inertia, severity in (
+        (0, [0.0225, rope.inertia[1]], Severity.WRONG),
+        (1, [rope.inertia[0], 0.05], Severity.WRONG),
+        (1, [rope.inertia[0], 1.2 * 0.16 * 0.09 * 0.23 - 0.16 * 0.09**2], Severity.DOUBT),  # 1.2 times its length
+    ):
         (far,) = _far(rope.replace(inertia=inertia), rope, known)
-        assert (far.kind, far.severity, far.values["link"]) == (Kind.MASS_FAR, Severity.WRONG, link)
+        assert (far.kind, far.severity, far.values["link"]) == (Kind.MASS_FAR, severity, link)
+    assert list(_far(rope.replace(inertia=inertia), rope, np.array([0.0, 0.02]))) == []  # m, of J/p1: it may be chance
 
 
 def test_markers_swapped_in_two_intervals_are_told_with_both():
@@ -259,6 +264,14 @@ def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more():
     assert kinds(links) == [Kind.LINKS_TOO_LONG]
     assert kinds(replace(links, gain=0.02)) == []
     assert kinds(bent, links) == [Kind.REST_BEND]
+
+
+def test_that_no_cause_is_known_is_not_said_beside_the_cause():
+    unknown, late = Finding(Kind.UNEXPLAINED, values={"times": 4.5}), Finding(Kind.LINK_LATE, gain=0.94)
+    little, outliers = replace(late, gain=0.1), Finding(Kind.OUTLIERS)
+    assert without_unexplained([unknown, late]) == [late]
+    assert without_unexplained([unknown, outliers]) == [outliers]
+    assert without_unexplained([unknown, little]) == [unknown, little]
 
 
 @pytest.mark.nightly

@@ -43,7 +43,7 @@ from hyperflex.identification.multi_start import WHOLE, WORSE, Fitted, MultiStar
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
-from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms
+from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms, without_unexplained
 from hyperflex.identification.uncertainty.covariance import (
     Basis,
     Information,
@@ -303,7 +303,7 @@ class _Case:
                 if trial.plain.fit.converged:
                     found.insert(0, Finding(Kind.NOT_FINISHED, Severity.LIMIT, {"ended": trial.ended}))
                 ranges = stop.partial if isinstance(stop.partial, dict) else ranges or self._intervals(trial, remarks)
-            findings = [*chosen, *found, *doubts, *remarks]
+            findings = without_unexplained([*chosen, *found, *doubts, *remarks])
             return _result(trial, held_out, self._settings(trial, began), ranges, findings)
 
     def choose(self) -> tuple[Trial, list[Finding]]:

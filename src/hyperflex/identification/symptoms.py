@@ -39,7 +39,7 @@ NOISY = 1.5
 MISDECLARED = 2.0
 # rad, of gravity's angle: 11 degrees, more than any camera that was meant to be level
 AXES = 0.2
-# lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
+# lengths of a link, to which its mass may reach with a counterweight; 1 is the most without one (Cauchy-Schwarz)
 REACH = 2.0
 # part of its length by which a point mass may seem to be beyond the end of its string: rulers and knots err so
 BEYOND = 0.02
@@ -89,6 +89,12 @@ def symptoms(
     if settings["noise_declared"]:
         found += _of_noise(basis, tests)
     return [*found, *_limits(basis, tests, scatter, settings), *_identifiable(basis)]
+
+
+def without_unexplained(findings: Sequence[Finding]) -> list[Finding]:
+    """Return findings without the one that no cause is known, where another names what makes most of the residuals."""
+    named = any(each.kind is Kind.OUTLIERS or each.gain > DECIDE for each in findings)
+    return [each for each in findings if not (named and each.kind is Kind.UNEXPLAINED)]
 
 
 def _of_fit(basis: Basis) -> Iterator[Finding]:
@@ -199,11 +205,12 @@ def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
     reach, spread = inertia / span, np.where(p > 0.0, std, 0.0) * p[0] / span
     at_end = guess.com > (1.0 - BEYOND) * guess.length
     point = at_end & (guess.inertia < BEYOND * guess.mass * guess.length**2)
-    limit = np.maximum(np.where(point, 1.0 + BEYOND, REACH), 1.0 + REPORTED.certain * spread)
-    k = int(np.argmax(reach / limit))
-    if reach[k] > limit[k]:
+    excess = (reach - 1.0) / np.maximum(BEYOND, REPORTED.certain * spread)
+    k = int(np.argmax(excess))
+    if excess[k] > 1.0:
         values = {"link": k, "reach": float(reach[k]), "clock": float(reach[k] ** -0.5)}
-        yield Finding(Kind.MASS_FAR, Severity.WRONG, values)
+        certain = point[k] or reach[k] > REACH  # other links may have counterweights, or ends beyond their joints
+        yield Finding(Kind.MASS_FAR, Severity.WRONG if certain else Severity.DOUBT, values)
 
 
 def com_moved(basis: Basis) -> list[Finding]:
