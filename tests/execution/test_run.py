@@ -45,12 +45,13 @@ class SeenRope:
     def __init__(self, plan: CastPlan, swings: float = 0.0, seen: float = 1e9) -> None:
         self.plan, self.swings, self.seen = plan, swings, seen
         self.told: list[Motion] = []
+        self.rope = ROPE
         self.starts: list[float] = []
         self.given: list[RopeState] = []
 
     def start_clock(self, at: float | None = None) -> None:
         self.starts.append(time.monotonic() if at is None else at)
-        self.rope = TrueState(ROPE, self.plan.problem.arm)
+        self.true = TrueState(ROPE, self.plan.problem.arm)
 
     def state(self, t: float, motion: Motion) -> RopeState:
         n = ROPE.n_links
@@ -59,7 +60,7 @@ class SeenRope:
             raise EstimatorLost("No marker has been seen for 0.30 s.")
         if len(self.starts) == 1:
             return RopeState(t, np.zeros(n), np.full(n, self.swings))
-        self.given.append(self.rope.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
+        self.given.append(self.true.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
         return self.given[-1]
 
     def turns(self, arm_angle: Callable[[Array], Array], peg: hf.Peg, side: int) -> tuple[Array, Array]:

@@ -76,12 +76,13 @@ class Sight:
         """Return what a real camera tracks: the plan's rope; the markers' colour is taken from its first frames."""
         from hyperflex.cli.track import marker_colours, newest_images
         from hyperflex.estimate import TrackingTask, open_frames
+        from hyperflex.execution import measured_length
         from hyperflex.vision import Camera
 
         view = checks.instance("--calibration", self.view, Camera)
         with open_frames(self.camera or "") as frames:
             colours = marker_colours(newest_images(frames, 10.0), self.click or ())
-        return TrackingTask(plan.problem.rope, self.arcs, view, colours, plan.problem.arm)
+        return TrackingTask(plan.problem.rope, self.arcs, view, colours, plan.problem.arm, measured_length())
 
 
 def run(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.execution.camera import CameraRope, EmulatedCamera
+    from hyperflex.execution.camera import CameraRope, EmulatedCamera, measured_length
     from hyperflex.execution.cast_run import CastRun, observed_turns
     from hyperflex.execution.drive_record import record_test_motion
     from hyperflex.execution.emulated import EmulatedRope, emulator_of

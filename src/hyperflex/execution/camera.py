@@ -14,7 +14,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import EstimatorLost
-from hyperflex.estimate import CameraStateSource, TrackingTask
+from hyperflex.estimate import CameraStateSource, EstimatedParameter, TrackingTask
 from hyperflex.hardware import Emulator, EmulatorLog, Rows
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import CastPlan
@@ -26,6 +26,8 @@ START = 60.0  # s that the process of an emulated camera may take to start
 
 class CameraRope(CameraStateSource):
     """The rope as a camera sees it (a :class:`ClockedSource`); the task has an arm, which moves as the run commands.
+
+    Let it estimate the rope's "length": a plan is then followed with a rope as long as it is seen to be.
 
     The estimate knows no contact: it ends soon after the rope has struck. Whether it is wound is seen in the markers.
     """
@@ -45,6 +47,11 @@ class CameraRope(CameraStateSource):
         found = [wound_turns(rope, arcs, tip, peg, side, spots) for tip, (_, spots) in zip(tips, seen, strict=True)]
         parts = np.lib.stride_tricks.sliding_window_view(np.pad(found, 4, "edge"), 9) if found else np.zeros((0, 9))
         return t, np.median(parts, axis=1)  # markers that pass before others
+
+
+def measured_length() -> list[EstimatedParameter]:
+    """Return what a tracker estimates of a rope whose length was measured to 2 %."""
+    return [EstimatedParameter("length", 0.02)]
 
 
 def wound_turns(rope: Rope, arc_lengths: Array, start: Array, peg: Peg, side: int, spots: Array) -> float:
@@ -160,7 +167,8 @@ class EmulatedCamera:
     camera : Camera, optional
         By default one that sees all places which the rope can reach, 480 pixels wide and high.
     arc_lengths : (K,) array_like, optional
-        Of the markers, m; by default ten, the last at the believed tip.
+        Of the markers along the believed rope, m; by default ten, the last at its tip. On an emulated rope that is
+        longer they are as much farther apart.
     rate : float
         Frames a second, Hz.
 
@@ -169,7 +177,7 @@ class EmulatedCamera:
     frames : SharedFrames
         To be tracked: ``CameraRope(camera.frames, camera.task)``.
     task : TrackingTask
-        The believed rope with its markers.
+        The believed rope with its markers; its length is estimated.
     """
 
     def __init__(
@@ -189,14 +197,14 @@ class EmulatedCamera:
         self.frames = SharedFrames(view.image_size)
         size = max(0.025, 5.0 / view.pixels_per_metre)  # m, of a marker: five pixels at least
         scene = Scene(
-            arcs,
+            arcs * rope.total_length / believed.total_length,
             marker_diameter=size,
             rope_width=2.0 * rope.radius,
             occluders=(Occluder((peg.x, peg.y), (peg.x, peg.y), 2.0 * peg.radius),),
         )
         seen = float(np.pi / 4.0 * (size * view.pixels_per_metre) ** 2)  # px^2
         colour = MarkerColour(np.asarray(scene.marker_colours)[0], area=seen)
-        self.task = TrackingTask(believed, arcs, view, [colour], arm)
+        self.task = TrackingTask(believed, arcs, view, [colour], arm, measured_length())
         self._arguments = emulator, rope.length, arm, view, scene, 1.0 / checks.number("rate", rate, sign="positive")
         self._process: Any = None
 

@@ -33,6 +33,10 @@ LOST = 0.3  # s without a state of the rope after which a cast is stopped: some 
 class ClockedSource(StateSource, Protocol):
     """A source of the rope's state whose t = 0 can be set: :class:`CameraRope` or :class:`EmulatedRope`."""
 
+    @property
+    def rope(self) -> Rope:
+        """The rope as far as it is known by now: a camera sees its length while it hangs."""
+
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0; in the latter case the rope may be anywhere."""
 
@@ -172,6 +176,7 @@ def run_plan(
                 if page is not None:
                     page.attach(drive, lambda: watch.states[-1] if watch.states else None)
                 _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say)
+                known = None if source is None else source.rope
                 begin = time.monotonic() + LEAD
                 watch = _Watch(source, begin, made, chosen)
                 begun = True
@@ -181,8 +186,9 @@ def run_plan(
                     fed.set_motion(made, 0.0)
                     say("the cast runs")
                     watch.start()
-                    if follow is not None:
-                        found = follow_plan(plan, watch, motor=fed, options=replace(follow, real_time=True))
+                    if follow is not None and source is not None:
+                        now = replace(follow, real_time=True)
+                        found = follow_plan(plan, watch, motor=fed, rope=known, options=now)
                         made = found.motion
                     criteria = plan.problem.criteria
                     end = float(made.breaks[-1])

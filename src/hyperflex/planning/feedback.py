@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -182,6 +182,7 @@ def follow_plan(
     source: StateSource,
     *,
     motor: Motor | None = None,
+    rope: Rope | None = None,
     options: FollowOptions | None = None,
     threads: int | None = None,
 ) -> FollowResult:
@@ -196,6 +197,9 @@ def follow_plan(
     motor : Motor, optional
         Gets the plan at t = 0 and each change at a rest; its angle is read there. Without a motor only `source` gets
         the commands.
+    rope : Rope, optional
+        As it is known now, such as one that was found to be longer, with as many links; by default the plan's. It is
+        led to the planned strike at the same distances from the arm.
     options : FollowOptions, optional
     threads : int, optional
 
@@ -223,7 +227,7 @@ def follow_plan(
         fix = "Follow a plan without state0"
         raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
     chosen = options or FollowOptions()
-    loop = _Loop(plan, moves, chosen, threads)
+    loop = _Loop(plan, rope or problem.rope, moves, chosen, threads)
     if motor is not None:
         motor.set_motion(loop.motion(), 0.0)
     decisions: list[Decision] = []
@@ -256,6 +260,18 @@ class Goal:
         now = features(problem.rope, problem.arm, motion, found.t, found.q, found.qd, options)
         return cls(float(found.t[0]), now[0])
 
+    def at(self, planned: Rope, rope: Rope) -> "Goal":
+        """Return the same state of another rope: its joints are where the planned one is as far from the arm.
+
+        A longer rope goes on in the last link's direction.
+        """
+        arcs, others = np.cumsum(planned.length), np.cumsum(rope.length)
+        joints = self.features.reshape(arcs.size, -1)
+        k = np.clip(np.searchsorted(arcs, others) - 1, 0, max(arcs.size - 2, 0))
+        part = ((others - arcs[k]) / np.diff(arcs, append=2.0 * arcs[-1])[k])[:, None]
+        moved = (1.0 - part) * joints[k] + part * joints[np.minimum(k + 1, arcs.size - 1)]
+        return Goal(self.t, moved.reshape(-1))
+
 
 def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array, options: FollowOptions) -> Array:
     """Positions and velocities of the joints (T, 4 n) at times t (T,), s, over their scales and sqrt(n).
@@ -279,9 +295,11 @@ class _Flight(NamedTuple):
 class _Loop:
     """The cast as decided so far, the next move, and the delay of the strike so far, s."""
 
-    def __init__(self, plan: CastPlan, moves: Moves, options: FollowOptions, threads: int | None) -> None:
-        self.problem, self.moves, self.options, self.budget = plan.problem, moves, options, Budget(threads=threads)
-        self.target, self.goal = plan.target, Goal.of(plan.problem, plan.target, moves, options)
+    def __init__(self, plan: CastPlan, rope: Rope, moves: Moves, options: FollowOptions, threads: int | None) -> None:
+        self.problem, self.moves, self.options = replace(plan.problem, rope=rope), moves, options
+        self.target, self.budget = plan.target, Budget(threads=threads)
+        planned = Goal.of(plan.problem, plan.target, moves, options)
+        self.goal = planned and planned.at(plan.problem.rope, rope)
         self.move, self.last, self.delay = 1, moves.ends.size - 1, 0.0
         self._seen = hanging_state(plan.problem.rope)
 

@@ -358,6 +358,12 @@ class CameraStateSource:
         packet = self._newest()
         return {} if packet is None or not packet.found else self._parameters.estimates(packet.x, packet.rows)
 
+    @property
+    def rope(self) -> Rope:
+        """The rope with those of its values that are estimated; the task's as long as it has not been found."""
+        packet, n = self._newest(), self.task.rope.n_links
+        return self.task.rope if packet is None or not packet.found else self._parameters.rope_at(packet.x[2 * n :])
+
     def restart(self) -> None:
         """End the process, if it still runs, and start another one; t = 0 stays.
 
