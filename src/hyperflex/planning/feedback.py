@@ -227,7 +227,7 @@ def follow_plan(
         fix = "Follow a plan without state0"
         raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
     chosen = options or FollowOptions()
-    loop = _Loop(plan, rope or problem.rope, moves, chosen, threads)
+    loop = _Loop(plan, moves, chosen, threads, rope)
     if motor is not None:
         motor.set_motion(loop.motion(), 0.0)
     decisions: list[Decision] = []
@@ -295,7 +295,10 @@ class _Flight(NamedTuple):
 class _Loop:
     """The cast as decided so far, the next move, and the delay of the strike so far, s."""
 
-    def __init__(self, plan: CastPlan, rope: Rope, moves: Moves, options: FollowOptions, threads: int | None) -> None:
+    def __init__(
+        self, plan: CastPlan, moves: Moves, options: FollowOptions, threads: int | None, rope: Rope | None = None
+    ) -> None:
+        rope = rope or plan.problem.rope
         self.problem, self.moves, self.options = replace(plan.problem, rope=rope), moves, options
         self.target, self.budget = plan.target, Budget(threads=threads)
         planned = Goal.of(plan.problem, plan.target, moves, options)
