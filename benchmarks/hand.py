@@ -8,10 +8,10 @@ A renderer, the tracker, the follower, the process that streams to the drive, an
 separate processes. The rope in the emulator is 1.5 % longer and heavier than the planner's and has 10 % more friction;
 its links are cut as in a verified run. The motor acts 15 ms late, and the target is 1 cm aside. Closed loop and
 learning know of the rope what is tracked in the rendered pictures, and of the drive the lag that is identified once, in
-a test motion. Each target has a cast as planned, one in closed loop, and one after three from which was learned: the
-first of them is the one as planned, and a cast that the camera judges wound leaves nothing to learn. A cast counts as
-won if the emulated rope's true state keeps the turns that the plan requires, as long as it requires. Rows are kept in
-hand.jsonl: the same command goes on where it stopped.
+a test motion. Each target has a cast as planned, one in closed loop, and one after at most three from which was
+learned: the first of them is the one as planned, and a motion that winds the rope, as the camera sees it, is kept. A
+cast counts as won if the emulated rope's true state keeps the turns that the plan requires, as long as it requires.
+Rows are kept in hand.jsonl: the same command goes on where it stopped.
 """
 
 import argparse
@@ -141,10 +141,12 @@ def row(path: Path, motor: str, lag: float) -> dict[str, Any]:
 
         options = LearningOptions(wins=1, replanning_time=15.0)
         learned = learn_cast(plan, once, attempts=CASTS, options=options)
-        cast(learned.motion)
+        if not learned.success:
+            cast(learned.motion)
+        last = casts[0] if learned.success and len(learned.attempts) == 1 else casts[-1]
     return {
         "plan": path.stem,
-        **{way: casts[k] for way, k in zip(WAYS, (0, 1, -1), strict=True)},
+        **dict(zip(WAYS, (*casts[:2], last), strict=True)),
         "casts": casts,
         "learned_from": [str(each) for each in learned.attempts],
         "seconds": time.monotonic() - begin,
@@ -185,7 +187,8 @@ def page(rows: list[dict[str, Any]]) -> str:
         "% longer and heavier than the planner's and has 10 % more friction; its links are cut as in a verified run. "
         f"The motor acts 15 ms late (identified: {1e3 * rows[0]['lag']:.1f} ms), the target is 1 cm aside. The camera "
         "has 480x480 pixels and 30 frames a second, and ten markers are on the rope. A cast is won if the true rope "
-        "keeps the turns that the plan requires, as long as it requires."
+        "keeps the turns that the plan requires, as long as it requires. The emulated drive allows pauses of 0.25 s, "
+        "for it shares two cores with all others."
     )
     found = (
         f"Missed cycles of the drive: {missed} of {cycles} ({missed / cycles:.2%}). Corrections that came too late: "
@@ -194,7 +197,13 @@ def page(rows: list[dict[str, Any]]) -> str:
         f"The camera's verdict was right in {sum(agreed)} of {len(casts)} casts."
     )
     won = " | ".join(str(sum(row[way]["won"] for row in rows)) for way in WAYS)
-    text = ["# Hardware in the loop", "", about, "", "| as planned | closed loop | learned after three casts | of |"]
+    text = [
+        "# Hardware in the loop",
+        "",
+        about,
+        "",
+        "| as planned | closed loop | learned after at most three casts | of |",
+    ]
     text += ["|---|---|---|---|", f"| {won} | {len(rows)} |", "", found, "", "True turns (w: won):", ""]
     text += ["| plan | as planned | closed loop | decisions | learned | casts |", "|---|---|---|---|---|---|"]
     for row in rows:
@@ -208,7 +217,7 @@ def main() -> None:
     """Carry out, and print and keep a line for each plan."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plans", type=Path, nargs="*")
-    parser.add_argument("--motor", default="emulator:moteus")
+    parser.add_argument("--motor", default="emulator:moteus?watchdog=0.5")
     parser.add_argument("--lag", type=float, help="of the drive, s; by default it is identified")
     parser.add_argument("--kept", action="store_true", help="make no casts: the page of all rows kept so far")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder")

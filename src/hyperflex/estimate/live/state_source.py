@@ -158,7 +158,7 @@ def work(source: int | str | Source, task: TrackingTask, link: Connection) -> No
         Camera, stream or file.
     task : TrackingTask
     link : Connection
-        Receives motions, each with the time of its t = 0, s; None in place of one: the rope is searched anew.
+        Receives motions, each with the time of its t = 0, s, and whether the rope is to be searched anew.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
     with suppress(OSError):  # the parent has ended
@@ -178,11 +178,10 @@ def _follow(source: int | str | Source, task: TrackingTask, link: Connection) ->
     def take_motion() -> None:
         nonlocal motions
         while link.poll():
-            motion, zero = link.recv()
-            if motion is None:
+            motion, zero, anew = link.recv()
+            estimator.process.set_motion(motion.shifted(zero))
+            if anew:
                 estimator.restart()
-            else:
-                estimator.process.set_motion(motion.shifted(zero))
             motions += 1
 
     with open_frames(source, paced=True) as frames, threadpool_limits(1):
@@ -264,6 +263,7 @@ class CameraStateSource:
         self.start_timeout = checks.number("start_timeout", start_timeout, sign="positive", unit="s")
         self._motion: Motion | None = None
         self._pending, self._sent, self._zero = False, 0, 0.0
+        self._anew, self._since = False, 0  # whether the rope is to be searched anew, and since which motion it is
         self._packet: Packet | None = None
         self.spots: list[tuple[float, Array]] = []
         self._message = ""
@@ -328,7 +328,7 @@ class CameraStateSource:
         moment = checks.number("t", t, unit="s")
         packet = self._newest()
         self._pass_on(motion, packet)
-        if packet is None or not packet.found:
+        if packet is None or not packet.found or packet.motions < self._since:
             raise EstimatorLost("The rope is not found, or no longer. Call wait_until_found.")
         age = moment + self._zero - packet.seen_at
         if age > self.longest:
@@ -340,10 +340,8 @@ class CameraStateSource:
         return self._model.state_at(packet.x, packet.rows, begin, max(until, begin), packet.noise)
 
     def search(self) -> None:
-        """Let the rope be searched anew, wherever it was."""
-        with suppress(OSError):  # the process has ended: the next call reports it
-            self._link.send((None, 0.0))
-        self._sent += 1
+        """Let the rope be searched anew, with the motion that is given next: it may be anywhere."""
+        self._anew, self._motion, self._since = True, None, self._sent + 1
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -385,7 +383,7 @@ class CameraStateSource:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._link, theirs = context.Pipe()
-        self._packet, self._message, self._sent = None, "", 0
+        self._packet, self._message, self._sent, self._since = None, "", 0, 0
         arguments = (self.source, self.task, theirs)
         worker = context.Process(target=work, args=arguments, name="rope estimator", daemon=True)
         worker.start()
@@ -446,8 +444,8 @@ class CameraStateSource:
 
     def _send(self) -> None:
         with suppress(OSError):  # the process has ended: the next call reports it
-            self._link.send((self._motion, self._zero))
-        self._pending, self._sent = False, self._sent + 1
+            self._link.send((self._motion, self._zero, self._anew))
+        self._pending, self._anew, self._sent = False, False, self._sent + 1
 
     def _end(self) -> None:
         """End the process and wait for it."""
