@@ -9,6 +9,7 @@ from hyperflex.control import TrueState
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware import SimulatedMotor
 from hyperflex.interfaces import RopeState
+from hyperflex.model import Rope
 from hyperflex.motion import Motion
 from hyperflex.planning import (
     CastPlan,
@@ -19,6 +20,7 @@ from hyperflex.planning import (
     check_feasibility,
     follow_plan,
     read_plan,
+    scaled_rope,
 )
 from hyperflex.planning.feedback import Goal, _Loop, features
 from hyperflex.planning.moves import Moves
@@ -31,6 +33,38 @@ CAST_SETUP = problem()
 LIMITS = CAST_SETUP.limits
 OPTIONS = FollowOptions()
 PLAN = CastPlan(CAST_SETUP, PEG, check_feasibility(CAST_SETUP, PEG), WINDS)
+
+
+def test_a_goal_of_another_rope_is_at_the_same_distances_from_the_arm():
+    count = CAST_SETUP.rope.n_links
+    arcs = np.cumsum(CAST_SETUP.rope.length)
+    goal = Goal(1.0, (arcs[:, None] * np.array([1.0, -2.0, 0.5, 3.0])).ravel())  # of a straight rope that turns
+    assert np.array_equal(goal.at(CAST_SETUP.rope, CAST_SETUP.rope).features, goal.features)
+    for part in (0.98, 1.03):
+        other = CAST_SETUP.rope.replace(length=part * CAST_SETUP.rope.length)
+        assert goal.at(CAST_SETUP.rope, other).features == pytest.approx(part * goal.features)
+    assert goal.at(CAST_SETUP.rope, CAST_SETUP.rope).features.size == 4 * count
+
+
+def test_a_rope_that_is_known_to_be_longer_is_led_as_predicted():
+    """What a decision expects of the strike is what the next one finds, if the rope is the one that is known."""
+    longer = scaled_rope(CAST_SETUP.rope, 1.02, 1.0, 1.0)
+    expected = []
+    for known in (longer, None):
+        done = follow_plan(PLAN, Longer(longer), rope=known, options=OPTIONS)
+        steps = zip(done.decisions[:-1], done.decisions[1:], strict=True)
+        expected.append(max(abs(one.after - other.before) for one, other in steps))
+    assert expected[0] < 0.05 < expected[1]
+
+
+class Longer:
+    """True state of a rope under the command."""
+
+    def __init__(self, rope: Rope) -> None:
+        self.true = TrueState(rope, CAST_SETUP.arm)
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        return self.true.state(t, motion)
 
 
 def rest_before(moves: Moves, move: int) -> float:

@@ -255,7 +255,8 @@ def film(
         middle += period * max(1, math.ceil((time.monotonic() - middle) / period))
         exposed = middle + 0.5 * camera.exposure + camera.readout
         while (motion := _filmed(states, length, arm, middle - camera.exposure)).t[-1] < exposed:
-            time.sleep(1e-3)
+            if link.poll(1e-3):
+                return
         image = renderer.with_motion(motion).image(middle + camera.delay)
         _wait_until(middle + camera.delay)
         frames.write(image, middle + camera.delay)

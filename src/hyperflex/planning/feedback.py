@@ -39,7 +39,7 @@ class FollowOptions:
     decision_time : float
         Time that a decision may take, s: moves that are due sooner are made as planned.
     real_time : bool
-        Whether the rope moves on while a decision is made: one that takes longer than `decision_time` is not carried
+        Whether the rope moves on while a decision is made: one that takes until the move that it changes is not carried
         out then. By default the rope waits, as a simulated one does.
     max_arm_error : float
         Angle, rad, between arm and command at a rest, above which a cast is aborted.
@@ -333,7 +333,8 @@ class _Loop:
         else:
             before, after, action = self.choose(self.goal, self._seen, first)
         seconds = time.monotonic() - begin
-        if options.real_time and seconds > options.decision_time and action != "kept" and not far:
+        due = float(self.starts()[min(first, self.last)]) - now  # of the first move that may have changed
+        if options.real_time and seconds > due and action != "kept" and not far:
             (self.moves, self.delay), after, action = planned, before, "late"
         self.move += 1
         return Decision(move, now, left, before, after, action, seconds, arm_error)
