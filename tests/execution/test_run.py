@@ -42,6 +42,8 @@ class SeenRope:
     was given.
     """
 
+    contact = True
+
     def __init__(self, plan: CastPlan, swings: float = 0.0, seen: float = 1e9) -> None:
         self.plan, self.swings, self.seen = plan, swings, seen
         self.told: list[Motion] = []

@@ -32,6 +32,8 @@ class CameraRope(CameraStateSource):
     The estimate knows no contact: it ends soon after the rope has struck. Whether it is wound is seen in the markers.
     """
 
+    contact = False
+
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0; in the latter case search the rope anew."""
         super().start_clock(at)

@@ -116,6 +116,8 @@ class CastRun:
         What stopped the run before its end; empty if it came to its end.
     interrupted : bool
         Whether the user stopped it.
+    rope : Rope or None
+        The rope as the source knew it when the cast began, with its length as it was seen; None: the plan's.
     late : int
         Corrections that came too late to be carried out.
     """
@@ -130,6 +132,7 @@ class CastRun:
     stopped: str = ""
     interrupted: bool = False
     late: int = 0
+    rope: Rope | None = None
 
     @property
     def message(self) -> str:
@@ -222,7 +225,7 @@ class CastRun:
         recording = self.recording
         assert recording is not None  # noqa: S101 callers have asked
         problem, t = self.plan.problem, recording.t
-        return problem.rope.joints(recording.data, problem.arm.tip(self.log.angle(t)))
+        return (self.rope or problem.rope).joints(recording.data, problem.arm.tip(self.log.angle(t)))
 
     @property
     def _stop(self) -> float:
@@ -232,7 +235,13 @@ class CastRun:
         """Return what learning needs of the run; InvalidInput if the rope was not observed."""
         if self.recording is None:
             raise InvalidInput("the rope was not observed", fix="Give a source of its state, such as a camera")
-        return CastLog(self.recording, arm_angle=self.log.angle(self.recording.t), wound=self.wound)
+        seen, rope = self.recording, self.rope or self.plan.problem.rope
+        places = self._joints.reshape(seen.t.size, -1)
+        noise = np.zeros((seen.t.size, rope.n_links)) if seen.noise is None else seen.noise
+        spread = np.sqrt(np.cumsum((noise * rope.length) ** 2, axis=1))  # of each joint after the first, m
+        wide = np.repeat(np.maximum(np.pad(spread, ((0, 0), (1, 0))), 1e-9), 2, axis=1)
+        markers = Recording(seen.t, places, "markers", wide, name=seen.name)
+        return CastLog(markers, arm_angle=self.log.angle(seen.t), wound=self.wound)
 
     def plot(self) -> "Figure":
         """Draw the drive and its goals, and how far the rope was from the plan: return a Matplotlib figure."""

@@ -13,7 +13,7 @@ from hyperflex.hardware import Emulator, MotorModel, emulated_device
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan
+from hyperflex.planning import CastPlan, scaled_rope
 
 
 def emulator_of(plan: CastPlan, address: str, model: MotorModel | None = None, **changes: Any) -> tuple[str, Emulator]:
@@ -51,8 +51,11 @@ class EmulatedRope:
     Links of the emulated rope must be parts of those of `rope`, or of a rope of another length with as many links.
     """
 
+    contact = True
+
     def __init__(self, emulator: Emulator, rope: Rope, emulated: Rope, arm: Arm) -> None:
-        self.emulator, self.rope, self.emulated, self.arm = emulator, rope, emulated, arm
+        self.emulator, self.emulated, self.arm = emulator, emulated, arm
+        self.rope = scaled_rope(rope, emulated.total_length / rope.total_length, 1.0, 1.0)  # as long as it really is
         self._parts: dict[float, tuple[RopeState, float]] = {}  # states of all parts, and the arm's angle, by time
         share = _ends(emulated) - 1e-9
         self._ends = np.searchsorted(_ends(rope), share)  # the link of the plan's rope that each part belongs to

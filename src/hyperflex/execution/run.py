@@ -22,7 +22,7 @@ from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import MotorLimits, Peg, Rope
 from hyperflex.motion import Motion, hold_arm, move_arm
 from hyperflex.options import check, option
-from hyperflex.planning import CastPlan, FollowOptions, Problem, follow_plan
+from hyperflex.planning import CastPlan, FollowOptions, Problem, follow_plan, obstacle_gaps
 from hyperflex.recording import Recording
 
 LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
@@ -36,6 +36,10 @@ class ClockedSource(StateSource, Protocol):
     @property
     def rope(self) -> Rope:
         """The rope as far as it is known by now: a camera sees its length while it hangs."""
+
+    @property
+    def contact(self) -> bool:
+        """Whether states are right while the rope touches the target."""
 
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0; in the latter case the rope may be anywhere."""
@@ -165,8 +169,8 @@ def run_plan(
         raise InvalidInput("a motion in place of the plan's is not followed in closed loop", fix="Leave out follow")
     connect().check_motion(made)
     say("simulating the plan")
-    prediction, stop, found, turns = Prediction.of(plan, made), "", None, None
-    watch = _Watch(None, 0.0, made, chosen)
+    prediction, stop, found, turns, known = Prediction.of(plan, made), "", None, None, None
+    watch = _Watch(None, 0.0, made, chosen, plan, math.inf)
     duration = 120.0 + 2.0 * float(made.breaks[-1])
     drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
     begun = False
@@ -174,11 +178,11 @@ def run_plan(
         try:
             with drive:
                 if page is not None:
-                    page.attach(drive, lambda: watch.states[-1] if watch.states else None)
+                    page.attach(drive, lambda: watch.newest)
                 _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say)
                 known = None if source is None else source.rope
                 begin = time.monotonic() + LEAD
-                watch = _Watch(source, begin, made, chosen)
+                watch = _Watch(source, begin, made, chosen, plan, prediction.touch if prediction else math.inf)
                 begun = True
                 try:
                     drive.start_clock(begin)
@@ -208,7 +212,7 @@ def run_plan(
     if recording is not None and source is not None:
         turns = source.turns(log.angle, plan.target, 1 if prediction is None else prediction.side)
     return stopped.deliver(
-        CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received, drive.late)
+        CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received, drive.late, known)
     )
 
 
@@ -341,11 +345,21 @@ def _sleep_until(end: float, drive: MotionStream, watch: "_Watch | None" = None)
 class _Watch:
     """A source in real time: it waits for the time that is asked for, and records the rope meanwhile.
 
-    The arm moves later than it is commanded, by the lag: the rope's state now belongs to what was commanded then.
+    The arm moves later than it is commanded, by the lag: the rope's state now belongs to what was commanded then. A
+    source that knows no contact is recorded until the rope touches the target, about at `touch`, s.
     """
 
-    def __init__(self, source: ClockedSource | None, begin: float, motion: Motion, options: RunOptions) -> None:
+    def __init__(
+        self,
+        source: ClockedSource | None,
+        begin: float,
+        motion: Motion,
+        options: RunOptions,
+        plan: CastPlan,
+        touch: float,
+    ) -> None:
         self.source, self.begin, self.lag, self.period = source, begin, options.lag, 1.0 / options.sampling
+        self.plan, self.touch = plan, touch
         self.states: list[RopeState] = []
         self._motion = motion.shifted(self.lag)
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -364,6 +378,11 @@ class _Watch:
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(1.0)
+
+    @property
+    def newest(self) -> RopeState | None:
+        """The last state; None if the rope has not been seen for LOST, s."""
+        return self.states[-1] if self.states and time.monotonic() - self._seen < LOST else None
 
     def raise_if_lost(self) -> None:
         """Raise why the rope has not been seen for LOST, s."""
@@ -407,3 +426,12 @@ class _Watch:
             self._failed, self._seen = None, time.monotonic()
             if state.t >= 0.0 and (not self.states or state.t > self.states[-1].t):
                 self.states.append(state)
+            if not self.source.contact and self._touches(state):
+                return
+
+    def _touches(self, state: RopeState) -> bool:
+        """Whether the rope touches the target. One that hangs before it, early, does not."""
+        problem, peg = self.plan.problem, self.plan.target
+        joints = problem.rope.joints(state.q, problem.arm.tip(self._motion.angle(state.t)))
+        gap = float(obstacle_gaps((peg,), joints[:-1], joints[1:]).min())
+        return gap < 2.0 * problem.rope.radius and state.t > 0.5 * self.touch

@@ -41,6 +41,8 @@ class FollowOptions:
     real_time : bool
         Whether the rope moves on while a decision is made: one that takes until the move that it changes is not carried
         out then. By default the rope waits, as a simulated one does.
+    sending : float
+        Time that it takes to send a decision to the motor, s.
     max_arm_error : float
         Angle, rad, between arm and command at a rest, above which a cast is aborted.
     min_gain : float
@@ -61,6 +63,7 @@ class FollowOptions:
 
     decision_time: float = 0.1
     real_time: bool = False
+    sending: float = 0.05
     max_arm_error: float = 0.2
     min_gain: float = 0.1
     blind_time: float = 0.15
@@ -333,7 +336,7 @@ class _Loop:
         else:
             before, after, action = self.choose(self.goal, self._seen, first)
         seconds = time.monotonic() - begin
-        due = float(self.starts()[min(first, self.last)]) - now  # of the first move that may have changed
+        due = float(self.starts()[min(first, self.last)]) - now - options.sending  # of the first move that may change
         if options.real_time and seconds > due and action != "kept" and not far:
             (self.moves, self.delay), after, action = planned, before, "late"
         self.move += 1
