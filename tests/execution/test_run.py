@@ -19,7 +19,7 @@ from hyperflex.errors import EstimatorLost, InvalidInput
 from hyperflex.execution import RunOptions, observed_turns, run_plan
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan, FollowOptions, Moves, WindCriteria, check_feasibility
+from hyperflex.planning import CastPlan, FollowOptions, Moves, WindCriteria, check_feasibility, scaled_rope
 from tests.execution.ideal_link import ideal_drive
 
 ROPE = hf.Rope.uniform(length=0.8, mass=0.05, n_links=10, radius=0.0025, friction=1e-3)
@@ -162,10 +162,14 @@ def test_a_camera_that_never_finds_the_rope_moves_nothing(tmp_path: Path) -> Non
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
 
 
-def test_the_arm_is_known_to_be_late_by_the_lag(tmp_path: Path) -> None:
+def test_the_arm_is_known_to_be_late_by_the_lag_and_the_rope_to_be_as_long_as_it_is_seen(tmp_path: Path) -> None:
     plan = short_plan()
     source = SeenRope(plan)
-    run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=replace(QUICK, lag=0.02))
+    source.rope = scaled_rope(ROPE, 1.05, 1.0, 1.0)  # as it is seen
+    options = replace(QUICK, lag=0.02)
+    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=options)
+    places = run.cast_log().recording.data[0].reshape(-1, 2)  # of what is learned from
+    assert places[-1] - places[0] == pytest.approx([0.0, -1.05 * ROPE.total_length], abs=1e-3)
     motion = plan.required(plan.motion, "motion")
     assert source.told[0].angle(0.0) == pytest.approx(motion.angle(0.0))  # while it hangs
     assert source.told[-1] == motion.shifted(0.02)
