@@ -115,6 +115,10 @@ def test_a_rope_that_rests_near_the_top_and_falls_is_not_held():
     assert right.check() == []
 
 
+def test_noise_alone_is_no_release():
+    assert hf.Recording(np.arange(2000) / 100.0, noisy(np.zeros((2000, 1)), 3e-3)).check() == []
+
+
 def lost(data, columns, where=None):
     data = data.copy()
     data[np.random.default_rng(2).random(len(data)) < 0.05 if where is None else where, columns] = 0.0

@@ -322,6 +322,8 @@ def held(recording: Recording) -> Iterator[Finding]:
     filled = median_filter(filled, size=(5, 1), mode="nearest")  # without outliers
     reach = float(np.ptp(filled, axis=0).max())
     reach = min(reach, 2.0 * np.pi) if recording.kind == "angles" else reach
+    if np.nanmedian(np.abs(data - filled)) > LIMITS.rests * reach:  # noise alone
+        return
     spans = np.arange(0, t.size, -(-t.size // BLOCK))
     high, low, end = np.maximum.reduceat(filled, spans), np.minimum.reduceat(filled, spans), np.append(t[spans], np.inf)
     before = _steady(high[::-1], low[::-1], LIMITS.rests * reach)[::-1]
