@@ -169,6 +169,7 @@ from hyperflex.errors import FileProblem
 from hyperflex.vision import VideoWriter
 
 run = hf.simulate(hf.Rope(length=[0.3], mass=[0.1]), duration=2.0, q0=[0.5])
+sys.dont_write_bytecode = True  # Python would keep the half of a module that it could write
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 def film():
     with VideoWriter("film.mp4", (320, 240)) as video:
