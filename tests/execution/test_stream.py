@@ -16,9 +16,9 @@ import hyperflex as hf
 from hyperflex.errors import DriveError, InvalidInput
 from hyperflex.execution import record_test_motion
 from hyperflex.execution.stream import MotionStream
-from hyperflex.hardware import Goal
+from hyperflex.hardware import Drive, Goal
 from hyperflex.motion import hold_arm, move_arm
-from tests.execution.ideal_link import ideal_drive
+from tests.execution.ideal_link import IdealLink, ideal_drive
 
 
 def lines(notes: Path) -> list[str]:
@@ -91,15 +91,52 @@ def test_a_stop_from_another_thread_is_confirmed_by_the_device(tmp_path: Path) -
         assert lines(tmp_path / "notes")[-2:] == ["off", "closed"]
 
 
+def test_a_stop_while_the_process_ends_tells_what_the_device_has_confirmed(tmp_path: Path) -> None:
+    stream = MotionStream(partial(ideal_drive, tmp_path / "notes", stuck=True)).__enter__()
+    stream.enable()
+    with ThreadPoolExecutor(1) as pool:
+        ending = pool.submit(stream.__exit__)
+        assert not stream.stop()
+        with pytest.raises(DriveError, match="did not confirm"):
+            ending.result()
+    assert not stream.stop()
+
+
+class SlowDrive(Drive):
+    """A drive whose process does not end at once when its torque is off."""
+
+    def close(self) -> None:
+        super().close()
+        time.sleep(0.5)
+
+
+def slow_drive(notes: Path) -> Drive:
+    """Return one over an ideal link."""
+    return SlowDrive(IdealLink(notes), hf.MotorLimits())
+
+
+def test_many_stops_are_as_good_as_one(tmp_path: Path) -> None:
+    with MotionStream(partial(slow_drive, tmp_path / "notes")) as stream:
+        stream.enable()
+        with ThreadPoolExecutor(4) as pool:
+            stops = [pool.submit(stream.stop)]
+            while "closed" not in lines(tmp_path / "notes"):
+                time.sleep(1e-3)
+            stops += [pool.submit(stream.stop) for _ in range(3)]
+            assert all(each.result() for each in stops)
+
+
 def test_a_motion_that_comes_too_late_is_not_jumped_to(tmp_path: Path) -> None:
     with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
         stream.enable()
         stream.start_clock(time.monotonic() + 0.1)
-        stream.set_motion(move_arm(0.3, 0.8, duration=0.6), 0.0)
+        motion = move_arm(0.3, 0.8, duration=0.6)
+        assert stream.set_motion(motion, 0.0)
         time.sleep(0.5)
-        stream.set_motion(move_arm(0.3, 0.8, duration=0.5), 0.0)
+        assert not stream.set_motion(move_arm(0.3, 0.8, duration=0.5), 0.0)
         time.sleep(0.5)
         assert stream.late == 1
+        assert stream.motion == motion
         assert stream.log().column("goal_angle")[-1] == pytest.approx(0.8)
 
 

@@ -179,15 +179,16 @@ def test_what_is_due_too_soon_to_be_decided_is_made_as_planned():
 
 
 class Kept(SimulatedMotor):
-    """A simulated motor that keeps what it was asked for."""
+    """A simulated motor that keeps what it was asked for; it refuses so many motions after the first one."""
 
-    def __init__(self, **how: float) -> None:
+    def __init__(self, refuses: int = 0, **how: float) -> None:
         super().__init__(-0.5 * np.pi, **how)
         self.asked: list[tuple[float, Motion]] = []
+        self.refuses = refuses
 
-    def set_motion(self, motion: Motion, at: float) -> None:
+    def set_motion(self, motion: Motion, at: float) -> bool:
         self.asked.append((at, motion))
-        super().set_motion(motion, at)
+        return not 2 <= len(self.asked) < 2 + self.refuses and super().set_motion(motion, at)
 
 
 def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done():
@@ -222,6 +223,24 @@ def test_a_motor_that_does_not_come_along_ends_the_throw():
     assert "rad from its command" in done.message
     assert motor.asked[-1] == (done.decisions[0].t, done.motion)
     assert float(done.motion.angle(float(done.motion.breaks[-1]))) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_goes_on():
+    motor = Kept(refuses=100, lag=1e-3, counts=10**6)
+    (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
+    done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), motor=motor)
+    assert len(motor.asked) > 1
+    assert {look.action for look in done.decisions} <= {"kept", "late"}
+    assert all(look.after == look.before for look in done.decisions)
+    assert done.motion == WINDS.motion(LIMITS)
+
+
+def test_an_abort_that_the_motor_refuses_begins_at_the_next_rest():
+    motor = Kept(torque=0.005, refuses=1)
+    done = follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
+    assert [look.action for look in done.decisions] == ["aborted"]
+    assert motor.asked[-1] == (done.decisions[0].t, done.motion)
+    assert done.moves.ends.size == done.decisions[0].move + 2
 
 
 def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path):

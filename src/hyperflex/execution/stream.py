@@ -5,12 +5,13 @@ import math
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -111,6 +112,8 @@ class MotionStream:
     ----------
     late : int
         Motions that arrived too late to be taken up without a jump; the one before went on.
+    motion : Motion or None
+        The newest one that was taken up since the clock was started; None before it.
 
     Raises
     ------
@@ -134,13 +137,17 @@ class MotionStream:
         context = multiprocessing.get_context("spawn")
         self._shared = Shared(context.RawArray("d", rows * len(FIELDS)), context.RawArray("q", 2))
         self._context, self._zero, self._number, self.late = context, 0.0, 0, 0
+        self.motion: Motion | None = None
         self._worker: Any = None
+        self._ending, self._confirmed = threading.Lock(), True  # two threads that wait for one process lose its code
 
     def __enter__(self) -> Self:
         self._link, theirs = self._context.Pipe()
         arguments = (self.connect, self.clear, 1.0 / self.rate, self.waits, theirs, self._shared)
-        self._worker = self._context.Process(target=stream, args=arguments, name="motion stream", daemon=True)
-        self._worker.start()
+        worker: Any = self._context.Process(target=stream, args=arguments, name="motion stream", daemon=True)
+        self._confirmed = False
+        worker.start()
+        self._worker = worker
         theirs.close()
         try:
             self._receive(0, START)
@@ -159,32 +166,44 @@ class MotionStream:
         """Switch the torque off at once and end the process; return whether the device confirmed it. For any thread."""
         worker = self._worker
         if worker is None:
-            return True
-        with suppress(ProcessLookupError):
-            os.kill(worker.pid, signal.SIGTERM)
-        worker.join(ANSWER)
-        return bool(worker.exitcode == 0)
+            return self._confirmed
+        with self._ending:
+            worker.terminate()
+        return self._exit_code(worker) == 0
+
+    def _exit_code(self, worker: Any) -> int | None:
+        """Wait for the end of the process; return its exit code, or None if it has not ended in time. For any thread.
+
+        The code is 0 if the torque is off for certain.
+        """
+        if not wait([worker.sentinel], ANSWER):
+            return None
+        with self._ending:
+            worker.join()
+            return int(worker.exitcode)
 
     def _end(self) -> None:
         """Wait for the end of the process; raise if it did not confirm that the torque is off."""
-        worker, self._worker = self._worker, None
-        for hasten in (worker.terminate, worker.kill, None):
-            worker.join(ANSWER)
-            if not worker.is_alive() or hasten is None:
-                break
-            hasten()
+        worker = self._worker
+        code = self._exit_code(worker)
+        for hasten in (worker.terminate, worker.kill):
+            if code is None:
+                hasten()
+                code = self._exit_code(worker)
+        self._confirmed, self._worker = code == 0, None
         why = ""
         with suppress(EOFError, OSError):
             while self._link.poll():
                 _, answer = self._link.recv()
                 why = f" {answer}" if isinstance(answer, Exception) else why
         self._link.close()
-        if worker.exitcode != 0:
+        if not self._confirmed:
             raise DriveError(f"The drive did not confirm that its torque is off.{why} Cut its power.")
 
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0; what is held then is held until the next motion."""
         self._zero = time.monotonic() if at is None else checks.number("at", at, unit="s")
+        self.motion = None
         self._ask("clock", self._zero)
 
     @property
@@ -204,11 +223,11 @@ class MotionStream:
         """Return the newest state of the drive, with the torque on or off."""
         return checks.instance("answer", self._ask("state"), DriveState)
 
-    def set_motion(self, motion: Motion, at: float, torque: tuple[npt.ArrayLike, npt.ArrayLike] | None = None) -> None:
+    def set_motion(self, motion: Motion, at: float, torque: tuple[npt.ArrayLike, npt.ArrayLike] | None = None) -> bool:
         """Stream a motion from a time `at` (s) on; see :class:`hyperflex.interfaces.Motor`.
 
         `torque` are times (K,), s, and feed-forward torques (K,), N m, between which the torque is interpolated; it is
-        zero before and after them.
+        zero before and after them. False: it came too late to be taken up without a jump, and the one before goes on.
         """
         checks.instance("motion", motion, Motion)
         if motion.loop >= 0:
@@ -218,7 +237,9 @@ class MotionStream:
             times = checks.times("torque times", torque[0])
             values = checks.array("torque", torque[1], times.shape, unit="N m")
         path = Path(motion.breaks.tolist(), motion.coef[:, ANGLE].tolist(), times.tolist(), values.tolist())
-        self.late += not self._ask("motion", checks.number("at", at, unit="s"), path)
+        taken = bool(self._ask("motion", checks.number("at", at, unit="s"), path))
+        self.motion, self.late = motion if taken else self.motion, self.late + (not taken)
+        return taken
 
     def angle(self, t: float) -> float:
         """Return the encoder's angle at a time `t` (s), rad, interpolated; the newest one for later times."""
@@ -256,8 +277,8 @@ class MotionStream:
         try:
             number, value = self._link.recv()
         except (EOFError, OSError):
-            self._worker.join(ANSWER)
-            raise DriveError(f"The process of the drive ended with code {self._worker.exitcode}.") from None
+            code = self._exit_code(self._worker)
+            raise DriveError(f"The process of the drive ended with code {code}.") from None
         if isinstance(value, Exception):
             raise value
         return number, value
@@ -335,6 +356,11 @@ def stream(
     """
     leave_terminal()
     drive, ended = connect(), None
+
+    def leave(*_: object) -> None:
+        raise SystemExit(int(drive.enabled))
+
+    signal.signal(signal.SIGTERM, leave)
     try:
         drive.connect(clear=clear)
         with drive:
@@ -347,10 +373,11 @@ def stream(
             _Cycle(drive, period, waits, link, shared).run()
     except HyperflexError as error:
         ended = error
-    except SystemExit as error:
-        ended = DriveError(f"The process of the drive was ended by a signal ({error}).")
+    except SystemExit:
+        ended = DriveError("The process of the drive was ended by a signal.")
     except OSError:  # the parent has ended
         pass
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # its exit code says what the torque is
     if ended is not None:
         with suppress(OSError):
             link.send((0, ended))

@@ -71,11 +71,12 @@ class SimulatedMotor:
         self._t, self._y, self._v = 0.0, start, 0.0  # how far it has been simulated
         self._seen: list[tuple[float, float]] = [(0.0, start)]
 
-    def set_motion(self, motion: Motion, at: float) -> None:
+    def set_motion(self, motion: Motion, at: float) -> bool:
         """Ask for a motion from a time `at` (s) on, after the latency; see :class:`hyperflex.interfaces.Motor`."""
         when = self._later("at", at)
         self._asked.append((when + self.latency, checks.instance("motion", motion, Motion)))
         self._now = when
+        return True
 
     def angle(self, t: float) -> float:
         """Return the encoder's angle at a time `t` (s), rad, rounded down to whole steps."""

@@ -96,7 +96,8 @@ class Decision:
         Distance of the predicted strike from the planned one before and after the decision: root mean square of the
         errors of the joints' positions and velocities, in scales; inf if the rope is not predicted to strike.
     action : {"kept", "changed", "aborted", "late"}
-        Late: the decision came too late and was not carried out.
+        Late: the decision came too late and was not carried out. What is aborted too late ends after the move that had
+        begun.
     seconds : float
         Time that the decision took by the clock, s, with the observation of the state; it may be more than `left`.
     arm_error : float
@@ -235,9 +236,9 @@ def follow_plan(
         motor.set_motion(loop.motion(), 0.0)
     decisions: list[Decision] = []
     while (decision := loop.decide(source, motor)) is not None:
+        if motor is not None and decision.action in ("changed", "aborted") and not loop.command(motor, decision):
+            decision = replace(decision, after=decision.before, action="late")
         decisions.append(decision)
-        if motor is not None and decision.action in ("changed", "aborted"):
-            motor.set_motion(loop.motion(), decision.t)
         if decision.action == "aborted":
             break
     planned = plan.message if loop.goal else "the planned moves do not strike"
@@ -308,6 +309,7 @@ class _Loop:
         self.goal = planned and planned.at(plan.problem.rope, rope)
         self.move, self.last, self.delay = 1, moves.ends.size - 1, 0.0
         self._seen = hanging_state(plan.problem.rope)
+        self._planned = moves, 0.0  # moves and delay before the last decision
 
     def motion(self) -> Motion:
         """Return the commanded motion."""
@@ -326,7 +328,7 @@ class _Loop:
         now = float(self.starts()[move]) - left
         if now > self.goal.t + self.delay - options.blind_time:
             return None
-        planned, self._seen = (self.moves, self.delay), source.state(now, self.motion())
+        self._planned, self._seen = (self.moves, self.delay), source.state(now, self.motion())
         begin = time.monotonic()
         arm_error = math.nan if motor is None else motor.angle(now) - float(self.motion().angle(now))
         first = move if left >= options.decision_time else move + 1  # that may still be changed
@@ -338,9 +340,24 @@ class _Loop:
         seconds = time.monotonic() - begin
         due = float(self.starts()[min(first, self.last)]) - now - options.sending  # of the first move that may change
         if options.real_time and seconds > due and action != "kept" and not far:
-            (self.moves, self.delay), after, action = planned, before, "late"
+            (self.moves, self.delay), after, action = self._planned, before, "late"
         self.move += 1
         return Decision(move, now, left, before, after, action, seconds, arm_error)
+
+    def command(self, motor: Motor, decision: Decision) -> bool:
+        """Command what was decided; return whether the motor took it. If it did not, the moves of before remain.
+
+        A motor that has begun the next moves meanwhile makes them to their end before it aborts.
+        """
+        taken = motor.set_motion(self.motion(), decision.t)
+        made = decision.move
+        while not taken and decision.action == "aborted" and made <= self.last:
+            made += 1
+            self.moves = self._planned[0].first(made).then(0.0, self.options.decision_time, SLOWLY)
+            taken = motor.set_motion(self.motion(), decision.t)
+        if not taken:
+            self.moves, self.delay = self._planned
+        return taken
 
     def choose(self, goal: Goal, state: RopeState, first: int) -> tuple[float, float, str]:
         """Correct the cast from move `first` on; return its distances from the goal before and after, and the action.
