@@ -6,6 +6,9 @@ import tomllib
 import pytest
 
 import hyperflex as hf
+from hyperflex import execution
+from hyperflex.errors import InvalidInput
+from hyperflex.hardware import DriveZero
 
 
 @pytest.fixture
@@ -34,6 +37,7 @@ def test_check_says_what_is_possible_and_gives_limits(hyperflex):
         (("check", "--motor", "nothing", "--rope", "rope.toml"), "not in the catalogue"),
         (("identify", "--motor", "nothing", "-o", "drive.toml"), "address is not known"),
         (("identify", "--motor", "moteus:/dev/not-there", "-o", "drive.toml"), "limit of torque"),
+        (("identify", "--motor", "moteus:/dev/not-there", "-o", "drive.toml", "--torque", "1"), "needs its zero"),
         (("zero", "--motor", "moteus:/dev/not-there", "-o", "zero.toml"), "/dev/not-there"),
         (("zero", "--motor", "moteus:/dev/ttyACM0", "-o", "zero.txt"), "suffix"),
     ],
@@ -56,6 +60,21 @@ def test_the_strokes_are_small_unless_they_are_asked_for(hyperflex_json, tmp_pat
     how = "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run", "--speed", 8
     angles = [hyperflex_json(*how, *more)[1]["greatest_angle"] for more in ((), ("--stroke", 1.5))]
     assert angles == pytest.approx([0.3, 1.5])
+
+
+@pytest.mark.parametrize(("stroke", "deviation"), [(0.3, 0.18), (1.5, 0.9), (3.0, 0.9)])
+def test_small_strokes_notice_a_stuck_drive_too(hyperflex, tmp_path, monkeypatch, stroke, deviation):
+    seen = []
+
+    def record(connect, **_):
+        seen.append(connect().max_deviation)
+        raise InvalidInput("seen")
+
+    monkeypatch.setattr(execution, "record_test_motion", record)
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    how = "--torque", 1, "--speed", 8, "--zero", tmp_path / "zero.toml", "--yes", "--stroke", stroke
+    hyperflex("motor", "identify", "--motor", "moteus:/dev/not-there", "-o", tmp_path / "drive.toml", *how)
+    assert seen == pytest.approx([deviation])
 
 
 @pytest.mark.nightly

@@ -2,14 +2,18 @@
 
 import signal
 import threading
+from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from hyperflex import execution
 from hyperflex.cli import output
-from hyperflex.hardware import DriveZero
+from hyperflex.execution import Attempt, LearningResult
+from hyperflex.hardware import DriveFit, DriveModel, DriveZero
+from hyperflex.planning import read_plan, scaled_rope
 from tests.execution.ideal_link import open_ideal
 from tests.planning.known import planned
 from tests.planning.known_whip import planned_whip
@@ -39,7 +43,7 @@ def test_a_dry_run_checks_the_plan_and_connects_nothing(hyperflex_json, plan, tm
 )
 def test_a_motor_that_is_not_there_is_one_line(hyperflex, plan, tmp_path, motor, message):
     DriveZero(0.0).to_toml(tmp_path / "zero.toml")
-    how = "--zero", tmp_path / "zero.toml", "--yes"
+    how = "--zero", tmp_path / "zero.toml", "--torque", 1, "--yes"
     code, out, err = hyperflex("run", plan, "--motor", motor, "-o", tmp_path / "done", *how)
     assert (code != 0, out) == (True, "")
     assert message in err.splitlines()[-1]
@@ -61,6 +65,57 @@ def test_a_camera_that_cannot_see_the_rope_is_one_line(refused, plan, tmp_path, 
     assert message in refused("run", plan, "-o", tmp_path / "done", *options)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "a real motor moves with a limit of torque only"),
+        (("--motor", "moteus:/dev/none?watchdog=0.5"), "watchdog of a real motor is too long"),
+        (("--torque", 1, "--learn"), "which --learn must know"),
+        (("--torque", 1, "--follow"), "which --follow must know"),
+        (("--torque", 1, "--repeat", 2, "--yes"), "which --yes and --repeat must know"),
+        (("--learn", "--follow"), "a learned motion is not followed"),
+    ],
+)
+def test_what_is_dangerous_on_a_real_motor_is_one_line(refused, plan, tmp_path, options, message):
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    real = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml"
+    assert message in refused("run", plan, "-o", tmp_path / "done", *real, *options)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A file of a slow drive with a lag of 25 ms."""
+    values = {"lag": 0.025, "rate_limit": 1.0}
+    model = DriveModel(0.01, 60.0, 1.0, 0.5)
+    fit = DriveFit(values, {"lag": (0.024, 0.026), "rate_limit": (0.9, 1.1)}, (8.0, 80.0), 1e-3, model)
+    fit.to_toml(tmp_path / "drive.toml")
+    return tmp_path / "drive.toml"
+
+
+def test_a_plan_is_compared_with_the_identified_drive(refused, plan, drive, tmp_path):
+    how = "--motor", "moteus:/dev/none", "--drive", drive, "--dry-run"
+    assert "rate" in refused("run", plan, "-o", tmp_path / "done", *how)
+
+
+def test_limits_and_lag_of_a_run_are_the_drives(drive):
+    of_drive = partial(import_module("hyperflex.cli.run")._of_drive, planned(), drive)
+    limits, options = of_drive(0.7, {})
+    assert (limits.speed, limits.torque, options.lag) == (0.9, 0.7, 0.025)
+    assert of_drive(None, {"lag": 0.01})[1].lag == 0.01
+
+
+def test_what_was_learned_is_a_plan(hyperflex_json, plan, tmp_path, monkeypatch):
+    rope, moves = scaled_rope(planned().problem.rope, 1.03, 1.0, 1.2), planned().moves
+    attempt = Attempt(1, moves, False, lag=0.015)
+    done = LearningResult(moves, replace(planned().problem, rope=rope), 0.015, (attempt,), 3)
+    monkeypatch.setattr(execution, "learn_cast", lambda *_, **__: done)
+    _, result = hyperflex_json("run", plan, "--motor", "emulator:moteus", "--learn", "-o", tmp_path / "done")
+    learned = read_plan(result["files"]["learned plan"])
+    assert learned.problem.rope.total_length == pytest.approx(1.03 * planned().problem.rope.total_length)
+    assert learned.motion == done.motion
+    assert result["learned"] == ["The learned plan is run with --lag 0.015"]
+
+
 def test_a_plan_of_a_whip_is_refused(refused, tmp_path):
     planned_whip().to_toml(tmp_path / "whip.toml")
     assert "no plan of a cast" in refused(
@@ -80,8 +135,24 @@ def test_ctrl_c_keeps_the_log_and_tells_of_the_torque(hyperflex_json, plan, tmp_
     monkeypatch.setattr(output, "note", say)
     monkeypatch.setattr(execution, "open_drive", partial(open_ideal, notes, stuck=stuck))
     DriveZero(0.0).to_toml(tmp_path / "zero.toml")
-    quick = "--wait", 0, "--countdown", 0, "--approach", 1, "--calm", 0, "--zero", tmp_path / "zero.toml", "--yes"
-    code, result = hyperflex_json("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done", *quick)
+    quick = (
+        "--wait",
+        0,
+        "--countdown",
+        0,
+        "--approach",
+        1,
+        "--calm",
+        0,
+        "--zero",
+        tmp_path / "zero.toml",
+        "--torque",
+        1,
+        "--yes",
+    )
+    code, result = hyperflex_json(
+        "run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done", "--zero", tmp_path / "zero.toml", *quick
+    )
     assert (code, result["status"], result["success"]) == (130, "interrupted", False)
     assert message in result["message"]
     assert ("off" in notes.read_text().split()) is not stuck

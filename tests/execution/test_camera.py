@@ -11,9 +11,12 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.errors import EstimatorLost
 from hyperflex.estimate import TrackingTask
-from hyperflex.execution import CameraRope
+from hyperflex.execution import CameraRope, EmulatedCamera
 from hyperflex.execution.camera import SharedFrames, wound_turns
+from hyperflex.hardware import Emulator, MotorModel
+from hyperflex.hardware.emulate import MoteusDevice
 from hyperflex.vision import Camera, MarkerColour
+from tests.execution.test_run import short_plan
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.05, n_links=20, radius=0.0025, friction=1e-3)
 ARCS = np.arange(1, 11) / 10.0
@@ -57,6 +60,22 @@ def test_a_rope_that_hangs_free_has_no_turns_and_one_that_is_not_seen_unknown_on
     beside = START + ARCS[:, None] * np.array([PEG.x, PEG.y]) / math.hypot(PEG.x, PEG.y)  # it passes behind the peg
     assert 0.0 <= wound_turns(ROPE, ARCS, START, PEG, 1, beside) <= 0.5
     assert math.isnan(wound_turns(ROPE, ARCS, START, PEG, 1, np.zeros((0, 2))))
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_turns_are_unknown_where_markers_before_the_peg_are_not_seen(side: int) -> None:
+    places, _ = wound(side)
+    before = np.hypot(*(places - START).T) < 0.45
+    for seen in (~before, np.arange(ARCS.size) != 3):  # none before the peg, or all but the last before it
+        assert math.isnan(wound_turns(ROPE, ARCS, START, PEG, side, places[seen]))
+
+
+def test_an_emulated_camera_that_ends_at_its_start_is_one_line() -> None:
+    """Its emulator was not started: there is no rope."""
+    plan = short_plan()
+    emulator = Emulator(MoteusDevice, MotorModel(), plan.problem.rope)
+    with pytest.raises(EstimatorLost, match="emulated camera has ended at its start"):
+        EmulatedCamera(plan, emulator, plan.problem.rope).__enter__()
 
 
 def test_the_newest_of_shared_frames_is_given() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import DriveError, Interrupted, InvalidInput
+from hyperflex.errors import EstimatorLost, Interrupted, InvalidInput
 from hyperflex.execution import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
 from hyperflex.model import divided
 from hyperflex.motion import Motion, lagged
@@ -110,10 +110,10 @@ def test_an_interrupted_cast_keeps_what_was_learned():
     check_kept(stop.value.partial, Status.INTERRUPTED)
 
 
-def test_a_drive_that_fails_ends_it_and_keeps_what_was_learned():
-    done = learn_cast(PLAN, failing(bent_arm(), 1, DriveError("The motor is hot.")), options=OPTIONS)
+def test_a_camera_that_fails_ends_it_and_keeps_what_was_learned():
+    done = learn_cast(PLAN, failing(bent_arm(), 1, EstimatorLost("The camera is dark.")), options=OPTIONS)
     check_kept(done, Status.FAILED)
-    assert done.message == "The motor is hot.; 0 of 1 casts wound, 1 in a row required"
+    assert done.message == "The camera is dark.; 0 of 1 casts wound, 1 in a row required"
 
 
 def check_kept(done: LearningResult, status: Status) -> None:

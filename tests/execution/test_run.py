@@ -2,21 +2,24 @@
 
 import json
 import math
-import time
+import signal
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 import hyperflex as hf
+from hyperflex import execution
 from hyperflex.checks import Array
 from hyperflex.control import TrueState
-from hyperflex.errors import EstimatorLost, InvalidInput
-from hyperflex.execution import RunOptions, observed_turns, run_plan
+from hyperflex.errors import EstimatorLost, Interrupted, InvalidInput
+from hyperflex.execution import MotionStream, RunOptions, observed_turns, run_plan
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, FollowOptions, Moves, WindCriteria, check_feasibility, scaled_rope
@@ -36,32 +39,40 @@ def short_plan() -> CastPlan:
 
 
 class SeenRope:
-    """A simulated rope under the motion that was commanded; it may swing before the clock is started a second time.
+    """A simulated rope under the motion that was commanded; before the cast it may swing, or stand `away`, rad.
 
-    In the cast it is seen until `seen`, s; if that is negative, not before it either. `told` are the motions that it
-    was given.
+    In the cast it is seen until `seen`, s; if that is negative, not before it either. Then `lost` is called. `told` are
+    the motions that it was given.
     """
 
     contact = True
 
-    def __init__(self, plan: CastPlan, swings: float = 0.0, seen: float = 1e9) -> None:
-        self.plan, self.swings, self.seen = plan, swings, seen
+    def __init__(
+        self,
+        plan: CastPlan,
+        swings: float = 0.0,
+        seen: float = 1e9,
+        *,
+        away: float = 0.0,
+        lost: Callable[[], object] = lambda: None,
+    ) -> None:
+        self.plan, self.swings, self.seen, self.away, self.lost = plan, swings, seen, away, lost
         self.told: list[Motion] = []
-        self.rope = ROPE
-        self.starts: list[float] = []
+        self.rope, self.cast = ROPE, False
         self.given: list[RopeState] = []
 
     def start_clock(self, at: float | None = None) -> None:
-        self.starts.append(time.monotonic() if at is None else at)
+        self.cast = at is not None
         self.true = TrueState(ROPE, self.plan.problem.arm)
 
     def state(self, t: float, motion: Motion) -> RopeState:
         n = ROPE.n_links
         self.told.append(motion)
-        if t > self.seen and (len(self.starts) > 1 or self.seen < 0.0):
+        if t > self.seen and (self.cast or self.seen < 0.0):
+            self.lost()
             raise EstimatorLost("No marker has been seen for 0.30 s.")
-        if len(self.starts) == 1:
-            return RopeState(t, np.zeros(n), np.full(n, self.swings))
+        if not self.cast:
+            return RopeState(t, np.full(n, self.away), np.full(n, self.swings))
         self.given.append(self.true.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
         return self.given[-1]
 
@@ -97,7 +108,34 @@ def test_a_rope_that_swings_is_not_cast(tmp_path: Path) -> None:
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
 
 
-@pytest.mark.parametrize("holds", [0.0, -1.0, 1.0])
+def test_a_rope_that_is_still_wound_is_not_pulled(tmp_path: Path) -> None:
+    plan = short_plan()
+    with pytest.raises(InvalidInput, match="does not hang down"):
+        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, away=1.0), options=QUICK)
+    assert (tmp_path / "notes").read_text().split() == ["open", "closed"]
+
+
+def test_a_person_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(tmp_path: Path) -> None:
+    said = list[str]()
+
+    def ask() -> None:
+        said.extend((tmp_path / "notes").read_text().split())
+        raise InvalidInput("no")
+
+    with pytest.raises(InvalidInput, match="no"):
+        run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes"), options=QUICK, say=said.append, ready=ask)
+    assert "without torque the arm stands at 0.30" in said[-2]
+    assert said[-1] == "open"
+
+
+def test_an_arm_that_is_held_by_a_torque_of_the_wrong_sign_is_not_cast(tmp_path: Path) -> None:
+    drive = partial(ideal_drive, tmp_path / "notes", holds=-0.05)
+    with pytest.raises(InvalidInput, match="torque of the wrong sign"):
+        run_plan(short_plan(), drive, options=QUICK)
+    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+
+
+@pytest.mark.parametrize("holds", [0.0, 0.4, 1.0])
 def test_an_arm_whose_weight_is_not_as_expected_is_told(tmp_path: Path, holds: float) -> None:
     """0.049 N m at a quarter turn; `holds` in parts of what holds arm and rope at the start."""
     plan, said = short_plan(), list[str]()
@@ -155,6 +193,55 @@ def test_a_camera_that_is_lost_in_the_middle_stops_the_run_with_one_line(
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
 
 
+def test_a_source_that_hangs_stops_the_run(tmp_path: Path) -> None:
+    plan, woken = short_plan(), threading.Event()
+    source = SeenRope(plan, seen=0.1, lost=lambda: woken.wait(60.0))
+    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=QUICK)
+    woken.set()
+    assert run.stopped == "The source of the rope's state has not answered for 0.3 s."
+
+
+def test_a_source_that_fails_in_any_way_stops_the_run_and_says_why(tmp_path: Path) -> None:
+    plan = short_plan()
+    source = SeenRope(plan, seen=0.1, lost=lambda: int("nothing"))
+    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=QUICK)
+    assert "source of the rope's state failed: ValueError" in run.stopped
+
+
+def test_the_motion_of_a_run_is_what_was_commanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = short_plan()
+    made = plan.required(plan.motion, "motion")
+
+    def change(*_: object, motor: MotionStream, **__: object) -> None:
+        motor.set_motion(made.shifted(0.3), 0.0)
+        raise EstimatorLost("gone")
+
+    monkeypatch.setattr(execution.run, "follow_plan", change)
+    run = run_plan(
+        plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan), follow=FollowOptions(), options=QUICK
+    )
+    assert run.stopped == "gone"
+    assert run.motion == made.shifted(0.3)
+
+
+def test_an_interrupt_while_the_run_is_judged_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = short_plan()
+    source = SeenRope(plan)
+    judge, calls = source.turns, list[int]()
+
+    def interrupted(*given: Any) -> tuple[Array, Array]:
+        calls.append(1)
+        if len(calls) == 1:
+            signal.raise_signal(signal.SIGINT)
+        return judge(*given)
+
+    monkeypatch.setattr(source, "turns", interrupted)
+    with pytest.raises(Interrupted) as stop:
+        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=QUICK)
+    assert stop.value.partial.interrupted
+    assert len(stop.value.partial.log.rows)
+
+
 def test_a_camera_that_never_finds_the_rope_moves_nothing(tmp_path: Path) -> None:
     plan = short_plan()
     with pytest.raises(EstimatorLost, match="No marker"):
@@ -171,7 +258,7 @@ def test_the_arm_is_known_to_be_late_by_the_lag_and_the_rope_to_be_as_long_as_it
     places = run.cast_log().recording.data[0].reshape(-1, 2)  # of what is learned from
     assert places[-1] - places[0] == pytest.approx([0.0, -1.05 * ROPE.total_length], abs=1e-3)
     motion = plan.required(plan.motion, "motion")
-    assert source.told[0].angle(0.0) == pytest.approx(motion.angle(0.0))  # while it hangs
+    assert source.told[0].angle(0.0) == pytest.approx(0.3)  # while it hangs from an arm without torque
     assert source.told[-1] == motion.shifted(0.02)
 
 

@@ -17,7 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, MotorLimits, Rope
 
 if TYPE_CHECKING:
-    from hyperflex.hardware import Drive
+    from hyperflex.hardware import Drive, DriveZero
 
 RPM = 60.0 / math.tau  # rev/min per rad/s
 Address = Annotated[
@@ -25,8 +25,9 @@ Address = Annotated[
     typer.Option("--motor", help="Make and port, such as moteus:/dev/ttyACM0, or emulator:moteus.", show_default=False),
 ]
 ZeroFile = Annotated[
-    Path | None, typer.Option("--zero", help="File of hyperflex motor zero. [default: the device's own zero]")
+    Path | None, typer.Option("--zero", help="File of hyperflex motor zero; a real motor that is to move needs it.")
 ]
+Yes = Annotated[bool, typer.Option("--yes", help="Do not wait for Enter before the arm of a real motor moves.")]
 
 
 def check(
@@ -108,6 +109,7 @@ def identify(
         ),
     ] = 0.3,
     picture: Annotated[Path | None, typer.Option(help="Picture of the test motion to write, .png.")] = None,
+    yes: Yes = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print what would be done; open and move nothing.")
     ] = False,
@@ -115,8 +117,8 @@ def identify(
     """Make a small test motion and identify lag, limits, friction, inertia and backlash of a drive.
 
     The arm must be free, without a rope. It moves by 0.3 rad, slowly and then faster, and makes strokes as fast as the
-    limits allow; large ones (--stroke) show the drive's own limit of speed. A real drive needs a limit of --torque.
-    Torque is off before and after. Drives have only been emulated so far.
+    limits allow; large ones (--stroke) show the drive's own limit of speed. A real drive needs a limit of --torque and
+    its --zero, and the command waits for Enter. Torque is off before and after. Drives have only been emulated so far.
     """
     import numpy as np
 
@@ -137,9 +139,12 @@ def identify(
         }
         output.show(plan, output.rows("Test motion, from an arm that hangs", plan))
         return
-    if emulated_device(motor) is None and not math.isfinite(chosen.torque):
-        raise InvalidInput("a real drive is tried with a limit of torque only", fix="Give --torque, N m")
-    with _drive(motor, chosen, zero) as connect:
+    most = min(0.5 + 0.05 * chosen.speed, 0.6 * stroke)
+    with _drive(motor, chosen, zero, max_deviation=most) as connect:
+        if emulated_device(motor) is None:
+            check_torque(chosen)
+            zero_of(motor, zero)
+            wait_for_enter("Take the rope off and keep clear", yes)
         output.note(f"{connect().link.name}: the arm makes the test motion")
         record = record_test_motion(connect, stroke=stroke)
     fit = identify_drive(record)
@@ -190,18 +195,46 @@ def zero(
     output.show(result, Rows(f"Zero of {name}", [*shown, ("written", str(out))]))
 
 
-@contextmanager
-def _drive(address: str, limits: MotorLimits, zero: Path | None, direction: int = 1) -> "Iterator[Callable[[], Drive]]":
-    """Give what returns a drive, or an emulated one that runs as long as the block; its arm has no rope.
+def check_torque(limits: MotorLimits) -> None:
+    """Refuse a real motor without a limit of torque."""
+    if not math.isfinite(limits.torque):
+        raise InvalidInput("a real motor moves with a limit of torque only", fix="Give --torque, N m")
 
-    The shaft may be late by 50 ms at the speed limit, and 0.5 rad more: this shows the drive's own limit of speed.
-    """
+
+def zero_of(address: str, path: Path | None) -> "DriveZero":
+    """Return the zero of a real motor; refuse one without, or with a watchdog that lets the arm go on for long."""
+    from hyperflex.hardware import DriveZero, open_link
+
+    link = open_link(address)
+    if link.watchdog > 0.2:
+        fix = "Leave out ?watchdog="
+        raise InvalidInput(
+            "the watchdog of a real motor is too long", got=link.watchdog, allowed="up to 0.2 s", fix=fix
+        )
+    if path is None:
+        raise InvalidInput("a real motor needs its zero", fix="Make a file with hyperflex motor zero, and give --zero")
+    zero = DriveZero.from_toml(path)
+    zero.check(address)
+    return zero
+
+
+def wait_for_enter(before: str, yes: bool) -> None:
+    """Wait until a person allows that a real arm moves, unless that was allowed before."""
+    if not yes:
+        typer.prompt(f"{before}: the arm will move. Enter switches the torque on", default="", err=True)
+
+
+@contextmanager
+def _drive(
+    address: str, limits: MotorLimits, zero: Path | None, direction: int = 1, max_deviation: float = 0.5
+) -> "Iterator[Callable[[], Drive]]":
+    """Give what returns a drive, or an emulated one that runs as long as the block; its arm has no rope."""
     from hyperflex.execution import open_drive
     from hyperflex.hardware import DriveZero, Emulator, MotorModel, emulated_device
 
     known = DriveZero(0.0, direction) if zero is None else DriveZero.from_toml(zero)
     known.check(address)
-    connect = partial(open_drive, limits=limits, zero=known, max_deviation=0.5 + 0.05 * limits.speed)
+    connect = partial(open_drive, limits=limits, zero=known, max_deviation=max_deviation)
     device = emulated_device(address)
     if device is None:
         yield partial(connect, address)

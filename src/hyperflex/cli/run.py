@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,14 +13,16 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, Given, OutFolder, numbers, positive
+from hyperflex.cli.motor import Yes, ZeroFile, check_torque, wait_for_enter, zero_of
 from hyperflex.cli.output import Rows
 from hyperflex.errors import DriveError, Interrupted, InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
 
 if TYPE_CHECKING:
     from hyperflex.estimate import TrackingTask
-    from hyperflex.execution import CastRun, ClockedSource
+    from hyperflex.execution import CastRun, ClockedSource, LearningResult
     from hyperflex.hardware import DriveZero, Emulator
+    from hyperflex.model import MotorLimits
     from hyperflex.planning import CastPlan
     from hyperflex.vision import Camera
 
@@ -94,8 +96,13 @@ def run(
         str,
         typer.Option(help="Make and port, such as moteus:/dev/ttyACM0; or emulator:moteus.", show_default=False),
     ],
-    zero: Annotated[
-        Path | None, typer.Option(help="File of hyperflex motor zero. [default: the device's own zero]")
+    zero: ZeroFile = None,
+    drive: Annotated[
+        Path | None, typer.Option(help="File of hyperflex motor identify: its limits count, and its lag without --lag.")
+    ] = None,
+    torque: Annotated[
+        float | None,
+        typer.Option(callback=positive("N m"), help="Limit of torque, N m; a real motor needs one."),
     ] = None,
     max_deviation: Annotated[
         float, typer.Option(callback=positive("rad"), help="Angle between arm and goal that stops a run, rad.")
@@ -108,7 +115,7 @@ def run(
     ] = False,
     sight: Sight,
     page: Annotated[int | None, typer.Option(help="Show the run in a browser at this port; 0 for any.")] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not wait for Enter before each cast on a real motor.")] = False,
+    yes: Yes = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the plan; connect nothing.")] = False,
 ) -> None:
     """Carry out a planned cast on a drive, and report whether the rope is wound.
@@ -117,6 +124,8 @@ def run(
     motion to the drive. At the end, and on Ctrl-C, an error or a lost link, the torque is switched off: the arm falls.
     Read the how-to page "Run a plan on a drive" before you connect a motor. All of this was tested on emulated drives
     only.
+
+    A real motor needs --zero and --torque. Before each cast the command waits for Enter: the arm will move.
 
     A camera (--camera, --calibration, --arc-lengths) shows whether the rope hangs still and whether it is wound, and
     what --follow and --learn need. A run whose camera no longer sees the rope is stopped.
@@ -128,18 +137,18 @@ def run(
     """
     from hyperflex.execution import CameraRope, RunPage, open_drive, run_plan
     from hyperflex.hardware import Drive, open_link
-    from hyperflex.planning import CastPlan, FollowOptions, read_plan
+    from hyperflex.planning import FollowOptions
     from hyperflex.report import check_folder
 
     check_folder(out)
-    planned, chosen = read_plan(plan), RunOptions(**options)
-    if not isinstance(planned, CastPlan):
-        raise InvalidInput(f"{plan} is no plan of a cast", got=planned.kind, allowed="a cast")
-    if not planned.success:
-        output.note(f"{plan} does not succeed in simulation: {planned.message}")
-    limits, emulated = planned.problem.limits, motor.startswith("emulator:")
+    planned = _cast_of(plan)
+    emulated = motor.startswith("emulator:")
+    limits, chosen = _of_drive(planned, drive, torque, options)
+    if follow and learn:
+        raise InvalidInput("a learned motion is not followed in closed loop", fix="Give --follow or --learn")
     sight.check(emulated)
-    known = None if emulated else _zero(motor, zero, dry_run)
+    blind = {"--learn": learn, "--follow": follow, "--yes and --repeat": yes and repeat > 1}
+    known = None if emulated or dry_run else _check_real(motor, zero, limits, sight, blind)
     if dry_run:
         link = open_link("moteus:none" if emulated else motor)
         Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
@@ -161,11 +170,12 @@ def run(
         task = None if emulated or sight.camera is None else sight.task(planned)
 
         def real(motion: Any = None) -> "CastRun":
-            if not yes:
-                typer.prompt("Unwind the rope and keep clear. Enter switches the torque on", default="", err=True)
             connect = partial(open_drive, motor, limits, known, max_deviation)
             with nullcontext() if task is None else CameraRope(sight.camera or "", task) as source:
-                return run_plan(planned, connect, motion=motion, source=source, **given)
+                return run_plan(planned, connect, motion=motion, source=source, ready=ready, **given)
+
+        def ready() -> None:
+            wait_for_enter("Unwind the rope and keep clear", yes)
 
         def emulate(motion: Any = None) -> "CastRun":
             with _emulated(planned, motor, sight) as (address, source):  # a new one for each cast: nobody unwinds it
@@ -204,18 +214,44 @@ def _warn_if_behind(emulator: "Emulator") -> None:
         warnings.warn(f"{text} Lower this computer's load, or plan with fewer links", UserWarning, stacklevel=2)
 
 
-def _zero(motor: str, path: Path | None, dry_run: bool) -> "DriveZero":
-    """Return the zero of a real motor."""
-    from hyperflex.hardware import DriveZero, open_link
+def _cast_of(path: Path) -> "CastPlan":
+    """Return the plan of a cast."""
+    from hyperflex.planning import CastPlan, read_plan
 
-    open_link(motor)  # refuses what is no address
-    if path is None:
-        if dry_run:
-            return DriveZero(0.0)
-        raise InvalidInput("a real motor needs its zero", fix="Make a file with hyperflex motor zero, and give --zero")
-    zero = DriveZero.from_toml(path)
-    zero.check(motor)
-    return zero
+    planned = read_plan(path)
+    if not isinstance(planned, CastPlan):
+        raise InvalidInput(f"{path} is no plan of a cast", got=planned.kind, allowed="a cast")
+    if not planned.success:
+        output.note(f"{path} does not succeed in simulation: {planned.message}")
+    return planned
+
+
+def _of_drive(
+    plan: "CastPlan", drive: Path | None, torque: float | None, options: Given
+) -> "tuple[MotorLimits, RunOptions]":
+    """Return the limits of an identified drive, or else the plan's, and the options, with its lag."""
+    from hyperflex.hardware import DriveFit
+
+    limits = plan.problem.limits
+    if drive is not None:
+        fit = DriveFit.from_toml(drive)
+        if fit.message:
+            raise InvalidInput(f"{drive} does not describe its drive", got=fit.message, fix="Identify it again")
+        limits, options = fit.motor_limits(limits), {"lag": fit.lag} | options
+    return limits if torque is None else replace(limits, torque=torque), RunOptions(**options)
+
+
+def _check_real(
+    motor: str, zero: Path | None, limits: "MotorLimits", sight: Sight, needed: dict[str, bool]
+) -> "DriveZero":
+    """Return the zero of a real motor; refuse one without a limit of torque, and options that need a camera."""
+    known = zero_of(motor, zero)
+    check_torque(limits)
+    for name, given in needed.items():
+        if given and sight.camera is None:
+            fix = "Give --camera, --calibration and --arc-lengths"
+            raise InvalidInput(f"nothing shows the rope of a real motor, which {name} must know", fix=fix)
+    return known
 
 
 def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bool, emulated: bool) -> None:
@@ -245,13 +281,18 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
     if learn:
         learned, stopped = output.run(lambda: learn_cast(plan, cast, attempts=repeat, report=keep))
         good, message = learned.success, learned.message
+        if learned.attempts:
+            out.mkdir(parents=True, exist_ok=True)
+            written["learned plan"] = out / "learned.toml"
+            _learned_plan(plan, learned).to_toml(written["learned plan"])
+            lines.append(f"The learned plan is run with --lag {learned.lag:.4g}")
     else:
 
         def several() -> None:
             while len(runs) < repeat and not (runs and runs[-1].stopped):
                 cast()
 
-        stopped = output.run(several)[1] if runs or repeat else False
+        stopped = output.run(several)[1]
         good, message = (
             bool(runs) and all(each.success for each in runs),
             runs[-1].message if runs else "nothing was cast",
@@ -267,6 +308,12 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
         interrupted=f"Interrupted: {(message or 'the torque is off').removeprefix('interrupted: ')}" if stopped else "",
         code=0 if good else output.ExitCode.NO_PLAN,
     )
+
+
+def _learned_plan(plan: "CastPlan", learned: "LearningResult") -> "CastPlan":
+    """Return a plan of the motion and the rope that were learned; no simulated run verifies it."""
+    made = {"problem": learned.problem, "moves": learned.moves, "message": learned.message}
+    return replace(plan, **made, outcome=None, finer_outcome=None, success_probability=None)
 
 
 def _figures(run: "CastRun") -> list[tuple[str, str]]:

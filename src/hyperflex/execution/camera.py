@@ -48,7 +48,9 @@ class CameraRope(CameraStateSource):
         tips = arm.tip(arm_angle(t))
         found = [wound_turns(rope, arcs, tip, peg, side, spots) for tip, (_, spots) in zip(tips, seen, strict=True)]
         parts = np.lib.stride_tricks.sliding_window_view(np.pad(found, 4, "edge"), 9) if found else np.zeros((0, 9))
-        return t, np.median(parts, axis=1)  # markers that pass before others
+        turns, known = np.full(t.shape, math.nan), np.isfinite(parts).sum(axis=1) > 4
+        turns[known] = np.nanmedian(parts[known], axis=1)  # of nine: markers pass before others
+        return t, turns
 
 
 def measured_length() -> list[EstimatedParameter]:
@@ -61,7 +63,8 @@ def wound_turns(rope: Rope, arc_lengths: Array, start: Array, peg: Peg, side: in
 
     From the start markers follow each other at about their distances along the rope, up to the peg. All others off the
     peg are those of the free end, the last of the rope. What is between both, less the straight ways to the peg, is on
-    it. Right to some 0.3 turns where the rope hangs slack; markers that are hidden by others make them more.
+    it. Right to some 0.3 turns where the rope hangs slack; markers that are hidden by others make them more. Where a
+    marker more would have to be seen off the peg, nothing is known.
 
     Parameters
     ----------
@@ -79,7 +82,8 @@ def wound_turns(rope: Rope, arc_lengths: Array, start: Array, peg: Peg, side: in
     Returns
     -------
     float
-        Signed, as of :func:`observed_turns`; 0 if nothing of the rope is on the peg, NaN if no marker is seen off it.
+        Signed, as of :func:`observed_turns`; 0 if nothing of the rope is on the peg, NaN if none, or too few, are
+        seen off it.
     """
     middle, radius = np.array([peg.x, peg.y]), peg.radius + rope.radius
     free = [spot for spot in spots if math.dist(spot, middle) > 2.0 * radius]
@@ -99,6 +103,8 @@ def wound_turns(rope: Rope, arc_lengths: Array, start: Array, peg: Peg, side: in
     on = (arc_lengths[first] if end else rope.total_length) - arc - straight
     if first < 0 or on <= 0.0:
         return 0.0
+    if max(ways) > 1.3 * np.diff(arc_lengths, prepend=0.0).max() + 2.0 * radius:
+        return math.nan
     beside = sum(math.acos(min(1.0, radius / way)) for way in ways)  # rad, to where a way meets the peg
     about = sum(float(swept(np.array(each) - middle).sum()) for each in (chain, end) if len(each) > 1)
     return (side * (on / radius + beside) + about) / math.tau
@@ -218,11 +224,16 @@ class EmulatedCamera:
         self._process = context.Process(target=film, args=arguments, name="emulated camera", daemon=True)
         self._process.start()
         theirs.close()
-        if not self._link.poll(START):
-            self._end()
-            raise EstimatorLost(f"The emulated camera has not started within {START:g} s.")
-        self._link.recv()
-        return self
+        why = f"has not started within {START:g} s"
+        if self._link.poll(START):
+            try:
+                self._link.recv()
+            except EOFError:
+                why = "has ended at its start"
+            else:
+                return self
+        self._end()
+        raise EstimatorLost(f"The emulated camera {why}.")
 
     def __exit__(self, *_: object) -> None:
         self._end()

@@ -101,7 +101,7 @@ class CastRun:
     ----------
     plan : CastPlan
     motion : Motion
-        What was commanded in the end: the planned motion, or that of the closed loop.
+        What the drive was commanded in the end: the planned motion, or that of the closed loop.
     log : StreamLog
         What was sent to the drive and read from it, times since the begin of the motion.
     prediction : Prediction or None
@@ -120,6 +120,8 @@ class CastRun:
         The rope as the source knew it when the cast began, with its length as it was seen; None: the plan's.
     late : int
         Corrections that came too late to be carried out.
+    lag : float
+        Known lag of the drive, s.
     """
 
     plan: CastPlan
@@ -133,6 +135,7 @@ class CastRun:
     interrupted: bool = False
     late: int = 0
     rope: Rope | None = None
+    lag: float = 0.0
 
     @property
     def message(self) -> str:
@@ -180,21 +183,29 @@ class CastRun:
         if self.observed is None:
             return None
         t, turns = self.observed
-        found = turns[(t >= self._stop + self.plan.problem.criteria.settle) & np.isfinite(turns)]
+        found = turns[self._watched(t) & np.isfinite(turns)]
         if not found.size:
             return None
         return float(found[np.argmin(np.sign(found[-1]) * found)])
 
     @cached_property
     def _wound_by_torque(self) -> bool | None:
-        """Whether the mean torque at the end is that of the wound rope, or that of a rope which hangs from the arm."""
-        since = self._stop + self.plan.problem.criteria.settle
-        torque = self.log.column("torque")[self.log.column("sent") >= since]
-        if self.prediction is None or not np.isfinite(torque).any():
+        """Whether the mean torque at the end is that of the wound rope, or that of a rope which hangs from the arm.
+
+        None unless they differ by more than three standard deviations of the torque, and by more than the torque which
+        held arm and rope before the cast differed from their weight.
+        """
+        sent, all_torques = self.log.column("sent"), self.log.column("torque")
+        torque, before = all_torques[self._watched(sent)], all_torques[(sent >= -0.5) & (sent < 0.0)]
+        if self.prediction is None or not (np.isfinite(torque).any() and np.isfinite(before).any()):
             return None
-        wound = float(self.prediction.torque[self.prediction.t >= since].mean())
-        hanging = weight_torque(self.plan.problem, float(self.motion.angle(self._stop)))
-        part = (float(np.nanmean(torque)) - hanging) / (wound - hanging) if wound != hanging else math.nan
+        watched = self.prediction.t >= self.prediction.t[-1] - self.plan.problem.criteria.watch
+        wound = float(self.prediction.torque[watched].mean())
+        start, hanging = (weight_torque(self.plan.problem, float(self.motion.angle(t))) for t in (0.0, self._stop))
+        error = abs(float(np.nanmean(before)) - start)
+        if abs(wound - hanging) <= max(3.0 * float(np.nanstd(torque)), error):
+            return None
+        part = (float(np.nanmean(torque)) - hanging) / (wound - hanging)
         if abs(part - 1.0) <= NEAR_PLAN:
             return True
         return False if abs(part) <= NEAR_PLAN else None
@@ -205,7 +216,7 @@ class CastRun:
         if self.recording is None or self.prediction is None:
             return None
         t = self.recording.t
-        return t, np.linalg.norm(self._joints - self.prediction.joints(t), axis=-1)
+        return t, np.linalg.norm(self._joints - self.prediction.joints(t - self.lag), axis=-1)
 
     @property
     def left_plan(self) -> tuple[float, int] | None:
@@ -226,6 +237,12 @@ class CastRun:
         assert recording is not None  # noqa: S101 callers have asked
         problem, t = self.plan.problem, recording.t
         return (self.rope or problem.rope).joints(recording.data, problem.arm.tip(self.log.angle(t)))
+
+    def _watched(self, t: Array) -> Array:
+        """Whether times (K,), s, are those in which the rope is watched: (K,) bool."""
+        criteria = self.plan.problem.criteria
+        begin = self._stop + criteria.settle
+        return (t >= begin) & (t <= begin + criteria.watch)
 
     @property
     def _stop(self) -> float:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.errors import DriveError, InvalidInput
+from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.identification import perturbed
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, Peg, Rope, parse_label, unit_across, unit_along
@@ -282,7 +282,7 @@ def learn_cast(
         With moves that wind in the model, as planned or read by :func:`hyperflex.read_plan`.
     carry_out : callable
         Makes a motion of the arm from t = 0, on hardware or in a simulation, with the rope hanging at rest, and returns
-        what was measured. A DriveError ends the learning.
+        what was measured. A HyperflexError ends the learning; what was learned is kept.
     attempts : int
         Casts at most.
     options : LearningOptions, optional
@@ -313,7 +313,7 @@ def learn_cast(
         while len(learner.attempts) < count and not learner.done:
             try:
                 log = carry_out(learner.moves.motion(problem.limits))
-            except DriveError as refused:
+            except HyperflexError as refused:
                 error = str(refused)
                 break
             learner.learn(checks.instance("what carry_out returned", log, CastLog))

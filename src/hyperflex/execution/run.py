@@ -126,6 +126,7 @@ def run_plan(
     follow: FollowOptions | None = None,
     options: RunOptions | None = None,
     say: Callable[[str], None] = lambda _: None,
+    ready: Callable[[], object] = lambda: None,
     page: RunPage | None = None,
 ) -> CastRun:
     """Carry out a planned cast on a drive.
@@ -145,6 +146,8 @@ def run_plan(
     options : RunOptions, optional
     say : callable
         Is told each phase in a line.
+    ready : callable
+        Is called when the drive has been read, before its torque is switched on: to ask a person, say.
     page : RunPage, optional
         Shows the run in a browser.
 
@@ -156,7 +159,8 @@ def run_plan(
     Raises
     ------
     InvalidInput
-        If the plan has no motion, or the motion exceeds the drive's limits; nothing has moved.
+        If the plan has no motion, or the motion exceeds the drive's limits; nothing has moved. Later, if the rope does
+        not hang still, or the arm is held by a torque of the wrong sign.
     DriveError
         If the drive cannot be reached, or the arm does not come to its start.
     Interrupted
@@ -169,17 +173,39 @@ def run_plan(
         raise InvalidInput("a motion in place of the plan's is not followed in closed loop", fix="Leave out follow")
     connect().check_motion(made)
     say("simulating the plan")
-    prediction, stop, found, turns, known = Prediction.of(plan, made), "", None, None, None
+    prediction, stop, found, known = Prediction.of(plan, made), "", None, None
     watch = _Watch(None, 0.0, made, chosen, plan, math.inf)
     duration = 120.0 + 2.0 * float(made.breaks[-1])
     drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
     begun = False
+
+    def result() -> CastRun:
+        watch.stop()
+        log, recording, turns = drive.log(), watch.recording(), None
+        if recording is not None and source is not None:
+            turns = source.turns(log.angle, plan.target, 1 if prediction is None else prediction.side)
+        commanded = made if drive.motion is None or not begun else drive.motion
+        return CastRun(
+            plan,
+            commanded,
+            log,
+            prediction,
+            recording,
+            turns,
+            found,
+            stop,
+            stopped.received,
+            drive.late,
+            known,
+            chosen.lag,
+        )
+
     with stoppable() as stopped, threadpool_limits(1):  # of small matrices: more threads wait for each other
         try:
             with drive:
                 if page is not None:
                     page.attach(drive, lambda: watch.newest)
-                _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say)
+                _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say, ready)
                 known = None if source is None else source.rope
                 begin = time.monotonic() + LEAD
                 watch = _Watch(source, begin, made, chosen, plan, prediction.touch if prediction else math.inf)
@@ -193,9 +219,8 @@ def run_plan(
                     if follow is not None and source is not None:
                         now = replace(follow, real_time=True)
                         found = follow_plan(plan, watch, motor=fed, rope=known, options=now)
-                        made = found.motion
                     criteria = plan.problem.criteria
-                    end = float(made.breaks[-1])
+                    end = float((drive.motion or made).breaks[-1])
                     strike = end if prediction is None else min(end, prediction.touch)
                     _sleep_until(begin + strike, drive, watch)  # what is seen after it changes nothing
                     _sleep_until(begin + end + criteria.settle + criteria.watch, drive)
@@ -207,13 +232,8 @@ def run_plan(
             if not begun:
                 raise
             stop = f"{stop} {error}".lstrip()
-    watch.stop()
-    log, recording = drive.log(), watch.recording()
-    if recording is not None and source is not None:
-        turns = source.turns(log.angle, plan.target, 1 if prediction is None else prediction.side)
-    return stopped.deliver(
-        CastRun(plan, made, log, prediction, recording, turns, found, stop, stopped.received, drive.late, known)
-    )
+        run = result()  # here, where an interrupt is noticed
+    return stopped.deliver(result() if stopped.received else run)
 
 
 class _FedDrive:
@@ -227,13 +247,13 @@ class _FedDrive:
     ) -> None:
         self.drive, self.planned, self.torque, self.near = drive, planned, torque, near
 
-    def set_motion(self, motion: Motion, at: float) -> None:
-        """Stream a motion from a time `at`, s, on."""
+    def set_motion(self, motion: Motion, at: float) -> bool:
+        """Stream a motion from a time `at`, s, on; return whether it was taken."""
         torque = self.torque
         if torque is not None:
             far = np.abs(motion.angle(torque[0]) - self.planned.angle(torque[0])) > self.near
             torque = torque[0], np.where(far, 0.0, torque[1])
-        self.drive.set_motion(motion, at, torque)
+        return self.drive.set_motion(motion, at, torque)
 
     def angle(self, t: float) -> float:
         """Return the encoder's angle at a time `t`, s, rad."""
@@ -247,11 +267,15 @@ def _prepare(
     problem: Problem,
     options: RunOptions,
     say: Callable[[str], None],
+    ready: Callable[[], object],
 ) -> None:
     """Bring the arm to the start, rad, wait until the rope hangs still, and count down."""
     free = drive.state().angle
     if abs(free - problem.rope.hanging_angle) > HANGS:
         say(f"without torque the arm stands at {free:.2f} rad: if it hangs freely there, its zero is wrong")
+    ready()
+    if source is not None:  # a rope that is still wound would be pulled
+        _wait_until_still(drive, hold_arm(drive.state().angle), source, problem.rope, options, say, still=math.inf)
     _approach(drive, start, problem, options, say)
     _wait_until_still(drive, hold_arm(start), source, problem.rope, options, say)
     _compare_weight(drive.log(), problem, say)
@@ -293,13 +317,15 @@ def _wait_until_still(
     rope: Rope,
     options: RunOptions,
     say: Callable[[str], None],
+    still: float | None = None,
 ) -> None:
+    still = options.still if still is None else still
     if source is None:
         if options.wait:
             say(f"nothing shows whether the rope hangs still: waiting {options.wait:g} s")
         _sleep_until(time.monotonic() + options.wait, drive)
         return
-    say("waiting until the rope hangs still")
+    say("waiting until the rope hangs" + " still" * math.isfinite(still))
     begin = time.monotonic()
     source.start_clock()
     while True:
@@ -312,22 +338,28 @@ def _wait_until_still(
                 raise
             continue
         rate, away = float(np.abs(state.qd).max()), float(np.abs(state.q - rope.hanging_angle).max())
-        if rate <= options.still and away <= HANGS:
+        if rate <= still and away <= HANGS:
             return
         if t > options.wait:
             fix = "Hold it still, allow a longer wait, or a higher rate"
-            if away > HANGS and rate <= options.still:
+            if away > HANGS and rate <= still:
                 raise InvalidInput("the rope does not hang down", got=away, allowed=f"{HANGS:g} rad", fix="Unwind it")
-            raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {options.still:g} rad/s", fix=fix)
+            raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {still:g} rad/s", fix=fix)
 
 
 def _compare_weight(log: StreamLog, problem: Problem, say: Callable[[str], None]) -> None:
-    """Say so if the last half second's torque is far from what holds arm and rope: zero or direction may be wrong."""
+    """Say so if the last half second's torque is far from what holds arm and rope: zero or direction may be wrong.
+
+    A torque of the wrong sign is refused.
+    """
     angle, torque = (log.column(name)[-math.ceil(0.5 * log.rate) :] for name in ("angle", "torque"))
     if not np.isfinite(torque).any():
         return
     where, held = float(angle.mean()), float(np.nanmean(torque))
     expected, most = (weight_torque(problem, each) for each in (where, problem.rope.hanging_angle + 0.5 * math.pi))
+    if held * expected < 0.0 and min(abs(held), abs(expected)) > 0.5 * most:
+        what, fix = "the motor holds arm and rope with a torque of the wrong sign", "Check zero and direction"
+        raise InvalidInput(what, got=held, allowed=f"about {expected:.3f} N m", fix=fix)
     if abs(held - expected) > 0.5 * most:
         causes = "Check zero, direction, rope and arm; friction of a gear may hide the weight"
         say(f"at {where:.2f} rad the motor holds arm and rope with {held:.3f} N m, not {expected:.3f}. {causes}")
@@ -365,6 +397,7 @@ class _Watch:
         self._lock, self._over = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._record, name="rope recorder", daemon=True)
         self._failed: HyperflexError | None = None  # since the last state
+        self._looks = 0  # since then
         self._seen = begin
 
     def start(self) -> None:
@@ -385,9 +418,12 @@ class _Watch:
         return self.states[-1] if self.states and time.monotonic() - self._seen < LOST else None
 
     def raise_if_lost(self) -> None:
-        """Raise why the rope has not been seen for LOST, s."""
-        if self._failed is not None and time.monotonic() - self._seen > LOST:
-            raise self._failed
+        """Raise why the rope has not been seen for LOST, s: in looks POLL apart, for a busy machine may pause."""
+        if not self._thread.is_alive() or time.monotonic() < self.begin:  # nothing is looked for, or no longer
+            return
+        self._looks += 1
+        if self._looks * POLL > LOST:
+            raise self._failed or EstimatorLost(f"The source of the rope's state has not answered for {LOST:g} s.")
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the state at a time, s, once that time has come, for a command that the arm follows at once."""
@@ -395,9 +431,13 @@ class _Watch:
         if self.source is None:
             raise InvalidInput("there is no source of the rope's state")
         time.sleep(max(0.0, self.begin + t - time.monotonic()))
-        with self._lock:
+        if not self._lock.acquire(timeout=LOST):
+            raise EstimatorLost(f"The source of the rope's state has not answered for {LOST:g} s.")
+        try:
             self._motion = motion.shifted(self.lag)
             found = self.source.state(time.monotonic() - self.begin, self._motion)
+        finally:
+            self._lock.release()
         return replace(found, t=found.t - self.lag)
 
     def recording(self) -> Recording | None:
@@ -423,7 +463,10 @@ class _Watch:
             except HyperflexError as error:
                 self._failed = error
                 continue
-            self._failed, self._seen = None, time.monotonic()
+            except Exception as error:  # noqa: BLE001 whatever it is, the rope is not seen
+                self._failed = EstimatorLost(f"The source of the rope's state failed: {error!r}.")
+                continue
+            self._failed, self._looks, self._seen = None, 0, time.monotonic()
             if state.t >= 0.0 and (not self.states or state.t > self.states[-1].t):
                 self.states.append(state)
             if not self.source.contact and self._touches(state):

@@ -136,11 +136,10 @@ class DynamixelLink:
 
     Notes
     -----
-    It follows positions only: rate and torque of a goal are ignored. With a torque limit, and on models that measure
-    their current, it runs in current-based position mode, which holds the limit in the servo; else in extended
-    position mode. Torque is current times stall torque over stall current: rough, within about 30 %, and worse near
-    zero because of the gear's friction. Models without a current sensor (XL430, XC430) report NaN: no limit of
-    torque is kept on them.
+    It follows positions only: rate and torque of a goal are ignored. With a torque limit it runs in current-based
+    position mode, which holds the limit in the servo; else in extended position mode. Torque is current times stall
+    torque over stall current: rough, within about 30 %, and worse near zero because of the gear's friction. Models
+    without a current sensor (XL430, XC430) report NaN, and refuse a limit of torque.
 
     The bus watchdog does not switch the torque off: the servo stops and **holds with torque** where it is, and refuses
     goals until its torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it
@@ -262,7 +261,9 @@ class DynamixelLink:
 
     def enable(self, limits: MotorLimits) -> None:
         """Arm watchdog and torque limit, and switch the torque on where the shaft is."""
-        limited = bool(self.servo.current) and math.isfinite(limits.torque)
+        limited = math.isfinite(limits.torque)
+        if limited and not self.servo.current:
+            raise DriveError(f"{self.name} keeps no limit of torque: it does not measure its current.")
         self._set(Register.DELAY, b"\x00")
         direction = self._get(Register.DRIVE_MODE, 1)[0] & 1
         self._set(Register.DRIVE_MODE, bytes([direction]))  # no profile by time, no torque on by a goal

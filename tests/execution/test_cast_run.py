@@ -1,0 +1,61 @@
+"""The verdict of a run, from a log that is given."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.execution import CastRun, StreamLog
+from hyperflex.execution.cast_run import Prediction, weight_torque
+from hyperflex.execution.stream import FIELDS
+from tests.execution.test_run import short_plan
+
+PLAN = short_plan()
+MOTION = PLAN.required(PLAN.motion, "motion")
+STOP = float(MOTION.breaks[-1])
+END = STOP + 0.3  # of the watch
+START, HANGING = (weight_torque(PLAN.problem, float(MOTION.angle(t))) for t in (0.0, STOP))
+
+
+def run(wound: float, held: float = START, scatter: float = 0.0, end: float = HANGING) -> CastRun:
+    """Return a run whose wound rope would be held by a torque, N m; it was `held` before, and at its end by `end`."""
+    sent = np.arange(-0.5, END + 1.0, 0.005)
+    rows = np.zeros((sent.size, len(FIELDS)))
+    rows[:, FIELDS.index("sent")] = rows[:, FIELDS.index("received")] = sent
+    noise = scatter * (-1.0) ** np.arange(sent.size)
+    rows[:, FIELDS.index("torque")] = np.where(sent < 0.0, held, end) + noise
+    rows[:, FIELDS.index("angle")] = MOTION.angle(sent)
+    t = np.linspace(0.0, END, 200)
+    places = np.zeros((t.size, PLAN.problem.rope.n_links + 1, 2))
+    places[:, :, 0] = t[:, None]
+    return CastRun(PLAN, MOTION, StreamLog(rows, 200.0, 0), Prediction(t, places, np.full(t.size, wound), np.inf, 1))
+
+
+def test_only_turns_while_the_rope_is_watched_count():
+    t = np.array([STOP, STOP + 0.15, END, END + 0.2])
+    assert replace(run(0.0), observed=(t, np.array([0.0, 1.6, 1.5, 0.0]))).turns == 1.5
+
+
+@pytest.mark.parametrize(
+    ("how", "wound"),
+    [
+        ({}, False),
+        ({"end": HANGING + 0.02}, True),
+        ({"scatter": 0.01}, None),
+        ({"held": START + 0.03}, None),
+        ({"held": np.nan}, None),
+    ],
+)
+def test_a_torque_decides_only_if_it_differs_enough(how, wound):
+    assert run(HANGING + 0.02, **how).wound is wound
+
+
+def test_the_rope_is_compared_with_the_plan_as_late_as_the_drive_is():
+    """The predicted joints move by 1 m/s to the right."""
+    t = np.linspace(0.5, 1.0, 5)
+    recording = hf.Recording(t, np.zeros((5, PLAN.problem.rope.n_links)), "angles")
+    seen = [replace(run(0.0), recording=recording, lag=lag).deviation[1][:, 0] for lag in (0.0, 0.1)]
+    tips = PLAN.problem.arm.tip(MOTION.angle(t))
+    expected = [np.hypot(tips[:, 0] - (t - lag), tips[:, 1]) for lag in (0.0, 0.1)]
+    np.testing.assert_allclose(seen, expected, atol=0.02)
