@@ -312,8 +312,15 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
 
 def _learned_plan(plan: "CastPlan", learned: "LearningResult") -> "CastPlan":
     """Return a plan of the motion and the rope that were learned; no simulated run verifies it."""
-    made = {"problem": learned.problem, "moves": learned.moves, "message": learned.message}
-    return replace(plan, **made, outcome=None, finer_outcome=None, success_probability=None)
+    return replace(
+        plan,
+        problem=learned.problem,
+        moves=learned.moves,
+        message=learned.message,
+        outcome=None,
+        finer_outcome=None,
+        success_probability=None,
+    )
 
 
 def _figures(run: "CastRun") -> list[tuple[str, str]]:

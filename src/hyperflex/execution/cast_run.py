@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import files
 from hyperflex.checks import Array
@@ -238,7 +239,7 @@ class CastRun:
         problem, t = self.plan.problem, recording.t
         return (self.rope or problem.rope).joints(recording.data, problem.arm.tip(self.log.angle(t)))
 
-    def _watched(self, t: Array) -> Array:
+    def _watched(self, t: Array) -> npt.NDArray[np.bool_]:
         """Whether times (K,), s, are those in which the rope is watched: (K,) bool."""
         criteria = self.plan.problem.criteria
         begin = self._stop + criteria.settle
