@@ -418,11 +418,11 @@ class _Watch:
         return self.states[-1] if self.states and time.monotonic() - self._seen < LOST else None
 
     def raise_if_lost(self) -> None:
-        """Raise why the rope has not been seen for LOST, s: in looks POLL apart, for a busy machine may pause."""
+        """Raise why the rope has not been seen for LOST, s; in several looks, for a busy machine may pause."""
         if not self._thread.is_alive() or time.monotonic() < self.begin:  # nothing is looked for, or no longer
             return
         self._looks += 1
-        if self._looks * POLL > LOST:
+        if self._looks > 3 and time.monotonic() - self._seen > LOST:
             raise self._failed or EstimatorLost(f"The source of the rope's state has not answered for {LOST:g} s.")
 
     def state(self, t: float, motion: Motion) -> RopeState:
