@@ -337,7 +337,7 @@ def _wait_until_still(
             if t > options.wait:
                 raise
             continue
-        rate, away = float(np.abs(state.qd).max()), float(np.abs(state.q - rope.hanging_angle).max())
+        rate, away = float(np.abs(state.qd).max()), float(np.abs(_turned(state.q - rope.hanging_angle)).max())
         if rate <= still and away <= HANGS:
             return
         if t > options.wait:
@@ -345,6 +345,11 @@ def _wait_until_still(
             if away > HANGS and rate <= still:
                 raise InvalidInput("the rope does not hang down", got=away, allowed=f"{HANGS:g} rad", fix="Unwind it")
             raise InvalidInput("the rope still swings", got=rate, allowed=f"up to {still:g} rad/s", fix=fix)
+
+
+def _turned(angles: Array) -> Array:
+    """Return angles less their whole turns, which a picture does not show, from -pi to pi, rad."""
+    return np.asarray((angles + math.pi) % math.tau - math.pi)
 
 
 def _compare_weight(log: StreamLog, problem: Problem, say: Callable[[str], None]) -> None:
