@@ -188,7 +188,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         f"The motor acts 15 ms late (identified: {1e3 * rows[0]['lag']:.1f} ms), the target is 1 cm aside. The camera "
         "has 480x480 pixels and 30 frames a second, and ten markers are on the rope. A cast is won if the true rope "
         "keeps the turns that the plan requires, as long as it requires. The emulated drive allows pauses of 0.25 s, "
-        "for it shares two cores with all others."
+        f"for it shares two cores with all others. {'' if len(rows) >= 20 else 'Not measured on 20 targets yet.'}"
     )
     found = (
         f"Missed cycles of the drive: {missed} of {cycles} ({missed / cycles:.2%}). Corrections that came too late: "
