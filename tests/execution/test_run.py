@@ -72,7 +72,8 @@ class SeenRope:
             self.lost()
             raise EstimatorLost("No marker has been seen for 0.30 s.")
         if not self.cast:
-            return RopeState(t, np.full(n, self.away), np.full(n, self.swings))
+            turns = 2.0 * np.pi * np.arange(n)  # which a picture does not show
+            return RopeState(t, self.away + turns, np.full(n, self.swings))
         self.given.append(self.true.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
         return self.given[-1]
 
