@@ -1,4 +1,4 @@
-"""Two processes in place of one: how much sooner a batch with contact, a bootstrap and episodes are done.
+"""Two processes in place of one: how much sooner a batch with contact and episodes are done.
 
 python -m benchmarks.executor            a minute or two; to benchmarks/results/
 python -m benchmarks.executor --out -    a look; nothing is written
@@ -36,15 +36,6 @@ def batch(executor: Executor | None) -> Any:
     return hf.simulate_batch(ROPE, motions, executor=executor, **given).tip
 
 
-def fits() -> Callable[[Executor | None], Any]:
-    """Fits of a bootstrap."""
-    t, rope = np.arange(120) / 60.0, hf.Rope.uniform(length=0.6, mass=0.06, n_links=3, radius=0.0025, friction=1e-4)
-    run = hf.simulate(rope, duration=float(t[-1]), t_eval=t, q0=[0.9, 0.6, 0.3])
-    noisy = run.q + 0.01 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = hf.identify(hf.Recording(t, noisy), rope, ["friction", "inertia"], options=hf.FitOptions(intervals=None))
-    return lambda executor: hf.bootstrap(found, 200, executor=executor, chunk_size=10).samples
-
-
 def episodes(executor: Executor | None) -> Any:
     """Episodes of a policy."""
     return score_policy(PumpingPolicy, "hyperflex/Swing-v0", seeds=range(8), executor=executor, chunk_size=1).returns
@@ -80,7 +71,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
-    works = {"batch about a peg, 96 members": batch, "bootstrap, 200 fits": fits(), "8 episodes": episodes}
+    works = {"batch about a peg, 96 members": batch, "8 episodes": episodes}
     lines = ["| work | one process, s | two, s | gain | gain by the clock |", "|---" * 5 + "|"]
     with ProcessPoolExecutor(WORKERS, mp_context=multiprocessing.get_context("forkserver")) as pool:
         for name, work in works.items():

@@ -124,19 +124,7 @@ def test_interrupted_batch_keeps_the_chunks_that_are_done(monkeypatch):
     assert np.isnan(stop.value.partial.tip[2]).all()
 
 
-def test_bootstrap_and_scores_are_the_same(two):
-    from hyperflex.identification import bootstrap, identify
-
-    t = np.arange(30) / 15.0
-    one = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
-    run = hf.simulate(one, duration=float(t[-1]), t_eval=t, q0=[0.9])
-    noisy = run.q + 0.01 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = identify(
-        hf.Recording(t, noisy), one, ["friction"], options=hf.FitOptions(window=np.inf, train=np.inf, intervals=None)
-    )
-    want = bootstrap(found, 4)
-    for size in (None, 3):
-        np.testing.assert_array_equal(bootstrap(found, 4, executor=two, chunk_size=size).samples, want.samples)
+def test_scores_are_the_same(two):
     given: dict[str, Any] = {"seeds": range(3), "action": "timing", "dt": 0.05}
     scores = score_policy(CrossingPolicy, "hyperflex/Swing-v0", executor=two, chunk_size=2, **given)
     np.testing.assert_array_equal(scores.returns, score_policy(CrossingPolicy, "hyperflex/Swing-v0", **given).returns)

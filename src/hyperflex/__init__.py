@@ -22,14 +22,12 @@ if TYPE_CHECKING:
     )
     from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
     from hyperflex.identification import (
-        Bootstrap,
         Experiment,
         ExperimentDesign,
         FitOptions,
         Identification,
         ModelComparison,
         RecordingSetup,
-        bootstrap,
         compare_models,
         design_experiment,
         identify,

@@ -197,7 +197,6 @@ def calls() -> dict[str, Callable[[], Any]]:
         "identify": lambda: hf.identify(noisy, guess, free, options=hf.FitOptions(intervals="profile")),
         "identify default": lambda: hf.identify(noisy, guess),
         "compare models": lambda: hf.compare_models(noisy, guess),
-        "bootstrap": lambda: hf.bootstrap(fitted, 20),
         "profile": lambda: [profile(fitted, name, points=4) for name in fitted.parameters],
         "revision": lambda: hf.iterative_revision(noisy, guess),
         "design": lambda: hf.design_experiment(rods, "friction"),

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut
     from hyperflex.identification.result import Identification
-    from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
     from hyperflex.identification.uncertainty.covariance import Basis, Interval, ratios
     from hyperflex.identification.uncertainty.profile import Profile, profile
 

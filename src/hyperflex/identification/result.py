@@ -163,7 +163,7 @@ class Identification:
 
     @property
     def basis(self) -> Basis:
-        """The fit itself, for profiles and the bootstrap; raises InvalidInput for a result read from a file."""
+        """The fit itself, for profiles; raises InvalidInput for a result read from a file."""
         if self._basis is None:
             raise InvalidInput("this result no longer has its fit", fix="Run identify again, in this session")
         if not self._basis.information.estimated:

@@ -1,1 +1,1 @@
-"""Uncertainty of a fit: noise, covariance, profile likelihood, intervals, bootstrap."""
+"""Uncertainty of a fit: noise, covariance, profile likelihood and intervals."""

@@ -28,7 +28,7 @@ UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
 End = Literal["crossed", "bound", "open"]
-IntervalKind = Literal["covariance", "profile", "bootstrap", "unknown"]
+IntervalKind = Literal["covariance", "profile", "unknown"]
 LEVEL = 0.95
 GRACE = 0.5  # s of work: what an interrupted fit may still take for its deviations
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
@@ -289,7 +289,7 @@ def known_directions(rows: Sequence[Array]) -> tuple[Array, Array, Array]:
 class Interval:
     """Confidence interval, SI units.
 
-    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``, ``bootstrap``,
+    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
     or ``unknown`` where the data set no limits. `ends`: ``crossed``, the parameter's own ``bound``, or ``open``.
     """
 

@@ -99,17 +99,20 @@ def ar_coefficients(parts: Array) -> Array:
 
 
 def correlations(terms: Array, count: int) -> Array:
-    """Return the first autocorrelations (count,) of an autoregression (k,)."""
-    from scipy.linalg import hankel, toeplitz
+    """Return the first autocorrelations (count,) of an autoregression (k,).
 
-    k, result = terms.size, np.zeros(count)
-    result[0] = 1.0
-    if k:  # Yule and Walker's equations, then the autoregression
-        before, after = toeplitz(np.append(0.0, terms[:-1]), np.zeros(k)), hankel(np.append(terms[1:], 0.0))
-        result[1 : k + 1] = np.linalg.solve(np.eye(k) - before - after, terms)[: count - 1]
-        for lag in range(k + 1, count):
-            result[lag] = terms @ result[lag - k : lag][::-1]
-    return result
+    The first k by Yule and Walker's equations, all others by the autoregression, twice as many at each pass.
+    """
+    from scipy.linalg import companion, hankel, toeplitz
+
+    if not terms.size:
+        return np.asarray(np.eye(1, count)[0])
+    before, after = toeplitz(np.append(0.0, terms[:-1]), np.zeros(terms.size)), hankel(np.append(terms[1:], 0.0))
+    first = np.append(1.0, np.linalg.solve(np.eye(terms.size) - before - after, terms))
+    states, power = first[:0:-1, None], companion(np.append(1.0, -terms))  # k neighbours each, the latest first
+    while terms.size + states.shape[1] < count:
+        states, power = np.hstack([states, power @ states]), power @ power
+    return np.append(first[:-1], states[0])[:count]
 
 
 def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
