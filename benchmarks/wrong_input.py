@@ -480,7 +480,7 @@ def compared(found: hf.Identification, case: Case) -> list[Compared]:
     usable = found.ratios | (found.values if found.grade is Grade.USABLE else {})
     loose = (each.values["parts"] for each in found.findings if each.kind is Kind.POORLY_DETERMINED)
     unknown = {name for names in loose for name in names}
-    model_error = found.has(Kind.FRICTION_MODEL)
+    model_error = any(each.kind is Kind.FRICTION_MODEL and each.values["included"] for each in found.findings)
     every = []
     for name in usable.keys() & case.truth.keys():
         errors = np.broadcast_to(case.error.get(name, 0.0), case.truth[name].shape)

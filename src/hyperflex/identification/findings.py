@@ -441,7 +441,8 @@ class Kind(StrEnum):
     FRICTION_MODEL = (
         "friction depends on the model",
         """Friction would change by up to {part:%} with {name} free as well. | The fitted friction stands for all that
-        damps the motion; standard deviations include this change. Free both if the recording determines both.""",
+        damps the motion, air included, at the amplitudes seen{included:?; standard deviations include this change}.
+        Free both if the recording determines both.""",
     )
     WINDOWS_LEFT_OUT = (
         "windows left out",

@@ -181,7 +181,7 @@ class MultiStart:
         for number, part in enumerate(lengths):
             windows, dropped = self.windows(part)
             if part < length:
-                windows = windows[:: max(1, len(windows) // FIRST_WINDOWS)]
+                windows = windows[:: -(-len(windows) // FIRST_WINDOWS)]
                 if not self._enough(windows):
                     continue
             stage = {"window": part, "stage": number, "stages": len(lengths)}

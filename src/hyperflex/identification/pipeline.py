@@ -206,13 +206,15 @@ def message(entry: dict[str, Any]) -> str:
 class Trial:
     """A fit with what was free in it: of noise alone (`plain`), and with all that its deviations count.
 
-    Then the settings that it used, why fit or tests ended early, its score tests, and how its windows agree.
+    Then the settings that it used, its fit of the shortest windows, why fit or tests ended early, its score tests, and
+    how its windows agree.
     """
 
     free: list[str]
     plain: Basis
     basis: Basis
     settings: dict[str, Any]
+    first: Fitted
     ended: Status | None = None
     tests: tuple[ScoreTest, ...] = ()
     scores: Scores | None = None
@@ -326,7 +328,7 @@ class _Case:
             chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
             richer: Trial | None = None
             with stoppable() as stop, suppress(InvalidInput, IdentificationError):
-                richer = self.fit(_with_word(trial.free, chosen.name))
+                richer = self.fit(_with_word(trial.free, chosen.name), trial)
             if richer is None or not richer.complete:  # what has converged and was tested is worth more
                 trial = replace(trial, ended=stop.status if richer is None else richer.ended)
                 break
@@ -340,8 +342,11 @@ class _Case:
             return False  # of a factor on a guess that is not alike, or on nothing
         return test.significant and name in ALLOWED and not test.freed_with and (name != "com" or test.matters)
 
-    def fit(self, free: Sequence[str]) -> Trial:
-        """Return the fit of these parameters, its covariance (of noise alone) and score tests."""
+    def fit(self, free: Sequence[str], before: Trial | None = None) -> Trial:
+        """Return the fit of these parameters, its covariance (of noise alone) and score tests.
+
+        A good fit `before` that lacks the last of them alone is continued.
+        """
         shape, loss = self.seen.shape, Loss(self.options.loss)
         plant = build_plant(self.recording, self.guess, free, self.places, self.setup, self.options.torque_std)
         usual = usual_length(shape, self.guess)
@@ -352,12 +357,13 @@ class _Case:
         wanted = usual if self.options.window is None else self.options.window
         length = min(wanted, WHOLE * self.seen.channels.duration)
         search = MultiStart(plant, self.seen, length, usual, loss, self.budget, self.report)
-        search, found = self._with_com(search, search.best())
+        search, found = self._with_com(search, self._continued(search, free, before) or search.best())
+        first = found
         information, ended = fit_information(search.plant, found.windows, found.fit)
         if self.options.window is None:
             search, found, information, ended = self._lengthened(search, found, information, ended)
         basis = Basis(search.plant, found.windows, found.fit, information, usual)
-        trial = Trial(list(free), basis, basis, found.settings | delay, ended)
+        trial = Trial(list(free), basis, basis, found.settings | delay, first, ended)
         with stoppable() as stop:
             if trial.complete and not (self.faulty and search.is_bad(found.windows, found.fit)):  # nothing to test
                 angles = self.recording.kind == "angles"
@@ -366,6 +372,17 @@ class _Case:
                 tests = (*tests, *drift_test(basis, scores, tests))
                 trial = replace(trial, tests=tuple(sorted(tests, key=lambda each: -each.gain)))
         return replace(trial, ended=ended or stop.status)
+
+    def _continued(self, search: MultiStart, free: Sequence[str], before: Trial | None) -> Fitted | None:
+        """Return the continued fit, or None where a fit has to begin anew."""
+        if before is None or before.free != free[:-1] or free[-1] == "delay":
+            return None
+        first, labels, parameters = before.first, before.plain.plant.parameters.labels, search.plant.parameters
+        known = dict(zip(labels, first.fit.x.tolist(), strict=False))  # others may have been added later
+        x = [known.get(each.label, each.first) for each in parameters.all]
+        found = search.continued(first, first.windows, np.array(x), first.fit.states)
+        bad = search.is_bad(found.windows, found.fit) or not found.fit.converged
+        return None if bad and found.fit.status is None else found
 
     def _lengthened(
         self, search: MultiStart, found: Fitted, information: Information, ended: Status | None

@@ -358,9 +358,10 @@ def _limits(
         yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"moved": _com_sensitivity(basis, tests)})
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
         yield Finding(Kind.UNDETECTABLE, Severity.LIMIT)
-    part, name = law_error(basis, tests)
+    part, name, included = law_error(basis, tests)
     if part > FRICTION_MOVES:
-        yield Finding(Kind.FRICTION_MODEL, Severity.LIMIT, {"part": part, "name": as_free([name])[0]})
+        values = {"part": part, "name": as_free([name])[0], "included": included}
+        yield Finding(Kind.FRICTION_MODEL, Severity.LIMIT, values)
     missing = max(0, settings["left_out"] - 1)  # what remains at the end is no window, as a rule
     if missing > LEFT_OUT * (missing + settings["windows"]):
         yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})

@@ -1,6 +1,7 @@
 """Tests of what a fit has held and of what was declared: scores, their drift and scatter over the windows, links."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -319,6 +320,9 @@ def score_tests(
             if each.significant and (each.matters or each.slight) and not each.law:
                 later.setdefault(each.name, within(each, basis.fit.x.size, freed))
     every = {each.name: each for each in found}
+    scales = scores(basis, list(scale_words(basis.plant).values()))
+    if scales is not None and scales.groups:
+        every[SCALES] = _test(basis, scales, SCALES, list(range(basis.fit.x.size, scales.x.size)))
     every |= later | {name: each for name, each in every.items() if each.significant}
     if CLOCK in every:
         every[CLOCK] = replace(every[CLOCK], declared_std=declared_std)
@@ -354,15 +358,10 @@ def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> tuple[list
     found.sort(key=lambda each: -each.gain)
     mended = [each for each in found[TESTING.refits :] if each.quantity.enough < np.inf]  # that are easily mended
     laws = [each for each in found[TESTING.refits :] if each.law][:1]
-    before: Basis | None = None
     for each in [*found[: TESTING.refits], *mended, *laws]:
         if each.gain > (TESTING.law if each.law else TESTING.suspect) or each.excess_gain > TESTING.sure:
             budget.check()
-            before = before or _fit_with(part_of(basis))
-            found[found.index(each)] = _refitted(before, each)
-    scales = scores(basis, list(scale_words(basis.plant).values()))
-    if scales is not None and scales.groups:
-        found.append(_test(basis, scales, SCALES, list(range(basis.fit.x.size, scales.x.size))))
+            found[found.index(each)] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain), every[0]
 
 
@@ -463,14 +462,19 @@ def part_of(basis: Basis) -> Basis:
     return replace(basis, windows=basis.windows[::every], fit=some)
 
 
-def _fit_with(some: Basis, *names: str) -> Basis | None:
-    """Return a fit with `names` free as well, without its covariance; None where none converges."""
-    plant, x, _ = extended(some.plant, some.fit.x, names)
-    try:
-        found = fit(plant, some.windows, x, some.fit.states, loss=some.fit.loss, rounds=TESTING.rounds)
-    except InvalidInput:
-        return None
-    return replace(some, plant=plant, fit=found)
+def _fit_with(basis: Basis, name: str = "") -> Basis | None:
+    """Return a fit of some windows with `name` free as well, without its covariance; None where none converges."""
+    if not name and basis.fit.converged and len(basis.windows) <= TESTING.windows:
+        return basis
+    if name not in basis.richer:
+        some = _fit_with(basis) if name else part_of(basis)
+        basis.richer[name] = None
+        if some is not None:
+            plant, x, _ = extended(some.plant, some.fit.x, [name] * bool(name))
+            with suppress(InvalidInput):
+                found = fit(plant, some.windows, x, some.fit.states, loss=some.fit.loss, rounds=TESTING.rounds)
+                basis.richer[name] = replace(some, plant=plant, fit=found)
+    return basis.richer[name]
 
 
 def _refit_gain(before: Basis, name: str) -> float:
@@ -481,15 +485,21 @@ def _refit_gain(before: Basis, name: str) -> float:
 
 def fit_with(basis: Basis, name: str) -> Basis | None:
     """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
-    found = _fit_with(part_of(basis), name) if name else None
-    if found is None:
-        return None
-    return replace(found, information=estimate_covariance(found.plant, found.windows, found.fit))
+    found = _fit_with(basis, name) if name else None
+    return None if found is None else _estimated(basis, name, found)
 
 
-def _refitted(before: Basis | None, test: ScoreTest) -> ScoreTest:
-    """Return a test with what a fit finds, compared with one `before` it, of the same windows."""
-    after = None if before is None else _fit_with(before, test.name)
+def _estimated(basis: Basis, name: str, found: Basis) -> Basis:
+    """Return a fit of some windows with `name` free as well, with its own covariance."""
+    if found.information is basis.information:
+        found = replace(found, information=estimate_covariance(found.plant, found.windows, found.fit))
+        basis.richer[name] = found
+    return found
+
+
+def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
+    """Return a test with what a fit finds, compared with one without it, of the same windows."""
+    before, after = _fit_with(basis), _fit_with(basis, test.name)
     if before is None or after is None:
         return replace(test, gain=0.0, excess_gain=0.0)
     parameters = after.plant.parameters
@@ -501,7 +511,7 @@ def _refitted(before: Basis | None, test: ScoreTest) -> ScoreTest:
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
     noise, sure = before.information, before.information.whiteness >= CHANCE
     if not sure and (excess_gain > TESTING.sure or gain > TESTING.suspect):  # it may be all that colours the residuals
-        mended = estimate_covariance(after.plant, after.windows, after.fit)
+        mended = _estimated(basis, test.name, after).information
         sure = mended.whiteness >= CHANCE
         if sure:  # then what it leaves is the noise
             share = mended.variance * mended.correlation / max(noise.variance * noise.correlation, 1e-300)
@@ -654,6 +664,8 @@ def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest
     :func:`_probability`. Of the `others` those are explained by the links that a fit to the finer rope shows as well,
     with half of their gain at least.
     """
+    if basis.plant.parameters.guess.n_links == 1:
+        return ()
     found = _link_test(basis, others)
     explained = {name for each in found for name in each.explains}
     masking = next((each.name for each in others if each.masks and each.name not in explained), "")
@@ -668,7 +680,7 @@ def _link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTes
     plant, x, some = basis.plant, basis.fit.x, part_of(basis)
     n, parameters, loss, states = plant.parameters.guess.n_links, plant.parameters.all, some.fit.loss, some.fit.states
     own = any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
-    if n == 1 or plant.constants is not None or (basis.information.whiteness >= CHANCE if n <= FEW_LINKS else own):
+    if plant.constants is not None or (basis.information.whiteness >= CHANCE if n <= FEW_LINKS else own):
         return ()
     try:
         finer = plant.cut(x, PIECES)

@@ -138,7 +138,8 @@ def _variances(gradient: Array, covariance: Array | float) -> Array:
 class Basis:
     """A fit, its model and windows, and their information about the parameters.
 
-    usual: time, s, over which windows and parts of longer ones are compared with each other.
+    usual: time, s, over which windows and parts of longer ones are compared with each other. richer: fits of some
+    windows with one thing more free, by its name, as tests make them.
     """
 
     plant: Plant
@@ -146,6 +147,7 @@ class Basis:
     fit: Fit
     information: Information
     usual: float = np.inf
+    richer: dict[str, "Basis | None"] = field(default_factory=dict, init=False)
 
 
 def not_estimated(plant: Plant, fit: Fit) -> Information:
@@ -258,7 +260,7 @@ class _Model:
         size, shape = self.influence.size, self.influence.shape
         rows, prior = self.shared[:size].reshape(*shape, -1), self.shared[size:]
         coloured = np.einsum("cd,tdp->tcp", channels, correlated(memory, rows))
-        return np.asarray(np.tensordot(rows, coloured, axes=([0, 1], [0, 1])) + prior.T @ prior)
+        return np.asarray(self.shared[:size].T @ coloured.reshape(size, -1) + prior.T @ prior)
 
 
 def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budget: Budget) -> list[_Model]:

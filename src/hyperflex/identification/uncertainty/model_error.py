@@ -144,17 +144,16 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, believ
     return np.asarray(acting @ (0.5 * (error + error.T) + observed * causes) @ acting.T)
 
 
-def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
+def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str, bool]:
     """Return by what part of its value a free resistance may change if another one is free too, and that one's name.
 
-    (0, "") where residuals are white, no resistance is free or none was tested.
+    And whether its standard deviation includes that. (0, "", True) where no resistance is free or none was tested.
     """
-    if basis.information.whiteness >= CHANCE:
-        return 0.0, ""
     sizes, names = _law_errors(basis, tests)
     parts = sizes / np.where(sizes > 0.0, basis.fit.x, 1.0)
     worst = int(np.argmax(parts))
-    return float(parts[worst]), names[worst]
+    model = np.diag(basis.information.total - basis.information.covariance)
+    return float(parts[worst]), names[worst], bool(model[worst] >= SHOWN * sizes[worst] ** 2)
 
 
 def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[str]]:

@@ -231,15 +231,15 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
 
 def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
     """Return partial autocorrelations (k,) whose residuals show those target (k,), and the greatest miss."""
-    from scipy.optimize import least_squares
+    from scipy.optimize import leastsq
 
     def miss(z: Array) -> Array:
         sums = response @ correlations(ar_coefficients(NOISE.near_one * np.tanh(z)), response.shape[1])
         return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target)
 
     z = np.arctanh(np.clip(start / NOISE.near_one, -0.99, 0.99))
-    found = least_squares(miss, z, method="lm", ftol=NOISE.least_gain)
-    return NOISE.near_one * np.tanh(found.x), float(np.abs(found.fun).max())
+    z = leastsq(miss, z, ftol=NOISE.least_gain)[0]
+    return NOISE.near_one * np.tanh(z), float(np.abs(miss(z)).max())
 
 
 def _longest(pieces: Sequence[Piece]) -> int:
@@ -255,7 +255,9 @@ def _lagged(values: Array, most: int) -> Array:
     """Return the sums (most + 1,) of products of values (m, C) 0 to `most` samples apart."""
     raise_if_cancelled()
     m = len(values)
-    return np.array([(values[lag:] * values[: max(m - lag, 0)]).sum() for lag in range(most + 1)])
+    spectrum = np.fft.rfft(values, m + min(most, m), axis=0)  # zeros, so that no product joins the end to the beginning
+    sums = np.fft.irfft((spectrum.real**2 + spectrum.imag**2).sum(axis=1), m + min(most, m))[: most + 1]
+    return np.append(sums[:m], np.zeros(max(most + 1 - m, 0)))
 
 
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
@@ -310,12 +312,12 @@ def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:
     both, inner = np.concatenate([basis, moved], axis=2), np.einsum("mck,mcl->kl", basis, moved)
     middle = np.block([[inner, -one], [-one, np.zeros_like(one)]])
     shifted = [_neighbours(both, int(k)) for k in lags]
-    turned = np.stack([spreading(each).reshape(size, -1) @ middle for each in shifted])
-    flat = np.stack([each.reshape(size, -1) for each in shifted])
-    through = middle @ (both.reshape(size, -1).T @ flat)  # D U^T A U
+    turned = np.stack([(spreading(each) @ middle).ravel() for each in shifted])
+    flat = np.stack([each.ravel() for each in shifted])
+    through = middle @ (both.reshape(size, -1).T @ flat.reshape(lags.size, size, -1))  # D U^T A U
     together = [part.seen[k:] * part.seen[:-k] for k in lags]
     covariance = np.diag([float((spread**2 * (each.T @ each)).sum()) for each in together])
-    covariance += 4.0 * np.tensordot(turned, flat, axes=([1, 2], [1, 2]))
+    covariance += 4.0 * turned @ flat.T
     covariance += 2.0 * np.einsum("aij,bji->ab", through, through)
     return np.trace(through, axis1=1, axis2=2), 0.5 * (covariance + covariance.T)
 
