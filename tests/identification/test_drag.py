@@ -64,6 +64,22 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy):
     assert within(found, "d/p1[0]", truth)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "duration", "said"),
+    [("drag", 0.01, 3.0, True), ("dry_friction", 2e-3, 3.0, True), ("friction", 8e-4, 20.0, False)],
+)
+def test_friction_that_stands_for_all_damping_is_said(name, value, duration, said):
+    """Noise alone remains of a short swing, whatever damps it: the fit is right, and friction is what is free."""
+    t, rod = np.arange(0.0, duration, 1.0 / 60.0), hf.Rope(length=[0.6], mass=[0.05], com=[0.6], inertia=[1e-4])
+    run = hf.simulate(rod.replace(**{name: value}), duration=t[-1], t_eval=t, q0=[0.8], tol=1e-9)
+    seen = Recording(t, run.q + 2e-3 * np.random.default_rng(3).standard_normal(run.q.shape))
+    found = hf.identify(seen, rod.replace(friction=1e-3), ["inertia", "friction"])
+    lines = [each for each in found.findings if each.kind is Kind.FRICTION_MODEL]
+    assert [each.values["included"] for each in lines] == [False] * said
+    assert all("stands for all that damps the motion, air included" in str(each) for each in lines)
+    assert all(str(each) in found.report() for each in lines)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("rope", [CORD.replace(friction=0.0), BARE], ids=["drag", "joint friction"])
 def test_drag_is_told_from_joint_friction(rope):
