@@ -339,7 +339,7 @@ class Kind(StrEnum):
         "prediction outside its band",
         """Only {part:%} of the held-out part lies where 95 % is expected: predictions err {factor:.2g} times as much as
         stated. | The part of standard deviations and intervals that noise and model make is multiplied by that. The
-        model omits an effect, or something is not as declared. """
+        model omits an effect, or something is not as declared{free:?: most is explained with }{free}{free:? free}. """
         + COMPARE,
     )
     WINDOWS_DISAGREE = (

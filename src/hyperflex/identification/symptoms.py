@@ -69,7 +69,7 @@ def symptoms(
 ) -> list[Finding]:
     """Return all that a fit, its tests and its predictions show."""
     rope = basis.plant.parameters.rope(basis.plant.parameters.rounded(basis.fit.x))
-    odd = [*_of_fit(basis), *_of_prediction(held_out), *_disagreeing(scatter)]
+    odd = [*_of_fit(basis), *_of_prediction(held_out, tests), *_disagreeing(scatter)]
     known, loose = _determined(basis, rope)
     impossible = hangs_upwards(rope)
     declared = score_findings(
@@ -165,8 +165,8 @@ def _sizes(basis: Basis) -> Array:
     return np.stack([rms, np.sqrt((motion**2).sum(axis=0) / count), noise])
 
 
-def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
-    """Yield how predictions of what was not fitted fail."""
+def _of_prediction(held_out: HeldOut | None, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
+    """Yield how predictions of what was not fitted fail, and what a refit has shown to explain most, if not surely."""
     if held_out is None:
         return
     if held_out.failed.size:
@@ -178,7 +178,8 @@ def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
     if error > PERSISTENCE * still > 0.0 and not held_out.inside >= AS_STATED:
         yield Finding(Kind.PREDICTION_POOR, Severity.WRONG, {"part": error / still})
     elif held_out.understated > 1.0:
-        values = {"part": held_out.inside, "factor": held_out.understated}
+        free = [each.name for each in tests if each.refitted and each.excess_gain > TESTING.sure][:1]
+        values = {"part": held_out.inside, "factor": held_out.understated, "free": "".join(as_free(free))}
         yield Finding(Kind.PREDICTION_OUTSIDE, Severity.DOUBT, values)
 
 
