@@ -220,9 +220,25 @@ def test_predictions_are_compared_as_far_as_their_band_is_narrow():
     kept = held.foreseeable
     np.testing.assert_allclose(kept.t, np.append(t[:5], t + 1.0))
     assert kept.rms[0] == pytest.approx(3.0 * np.sqrt(5 / 15))
-    assert [each.kind for each in _of_prediction(held)] == [Kind.PREDICTION_POOR]
+    assert [each.kind for each in _of_prediction(held, ())] == [Kind.PREDICTION_POOR]
     std[15] = 0.5
-    assert list(_of_prediction(replace(held, std=std))) == []
+    assert list(_of_prediction(replace(held, std=std), ())) == []
+
+
+def test_a_prediction_outside_its_band_names_what_a_refit_explains_most_with():
+    t = np.linspace(0.1, 1.0, 10)
+    measured, std = np.sin(t)[:, None], np.full((10, 1), 0.01)
+    held = HeldOut(np.array([0.05]), np.full((1, 1), 0.05), np.zeros(1), 0.5, 1.0, t, measured, measured + 0.05, std)
+    tests = [
+        ScoreTest("drag", 0.5, np.zeros(1), moved=0.1, excess_gain=0.5),  # as noise may explain
+        ScoreTest("gravity_angle", 0.2, np.zeros(1), moved=0.0, excess_gain=0.97),
+        ScoreTest("dry_friction", 0.1, np.zeros(1), moved=0.0, excess_gain=0.97),
+    ]
+    (found,) = _of_prediction(held, tests)
+    assert found.kind is Kind.PREDICTION_OUTSIDE
+    assert "as declared: most is explained with 'gravity_angle' free. " in str(found)
+    (found,) = _of_prediction(held, tests[:1])
+    assert "is not as declared. " in str(found)
 
 
 def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used():
