@@ -241,14 +241,29 @@ def profile(
     return profiled(Coordinate(basis, name), level, points, report=progress)
 
 
+def bottom(basis: Basis, budget: Budget | None = None, report: Report | None = None) -> Fit:
+    """Return a fit with the scale of its loss held, followed to where profiles begin."""
+    found = basis.fit
+    loss = Loss(found.loss.name, found.loss.scale, fixed=True)
+    enough = WALK.finish * basis.information.variance / max(found.cost, 1e-300)
+    again = partial(fit, basis.plant, basis.windows, found.x, found.states, loss=loss, rounds=10)
+    return again(enough=enough, budget=budget, report=report)
+
+
 def profiled(
-    along: Coordinate, level: float, points: int = 0, *, budget: Budget | None = None, report: Report | None = None
+    along: Coordinate,
+    level: float,
+    points: int = 0,
+    *,
+    begun: Fit | None = None,
+    budget: Budget | None = None,
+    report: Report | None = None,
 ) -> Profile:
-    """Return the profile along a coordinate; see :func:`profile`."""
+    """Return the profile along a coordinate from the fit `begun`, see :func:`bottom`; see :func:`profile`."""
     if not np.isfinite(along.std) or along.std == 0.0:
         every = Interval(along.value(along.bound), np.inf, "profile", ("open", "open"), level)
         return Profile(**vars(every), name=along.label, values=np.zeros(0), rise=np.zeros(0), limit=np.zeros(0))
-    walk = _ProfileSearch(along, level, budget or Budget(), report)
+    walk = _ProfileSearch(along, level, begun or bottom(along.basis, budget, report), budget or Budget(), report)
     try:
         (below, first), (above, second) = walk.side(-1.0), walk.side(1.0)
         found = Interval(along.value(below), along.value(above), "profile", (first, second), level)
@@ -290,16 +305,16 @@ class _Point:
 class _ProfileSearch:
     """Walks away from the optimum along one coordinate, to either side."""
 
-    def __init__(self, along: Coordinate, level: float, budget: Budget, report: Report | None) -> None:
+    def __init__(self, along: Coordinate, level: float, best: Fit, budget: Budget, report: Report | None) -> None:
         self.along, self.level, self.budget = along, level, budget
         self.rounds = WALK.most_rounds  # that one side may still take
         self.settled = True  # whether the last fit that could be simulated has converged
         basis = along.basis
-        found, self.unit = basis.fit, along.unit
-        loss = Loss(found.loss.name, found.loss.scale, fixed=True)
-        enough = WALK.finish * self.unit / max(found.cost, 1e-300)
-        self._fit = partial(fit, basis.plant, basis.windows, loss=loss, enough=enough, budget=budget, report=report)
-        best = self._fit(found.x, found.states, rounds=10, target=None)
+        self.unit = along.unit
+        enough = WALK.finish * self.unit / max(basis.fit.cost, 1e-300)
+        self._fit = partial(
+            fit, basis.plant, basis.windows, loss=best.loss, enough=enough, budget=budget, report=report
+        )
         self.least = best.cost
         self.points = [self._point(best, best.cost)]
 
@@ -407,11 +422,12 @@ def all_intervals(
         chosen = every if how == "profile" else [every[k] for k in skewed(basis)]
         labels = [label for label in chosen if result[label].kind != "unknown"]
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
+        begun = bottom(basis, budget) if labels else None
         for number, label in enumerate(labels):
             at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
             heard = None if report is None else with_entries(report, at)
             along = Coordinate(basis, label)
-            found = profiled(along, level, budget=budget, report=heard)
+            found = profiled(along, level, begun=begun, budget=budget, report=heard)
             if found.kind == "profile":
                 result[label] = _with_model_error(along, found)
             if remarks is not None:
