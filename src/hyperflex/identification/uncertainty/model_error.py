@@ -147,9 +147,11 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, believ
 def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str, bool]:
     """Return by what part of its value a free resistance may change if another one is free too, and that one's name.
 
-    And whether its standard deviation includes that. (0, "", True) where no resistance is free or none was tested.
+    And whether its standard deviation includes that. (0, "", True) where no resistance is free or none was tested. Of
+    white residuals the other one takes energy as well: a spring in the noise says nothing.
     """
-    sizes, names = _law_errors(basis, tests)
+    white = basis.information.whiteness >= CHANCE
+    sizes, names = _law_errors(basis, [each for each in tests if _damps(base(each.name)) or not white])
     parts = sizes / np.where(sizes > 0.0, basis.fit.x, 1.0)
     worst = int(np.argmax(parts))
     model = np.diag(basis.information.total - basis.information.covariance)
