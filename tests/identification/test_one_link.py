@@ -97,20 +97,3 @@ def test_two_links_always_in_line_are_no_crash_and_ask_nothing_of_the_user():
         warnings.simplefilter("error")  # such as "rope length is 164 m: is it meant in mm?"
         far = basis.plant.parameters.rope(basis.fit.x + 7.0)
     assert far.total_length > 100.0
-
-
-def test_no_fit_of_a_test_is_made_twice(monkeypatch):
-    """A zero that is off and dry friction hide each other: what one fit frees, the next ones begin from."""
-    made: list[tuple[str, ...]] = []
-
-    def counted(plant: Plant, *args: Any, **how: Any) -> Fit:
-        made.append(plant.parameters.labels)
-        return fit(plant, *args, **how)
-
-    monkeypatch.setattr(score_tests, "fit", counted)
-    rod, t = hf.Rope(length=[0.3], mass=[0.1], friction=1e-4), np.arange(0.0, 12.0, 0.02)
-    run = hf.simulate(rod.replace(dry_friction=1e-3), duration=t[-1], t_eval=t, q0=[0.8], tol=1e-9)
-    seen = run.q + 0.02 + 1e-3 * np.random.default_rng(4).standard_normal(run.q.shape)
-    found = hf.identify(hf.Recording(t, seen), rod.replace(friction=1e-3), ["inertia", "friction"])
-    assert any(each.freed_with for each in found.score_tests)
-    assert len(set(made)) == len(made) > 2
