@@ -1,7 +1,6 @@
 """What a fit's misfit comes from: the cause that explains most is named first, with what explains the same."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +8,6 @@ from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification import Kind
-from hyperflex.identification.declarations import score_tests
-from hyperflex.identification.fit import Fit, fit
-from hyperflex.identification.model import Plant
 
 GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
@@ -127,20 +123,3 @@ def test_data_as_exact_as_the_simulation_are_a_fit_that_has_converged(noise):
     found = hf.identify(seen, true.replace(friction=1e-3), options=hf.FitOptions(intervals=None))
     assert found.grade == "usable for ratios"
     np.testing.assert_allclose(found.ratios["J/p1"], hf.identification.ratios(true)["J/p1"], rtol=1e-5)
-
-
-def test_no_fit_of_a_test_is_made_twice(monkeypatch):
-    """A zero that is off and dry friction hide each other: what one fit frees, the next ones begin from."""
-    made: list[tuple[str, ...]] = []
-
-    def counted(plant: Plant, *args: Any, **how: Any) -> Fit:
-        made.append(plant.parameters.labels)
-        return fit(plant, *args, **how)
-
-    monkeypatch.setattr(score_tests, "fit", counted)
-    rod, t = hf.Rope(length=[0.3], mass=[0.1], friction=1e-4), np.arange(0.0, 12.0, 0.02)
-    run = hf.simulate(rod.replace(dry_friction=1e-3), duration=t[-1], t_eval=t, q0=[0.8], tol=1e-9)
-    seen = run.q + 0.02 + 1e-3 * np.random.default_rng(4).standard_normal(run.q.shape)
-    found = hf.identify(hf.Recording(t, seen), rod.replace(friction=1e-3), ["inertia", "friction"])
-    assert any(each.freed_with for each in found.score_tests)
-    assert len(set(made)) == len(made) > 2
