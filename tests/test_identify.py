@@ -471,11 +471,11 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing):
     assert not np.isnan(held.window_rms).any()
     assert np.isinf(held.rms).all()
     np.testing.assert_allclose(held.failed, [5.5])
-    (failed,) = _of_prediction(held)
+    (failed,) = _of_prediction(held, ())
     assert failed.kind is Kind.PREDICTION_FAILED
     assert failed.values == {"failed": 1, "count": 3, "times": [5.5]}
     good = held_out(plain(DOUBLE), free_swing.window(4.0, np.inf))
-    assert list(_of_prediction(good)) == []
+    assert list(_of_prediction(good, ())) == []
 
 
 def test_failed_predictions_are_in_the_grade(free_swing, monkeypatch):

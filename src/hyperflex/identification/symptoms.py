@@ -207,11 +207,11 @@ def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
     at_end = guess.com > (1.0 - BEYOND) * guess.length
     point = at_end & (guess.inertia < BEYOND * guess.mass * guess.length**2)
     excess = (reach - 1.0) / np.maximum(BEYOND, REPORTED.certain * spread)
-    k = int(np.argmax(excess))
+    wrong = (excess > 1.0) & (point | (reach > REACH))  # other links may have counterweights, or ends beyond joints
+    k = max(range(rope.n_links), key=lambda k: (wrong[k], excess[k]))
     if excess[k] > 1.0:
         values = {"link": k, "reach": float(reach[k]), "clock": float(reach[k] ** -0.5)}
-        certain = point[k] or reach[k] > REACH  # other links may have counterweights, or ends beyond their joints
-        yield Finding(Kind.MASS_FAR, Severity.WRONG if certain else Severity.DOUBT, values)
+        yield Finding(Kind.MASS_FAR, Severity.WRONG if wrong[k] else Severity.DOUBT, values)
 
 
 def com_moved(basis: Basis) -> list[Finding]:

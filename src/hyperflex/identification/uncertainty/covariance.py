@@ -399,10 +399,9 @@ def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
     """Return the derivatives (n, P) of each ratio by x (P,)."""
     every = tuple(each.name for each in RESISTANCES)
     names = ratios(parameters.rope(x), parameters.names)
-    step = 1e-6
     columns = []
     for k in range(x.size):
-        up, down = x.copy(), x.copy()
+        up, down, step = x.copy(), x.copy(), 1e-6 * max(1.0, abs(x[k]))
         up[k] += step
         down[k] = max(x[k] - step, parameters.lower[k])
         above, below = (ratios(parameters.rope(end), every) for end in (up, down))
