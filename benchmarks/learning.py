@@ -3,11 +3,12 @@
 python -m benchmarks.learning --plans FOLDER     casts planned for the benchmark's ropes, or read from FOLDER if kept
 python -m benchmarks.learning --count 2 --out -  a look; nothing is written
 
-Each cast is planned for a rope of ``benchmarks.casting`` and then made with another one, in simulation: links half as
-long, length + 3 %, friction + 20 %, air drag that the model lacks altogether, and a motor with a lag of 15 ms. What is
-measured of a cast are ten markers at 100 Hz with an error of 2 mm, the arm's angle with one of 1 mrad, and whether the
-rope wound: by the criteria of the plan, in a whole run with contact (``hyperflex.planning.verify_cast``). Each target
-has five casts, the first as planned. Rows are kept in learning.jsonl: the same command goes on where it stopped.
+Each cast is planned for a rope of ``benchmarks.casting`` with the air drag of a cylinder, and then made with another
+one, in simulation: links half as long, length + 3 %, friction + 20 %, twice that drag, and a motor with a lag of 15 ms.
+Drag is not among what is learned, so that no parameter explains it. What is measured of a cast are ten markers at 100
+Hz with an error of 2 mm, the arm's angle with one of 1 mrad, and whether the rope wound: by the criteria of the plan,
+in a whole run with contact (``hyperflex.planning.verify_cast``). Each target has five casts, the first as planned.
+Rows are kept in learning.jsonl: the same command goes on where it stopped.
 """
 
 import argparse
@@ -49,28 +50,34 @@ if TYPE_CHECKING:
 
 RESULTS = Path(__file__).parent / "results"
 ROPES = ("nominal", "weighted", "tapered", "cord")
-SEED = 311  # of the targets
+SEED = 924  # of the targets
 WAYS = {
     "parameters": LearningOptions(wins=1, motion=False, replanning_time=20.0, threads=1),
     "motion": LearningOptions(wins=1, parameters=False, threads=1),
     "both": LearningOptions(wins=1, replanning_time=20.0, threads=1),
 }
 CASTS = 5
-LONGER, STIFFER, PIECES, LAG = 1.03, 1.20, 2, 0.015  # of the true rope and motor; factors, pieces of a link, s
-DRAG = 0.0009  # kg/m^2, of the true rope alone
+LONGER, STIFFER, AIRIER, PIECES, LAG = 1.03, 1.20, 2.0, 2, 0.015  # true rope and motor; factors, pieces of a link, s
+CYLINDER = 1.2 * 1.204  # kg/m^3, drag coefficient times air density: times a rope's radius it is the drag, kg/m^2
 PARTS, RATE = np.arange(1.0, 11.0) / 10.0, 100.0  # of the rope, where the markers are; Hz
 NOISE, ENCODER = 2e-3, 1e-3  # m, rad
 
 
-def true_problem(planned: Problem, drag: float) -> Problem:
+def planned_problem(rope: str) -> Problem:
+    """A problem of the casting benchmark, its rope with the air drag of a cylinder: half of density, c and diameter."""
+    known = problem(rope)
+    return replace(known, rope=known.rope.replace(drag=CYLINDER * known.rope.radius))
+
+
+def true_problem(planned: Problem) -> Problem:
     """The same problem with the true rope."""
-    rope = scaled_rope(divided(planned.rope, PIECES), LONGER, 1.0, 1.0)
-    return replace(planned, rope=rope.replace(friction=STIFFER * rope.friction, drag=rope.drag + drag))
+    rope = scaled_rope(divided(planned.rope, PIECES), LONGER, 1.0, STIFFER)
+    return replace(planned, rope=rope.replace(drag=AIRIER * rope.drag))
 
 
-def caster(plan: CastPlan, drag: float) -> Callable[[Motion], CastLog]:
+def caster(plan: CastPlan) -> Callable[[Motion], CastLog]:
     """Makes casts with the true rope, each measured with an error of its own."""
-    true, random = true_problem(plan.problem, drag), np.random.default_rng(SEED)
+    true, random = true_problem(plan.problem), np.random.default_rng(SEED)
 
     def carry_out(motion: Motion) -> CastLog:
         made = lagged(motion, LAG)
@@ -88,18 +95,20 @@ def caster(plan: CastPlan, drag: float) -> Callable[[Motion], CastLog]:
     return carry_out
 
 
-def make_plans(folder: Path, rope: str, count: int) -> None:
+def make_plans(folder: Path, rope: str, count: int, seed: int) -> None:
     """Plan for the first targets in reach, and keep plans that succeed in a folder, until it has enough."""
-    known, number = problem(rope), 0
+    known, numbers = planned_problem(rope), kept(folder, rope)
+    number = max(numbers, default=-1)
     while len(kept(folder, rope)) < count:
-        peg = target(number, rope, SEED)
-        if number not in kept(folder, rope) and check_feasibility(known, peg).feasible:
-            search = hf.SearchOptions(seed=number)
+        number += 1
+        peg = target(number, rope, seed)
+        if check_feasibility(known, peg).feasible:
+            search = hf.SearchOptions(seed=number, threads=1)
             plan = plan_cast(known.rope, known.arm, peg, time_budget=60.0, options=search)
+            print(f"plan for {rope} {number}: {plan.message or 'succeeds'}", flush=True)
             if plan.success:
                 folder.mkdir(parents=True, exist_ok=True)
                 plan.to_toml(folder / f"{rope}-{number}.toml")
-        number += 1
 
 
 def kept(folder: Path, rope: str) -> list[int]:
@@ -119,7 +128,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=5, help="targets of each rope with a plan that succeeds (5)")
     parser.add_argument("--ropes", nargs="*", choices=ROPES, default=ROPES)
     parser.add_argument("--ways", nargs="*", choices=sorted(WAYS), default=list(WAYS))
-    parser.add_argument("--drag", type=float, default=DRAG, help=f"of the true rope, kg/m^2 ({DRAG})")
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
     parser.add_argument("--plans", type=Path, default=Path("plans"), help="folder of plans (plans)")
     parser.add_argument("--kept", action="store_true", help="make no casts: the page of all targets kept so far")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
@@ -127,7 +136,7 @@ def main() -> None:
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "learning.jsonl"
     rows = lines.read(log) if options.kept else learned(options, log)
     rows = [row for row in rows if sum(alike(row, other) for other in rows) == len(options.ways)]
-    text = f"{page(rows, options.drag)}\n{machine.sentence(about)} {lines.made(rows)} {lines.made(rows, 'planner')}\n"
+    text = f"{page(rows)}\n{machine.sentence(about)} {lines.made(rows)} {lines.made(rows, 'planner')}\n"
     print(text)
     if log is not None:
         files.write_text(log.with_name("learning.md"), text)
@@ -137,17 +146,17 @@ def main() -> None:
 def learned(options: argparse.Namespace, log: Path | None) -> list[dict[str, Any]]:
     """Rows of all targets and ways, from the log or made now."""
     known, rows = {json.dumps(each["key"]): each for each in lines.read(log)}, []
-    for rope in options.ropes:
-        make_plans(options.plans, rope, options.count)
+    for count, rope in itertools.product(range(1, options.count + 1), options.ropes):
+        make_plans(options.plans, rope, count, options.seed)
     for index in range(options.count):
         for rope, way in itertools.product(options.ropes, options.ways):
             number = kept(options.plans, rope)[index]
-            key = {"rope": rope, "number": number, "way": way, "drag": options.drag}
+            key = {"rope": rope, "seed": options.seed, "number": number, "way": way}
             row = known.get(json.dumps(key))
             if row is None:
                 plan = read_plan(options.plans / f"{rope}-{number}.toml")
                 assert isinstance(plan, CastPlan)
-                done = learn_cast(plan, caster(plan, options.drag), attempts=CASTS, options=WAYS[way], report=print)
+                done = learn_cast(plan, caster(plan), attempts=CASTS, options=WAYS[way], report=print)
                 row = {"key": key, "kernels": SOURCE_HASH, "planner": lines.planner(), "attempts": kept_rows(done)}
                 if log is not None:
                     lines.append(log, row)
@@ -161,7 +170,7 @@ def won(row: dict[str, Any], casts: int) -> bool:
     return any(each["wound"] for each in row["attempts"][:casts])
 
 
-def page(rows: list[dict[str, Any]], drag: float) -> str:
+def page(rows: list[dict[str, Any]]) -> str:
     """The page of results."""
     ways = list(dict.fromkeys(row["key"]["way"] for row in rows))
     of = {way: [row for row in rows if row["key"]["way"] == way] for way in ways}
@@ -170,10 +179,10 @@ def page(rows: list[dict[str, Any]], drag: float) -> str:
     ropes = ", ".join(dict.fromkeys(row["key"]["rope"] for row in rows))
     about = (
         f"{count} planned casts ({ropes} of the casting benchmark), each made with a rope that is not the "
-        f"planned one: links half as long, length + 3 %, friction + 20 %, {drag:g} kg/m^2 of air drag that it lacks, "
-        "motor lag 15 ms; ten markers at 100 Hz with an error of 2 mm. A new plan may take 20 s. All simulated. A "
-        "success is a run of the true rope that meets all criteria of the plan. Goal of both: 17 of 20 targets within "
-        f"five casts. {'' if count >= 20 else 'Not measured on 20 yet; targets with a missing way are left out.'}"
+        f"planned one: links half as long, length + 3 %, friction + 20 %, twice its air drag (a cylinder's, which "
+        "is not among what is learned), motor lag 15 ms; ten markers at 100 Hz with an error of 2 mm. A new plan may "
+        "take 20 s. All simulated. A success is a run of the true rope that meets all criteria of the plan. Goal of "
+        f"both: 17 of 20 targets within five casts. {'' if count >= 20 else 'Not measured on 20 yet.'}"
     )
     heads = " | ".join(f"by cast {k}" for k in range(1, CASTS + 1))
     text += [about, "", f"| learned | {heads} | of |", "|---" * (CASTS + 2) + "|"]
@@ -195,7 +204,7 @@ def page(rows: list[dict[str, Any]], drag: float) -> str:
 
 def alike(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """Whether two rows are of one target."""
-    return all(one["key"][name] == other["key"][name] for name in ("rope", "number"))
+    return all(one["key"][name] == other["key"][name] for name in ("rope", "seed", "number"))
 
 
 def shown(attempt: dict[str, Any]) -> str:
