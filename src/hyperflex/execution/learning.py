@@ -7,7 +7,6 @@ known to wind, and strokes and rests are corrected, by Gauss-Newton steps on the
 the repeated part of its error meets that state.
 """
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,11 +33,13 @@ from hyperflex.planning import (
     Problem,
     RolloutBatch,
     SearchOptions,
+    find_strikes,
     fly_to_strikes,
     obstacle_gaps,
     plan_cast,
     refuse_behind,
-    verify_cast,
+    robust_values,
+    wound_after,
 )
 from hyperflex.recording import Recording
 from hyperflex.sensors import lever_arms
@@ -46,6 +47,9 @@ from hyperflex.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+ASIDE = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # where a target may stand, in errors of the model
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +113,15 @@ class LearningOptions:
         Samples in this window that a marker needs.
     caution : float
         Weight of changes of the motion, in its scales, against the distance from the state that winds.
-    near : float
-        Distance from the strike that it aimed at, in scales, below which a cast that misses refutes that strike: a new
-        plan is made, if parameters are learned.
+    tried, checked : int
+        Variations of the moves that are tried in the model after a miss; how many of the best are also tried with the
+        target aside by `model_error`.
+    spread : (least, greatest)
+        Standard deviations of these variations, in scales.
+    sure : float
+        Part of these trials in which the rope must wind; below, a new plan is tried if parameters are learned.
     replanning_time : float
-        Time for a new plan where no correction of the old one winds the rope in the model, s; 0 for none.
+        Time for a new plan, s; 0 for none.
     correction : FollowOptions
         Scales of errors and changes, step of the differences, and the window about the strike.
     threads : int, optional
@@ -130,7 +138,10 @@ class LearningOptions:
     strike_window: float = option(0.12, "time before the strike in which it is measured", unit="s", sign="positive")
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
     caution: float = option(0.1, "weight of changes of the motion", sign="nonnegative")
-    near: float = option(0.5, "distance from a strike below which a miss refutes it", sign="nonnegative")
+    tried: int = option(24, "variations of the moves tried after a miss", sign="positive")
+    checked: int = option(5, "of these, tried with the target aside", sign="positive")
+    spread: tuple[float, float] = option((0.02, 0.3), "standard deviations of the variations", sign="positive")
+    sure: float = option(0.6, "part of these trials in which the rope must wind", sign="nonnegative")
     replanning_time: float = option(60.0, "time for a new plan where no correction winds", unit="s", sign="nonnegative")
     correction: FollowOptions = field(default_factory=FollowOptions)
     threads: int | None = None
@@ -356,12 +367,36 @@ class _Flown(NamedTuple):
     strike: float
 
 
-class _Error(NamedTuple):
-    """Error of the model near the strike: `value` (K, 2), m, at time `t`, s, and `slope` (K, 2), m/s; NaN: unknown."""
+@dataclass(frozen=True)
+class _Error:
+    """Error of the model's flights (T, K, 2), m, that repeats in casts, of which later ones count more."""
 
-    t: float
-    value: Array
-    slope: Array
+    casts: Sequence[_Flown]
+    flights: Sequence[Array]
+    options: "LearningOptions"
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Return the error (T, K, 2), m, and its slope, m/s, at times t (T,), s; 0 where it was not seen."""
+        mean, weight = None, self.options.newest
+        for cast, places in zip(self.casts, self.flights, strict=True):
+            now = _lines(cast, places, t, self.options)
+            mean = (
+                now
+                if mean is None
+                else np.where(np.isnan(mean), now, np.where(np.isnan(now), mean, (1.0 - weight) * mean + weight * now))
+            )
+        value, slope = np.nan_to_num(mean)
+        return value, slope
+
+    def turned(self, rope: Rope, t: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return what the error at times t (T,), s, adds to angles q, rad, and rates qd, rad/s, (M, T, n)."""
+        joints, parts = np.append(0.0, rope.link_ends) / rope.total_length, self.casts[-1].parts
+        known = np.append(0.0, parts[parts > 0.0])
+        share = np.stack([np.interp(joints, known, one) for one in np.eye(known.size)[1:]], axis=1)  # (n + 1, K)
+        value, slope = (np.diff(share @ each[:, parts > 0.0], axis=1) / rope.length[:, None] for each in self.at(t))
+        along, across = unit_along(q), unit_across(q)
+        turn = (value * across).sum(axis=-1)
+        return turn, (slope * across).sum(axis=-1) - qd * (value * along).sum(axis=-1)
 
 
 class _Goal(NamedTuple):
@@ -403,7 +438,8 @@ class _Learner:
         goal = self._strike(moves)
         if goal is None:
             raise InvalidInput("the planned moves do not strike", fix="Plan again")
-        self._planned = self._goal = goal  # as planned; of moves that wind in the model as it is now
+        self._goal = goal  # that winds in the model it was planned with
+        self._random = np.random.default_rng(0)
 
     @property
     def done(self) -> bool:
@@ -426,12 +462,8 @@ class _Learner:
         if self.options.parameters:
             self._learn_parameters(log)
         flights = self._predictions()
-        distance, position, speed = self._distance(made, _at_strike(cast, flights[-1], self.options))
-        refuted = not log.wound and distance < self.options.near
-        replanned = self._aim(not log.wound, refuted) if self.options.parameters else False
-        if not log.wound:
-            correct = self.options.motion and not replanned
-            self.moves = self._corrected(self._goal, self._repeated_error(flights)) if correct else self._goal.moves
+        distance, position, speed = self._distance(made, _Error([cast], flights[-1:], self.options))
+        replanned = False if log.wound else self._improve(flights)
         left = np.nan_to_num(cast.places - flights[-1])
         self.attempts.append(
             Attempt(
@@ -545,47 +577,80 @@ class _Learner:
             return None
         return _Goal(moves, motion, problem.rope, float(found.t[0]), found.q, found.qd)
 
-    def _aim(self, missed: bool, refuted: bool) -> bool:
-        """Find moves that wind in the model as it is now, and their strike; return whether they were planned again.
+    def _improve(self, flights: Sequence[Array]) -> bool:
+        """Choose the next moves, by the model and its repeated error; return whether they were planned again.
 
-        After a miss the moves so far are corrected for the planned strike. If they do not wind, those so far are tried,
-        and then a new plan; a plan whose strike was `refuted` is replaced at once. Where all of these fail, what was
-        corrected for the planned strike remains.
+        Moves corrected for the planned strike, those so far, and variations of both are tried in the model. If none of
+        them is `sure` to wind, a new plan is tried as well.
         """
-        options, now = self.options, self._goal.moves
-        corrected = self._corrected(self._planned._replace(moves=now), None) if missed else now
-        for moves in [] if refuted else [corrected, now] if missed else [now]:
-            if self._winds(moves) and (goal := self._strike(moves)):
-                self._goal = goal
-                return False
-        if missed and options.replanning_time:
-            problem, seed = self.model.problem, len(self._casts)
-            search = SearchOptions(seed=seed, threads=options.threads, skip_feasibility=True)  # one plan was found
-            given: dict[str, Any] = {"time_budget": options.replanning_time, "options": search}
-            plan = plan_cast(problem.rope, problem.arm, self.model.peg, **given)
-            if plan.success and plan.moves is not None and (goal := self._strike(plan.moves)):
-                self._planned, self._goal, self._since = goal, goal, len(self._casts)
-                return True
-        self._goal = self._strike(corrected) or self._goal
-        return False
+        options, since = self.options, self._since
+        error = _Error(self._casts[since:], flights[since:], options) if options.motion else None
+        goal, caution = self._goal._replace(moves=self.moves), options.caution
+        centres = [self.moves, *(self._corrected(goal, error, weight * caution) for weight in (1.0, 3.0, 10.0))]
+        self.moves, value = self._best(centres, error)
+        if value >= options.sure or not (options.parameters and options.replanning_time):
+            return False
+        problem = self.model.problem
+        search = SearchOptions(seed=len(self._casts), threads=options.threads, skip_feasibility=True)  # one was found
+        given: dict[str, Any] = {"time_budget": options.replanning_time, "options": search}
+        plan = plan_cast(problem.rope, problem.arm, self.model.peg, **given)
+        goal = None if plan.moves is None else self._strike(plan.moves)
+        if goal is None:
+            return False
+        moves, other = self._best([goal.moves], None)
+        if other <= value:
+            return False
+        self.moves, self._goal, self._since = moves, goal, len(self._casts)
+        return True
 
-    def _winds(self, moves: Moves) -> bool:
-        """Whether moves meet the criteria of the plan in the model, in a whole run with contact."""
-        return verify_cast(
-            self.model.problem, self.model.peg, self.model.motion(moves), time_budget=self.budget
-        ).success
+    def _best(self, centres: Sequence[Moves], error: "_Error | None") -> tuple[Moves, float]:
+        """Return which of some moves, and of variations of them, winds most surely, and its value.
+
+        All are flown in the model with its repeated error, and strike in contact; the best also with the target aside.
+        """
+        tried = [*centres, *(each for one in centres for each in self._variations(one, len(centres)))]
+        scale = self._scale(centres[0])
+        away = np.linalg.norm([(each.parameters - centres[0].parameters) / scale for each in tried], axis=1)
+        values = self._values(tried, [self.model.peg] * len(tried), error) - self.options.caution * away
+        best = np.argsort(-values)[: self.options.checked]
+        x, y, aside = self.model.peg.x, self.model.peg.y, self.options.model_error
+        pegs = [replace(self.model.peg, x=x + a * aside, y=y + b * aside) for a, b in ASIDE]
+        some = [(tried[k], peg) for k in best for peg in pegs]
+        around = self._values([moves for moves, _ in some], [peg for _, peg in some], error).reshape(best.size, -1)
+        around -= self.options.caution * away[best, None]
+        means = np.concatenate([values[best, None], around], axis=1).mean(axis=1)
+        return tried[best[means.argmax()]], float(means.max())
+
+    def _scale(self, moves: Moves) -> Array:
+        """Return the scales of parameters (2 k,) of moves: strokes, rad, and rests, s."""
+        options = self.options.correction
+        return np.repeat([options.stroke_scale, options.rest_scale], moves.ends.size)
+
+    def _variations(self, moves: Moves, shares: int) -> list[Moves]:
+        """Return moves whose strokes and rests before the strike differ at random, by little and by more."""
+        count, scale = self.options.tried // shares, self._scale(moves)
+        spreads: Array = np.geomspace(*self.options.spread, count)
+        changes = self._random.standard_normal((count, scale.size)) * spreads[:, None] * scale
+        return [moves.varied(each) for each in changes]
+
+    def _values(self, casts: Sequence[Moves], pegs: Sequence[Peg], error: "_Error | None") -> Array:
+        """Return how surely casts (M,) wind, each round its peg, in the model with an error of its flights."""
+        model, problem, budget = self.model, self.model.problem, self.budget
+        motions = [model.motion(moves) for moves in casts]
+        batch = RolloutBatch.from_start(problem, [problem.rope] * len(casts), pegs, motions)
+        span = max(problem.time, max(float(each.breaks[-1]) for each in motions) + 0.5)
+        t, q, qd = batch.fly(problem.arm, span, budget)
+        if error is not None:
+            change, rate = error.turned(problem.rope, t, q, qd)
+            q, qd = q + change, qd + rate
+        found = find_strikes(problem, model.peg, batch, t, q, qd)
+        return robust_values(wound_after(problem, batch, found, budget), problem)
 
     # ------------------------------------------------------------------ motion
 
     def _predictions(self) -> list[Array]:
         """Return the model's places (T, K, 2), m, for all casts so far."""
         return [_fly([self.model], [each.moves], each.t, each.parts, self.budget)[0][0] for each in self._casts]
-
-    def _repeated_error(self, flights: Sequence[Array]) -> _Error:
-        """Return the mean error of the model at the strikes of the present plan, in which later casts count more."""
-        every = zip(self._casts[self._since :], flights[self._since :], strict=True)
-        first, *others = (_at_strike(cast, places, self.options) for cast, places in every)
-        return functools.reduce(lambda mean, now: _filtered(mean, now, self.options.newest), others, first)
 
     def _features(self, places: Array, speeds: Array) -> Array:
         """Return places, m, and speeds, m/s, (..., K, 2) over their scales and sqrt(K) (..., 4 K)."""
@@ -600,8 +665,8 @@ class _Learner:
         goal_rows = self._features(*goal.state(model.problem.arm, parts * model.problem.rope.total_length))[0]
         places, speeds = _fly([model] * len(casts), casts, t, parts, self.budget)
         if error is not None:
-            places = places + np.nan_to_num(error.value + error.slope * (t - error.t)[:, None, None])
-            speeds = speeds + np.nan_to_num(error.slope)
+            value, slope = error.at(t)
+            places, speeds = places + value, speeds + slope
         found = []
         for rows in np.nan_to_num(self._features(places, speeds), nan=1e3):
             way, behind = np.diff(rows, axis=0), goal_rows - rows[:-1]
@@ -618,7 +683,7 @@ class _Learner:
         position, speed = (float(np.linalg.norm(each)) for each in (parts[:, :2], parts[:, 2:]))
         return math.hypot(position, speed), options.position_scale * position, options.speed_scale * speed
 
-    def _corrected(self, goal: _Goal, error: _Error | None) -> Moves:
+    def _corrected(self, goal: _Goal, error: _Error | None, caution: float) -> Moves:
         """Return the goal's moves, corrected so that the model with an error meets the goal.
 
         Strokes and rests that begin before the strike are free; the first move after it keeps its time from it.
@@ -642,7 +707,7 @@ class _Learner:
 
         def left(every: Array) -> Array:
             passed = self._shots([changed(x) for x in every], goal, error)
-            costs = self.options.caution * (every - begin) / scale
+            costs = caution * (every - begin) / scale
             return np.concatenate([np.stack([each.residuals for each in passed]), costs], axis=1)
 
         def slopes(x: Array) -> Array:
@@ -687,24 +752,23 @@ def _states(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array,
     return base[:, None] + arms @ unit_along(q), velocity[:, None] + arms @ (qd[..., None] * unit_across(q))
 
 
-def _at_strike(cast: _Flown, places: Array, options: LearningOptions) -> _Error:
-    """Return the error of predicted places (T, K, 2) at the strike: a line through those of the window before it."""
-    some = cast.t >= cast.strike - options.strike_window
-    since, left = cast.t[some] - cast.strike, cast.places[some] - places[some]
-    value, slope = (np.full(left.shape[1:], np.nan) for _ in range(2))
-    for place in np.ndindex(*value.shape):
-        known = np.isfinite(left[:, *place])
-        if known.sum() >= options.min_samples:
-            slope[place], value[place] = np.polyfit(since[known], left[known, *place], 1)
-    return _Error(cast.strike, value, slope)
+def _lines(cast: _Flown, places: Array, t: Array, options: LearningOptions) -> Array:
+    """Return the error of predicted places (T', K, 2), m, and its slope, m/s, (2, T, K, 2) at times t (T,), s.
 
-
-def _filtered(mean: _Error, now: _Error, weight: float) -> _Error:
-    """Return the mean of errors with one more, of this weight; what one does not know is the other's."""
-    value = mean.value + mean.slope * (now.t - mean.t)
-    both = [(value, now.value), (mean.slope, now.slope)]
-    mixed = [np.where(np.isnan(a), b, np.where(np.isnan(b), a, (1.0 - weight) * a + weight * b)) for a, b in both]
-    return _Error(now.t, *mixed)
+    By lines through a window about each time, the last one of which ends at the strike; NaN where too little was seen.
+    """
+    half = 0.5 * options.strike_window
+    centre = np.clip(t, half, cast.strike - half)
+    since = cast.t - centre[:, None]
+    near, left = np.abs(since) <= half, cast.places - places
+    known = np.isfinite(left)
+    left = np.where(known, left, 0.0)
+    count, first, second = (np.tensordot(near * since**k, known, 1) for k in range(3))
+    whole, moment = (np.tensordot(near * since**k, left, 1) for k in range(2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = (count * moment - first * whole) / (count * second - first**2)
+        value = (whole - slope * first) / count + slope * (t - centre)[:, None, None]
+    return np.where(count >= options.min_samples, np.stack([value, slope]), np.nan)
 
 
 def _fitted_lag(motion: Motion, t: Array, angle: Array) -> float:

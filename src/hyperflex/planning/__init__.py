@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.plan_files import AnyPlan, read_limits, read_plan
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
-    from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
+    from hyperflex.planning.rollouts import RolloutBatch, find_strikes, fly_to_strikes, robust_values, wound_after
     from hyperflex.planning.tasks.insert import (
         InsertOutcome,
         InsertPlan,

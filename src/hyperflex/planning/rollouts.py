@@ -445,6 +445,11 @@ def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget) -> Win
     """
     stop = max(float(motion.breaks[-1]) for motion in batch.motions)
     found = fly_to_strikes(problem, batch.pegs[0], batch, budget, max(problem.time, batch.since + stop + 0.5))
+    return wound_after(problem, batch, found, budget)
+
+
+def wound_after(problem: Problem, batch: RolloutBatch, found: Strikes, budget: Budget) -> WindingScores:
+    """Simulate rollouts (M,) in contact from their strikes, as found. Turns are 0 without one or if a run fails."""
     nothing = np.zeros(len(batch))
     whole = WindingScores(found.score.copy(), nothing, np.full(len(batch), math.inf), nothing.copy())
     hit = np.flatnonzero(np.isfinite(found.t))
