@@ -9,6 +9,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import EstimatorLost, Interrupted, InvalidInput
 from hyperflex.execution import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
+from hyperflex.execution.learning import _Error, _Flown
 from hyperflex.model import divided
 from hyperflex.motion import Motion, lagged
 from hyperflex.planning import CastPlan, Moves, Problem, check_feasibility, scaled_rope
@@ -138,17 +139,33 @@ def test_a_log_with_too_little_data_says_so_and_changes_nothing():
     assert str(done.attempts[0]) == expected
 
 
-def test_a_strike_that_was_met_without_winding_is_refuted_and_planned_again(monkeypatch):
-    other = replace(MOVES, rests=MOVES.rests + np.array([0.05, 0.0]))
-    monkeypatch.setattr("hyperflex.execution.learning.plan_cast", lambda *_, **__: replace(PLAN, moves=other))
+def test_where_no_moves_are_sure_to_wind_it_is_planned_again(monkeypatch):
+    other, planned = replace(MOVES, rests=MOVES.rests + np.array([0.05, 0.0])), []
 
-    def carry_out(motion: Motion) -> CastLog:
-        return replace(Twin()(motion), wound=False)
+    def plan(*_: object, **__: object) -> CastPlan:
+        planned.append(other)
+        return replace(PLAN, moves=other)
 
-    done = learn_cast(PLAN, carry_out, attempts=2, options=replace(OPTIONS, replanning_time=1.0))
-    assert done.attempts[0].distance < OPTIONS.near
+    monkeypatch.setattr("hyperflex.execution.learning.plan_cast", plan)
+    monkeypatch.setattr(
+        "hyperflex.execution.learning.robust_values", lambda found, _: np.full(found.turns.size, float(len(planned)))
+    )
+    done = learn_cast(PLAN, bent_arm(), attempts=2, options=replace(OPTIONS, replanning_time=1.0))
     assert done.attempts[0].replanned
+    assert not done.attempts[1].replanned
     assert done.attempts[1].moves is other
+
+
+def test_the_measured_error_of_a_flight_turns_the_links_to_where_they_were():
+    t: np.ndarray = np.arange(0.0, 2.0, 0.01)
+    q, qd = (np.tile(each, (1, t.size, 1)) for each in (np.linspace(0.1, 0.5, 8), np.zeros(8)))
+    spin: np.ndarray = np.linspace(0.02, 0.04, 8)
+    turned = q + spin * t[:, None]
+    flown, seen = (np.cumsum(0.1 * np.stack([np.sin(each), -np.cos(each)], axis=-1)[0], axis=1) for each in (q, turned))
+    cast = _Flown(MOVES, t, seen, np.zeros(seen.shape), np.arange(1, 9) / 8.0, 2.0)
+    turn, rate = _Error([cast], [flown], OPTIONS).turned(ROPE, t[20:180], q[:, 20:180], qd[:, 20:180])
+    assert turn == pytest.approx((turned - q)[:, 20:180], abs=1e-3)
+    assert rate == pytest.approx(np.tile(spin, (1, 160, 1)), abs=2e-3)
 
 
 def test_angles_teach_as_markers_do():

@@ -111,13 +111,16 @@ class LearningOptions:
         Time before the strike, s, from which the state at the strike is measured.
     min_samples : int
         Samples in this window that a marker needs.
-    caution : float
-        Weight of changes of the motion, in its scales, against the distance from the state that winds.
+    caution : tuple of float
+        Weights of changes of the motion, in its scales, against the distance from the state that winds: moves corrected
+        with each of them are tried.
     tried, checked : int
         Variations of the moves that are tried in the model after a miss; how many of the best are also tried with the
         target aside by `model_error`.
     spread : (least, greatest)
         Standard deviations of these variations, in scales.
+    change : float
+        What a change by one scale costs, as a part of the trials that must wind.
     sure : float
         Part of these trials in which the rope must wind; below, a new plan is tried if parameters are learned.
     replanning_time : float
@@ -137,10 +140,11 @@ class LearningOptions:
     )
     strike_window: float = option(0.12, "time before the strike in which it is measured", unit="s", sign="positive")
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
-    caution: float = option(0.1, "weight of changes of the motion", sign="nonnegative")
+    caution: tuple[float, ...] = option((0.3, 1.0), "weights of changes of the motion", sign="nonnegative")
     tried: int = option(24, "variations of the moves tried after a miss", sign="positive")
     checked: int = option(5, "of these, tried with the target aside", sign="positive")
     spread: tuple[float, float] = option((0.02, 0.3), "standard deviations of the variations", sign="positive")
+    change: float = option(0.1, "cost of a change by one scale", sign="nonnegative")
     sure: float = option(0.6, "part of these trials in which the rope must wind", sign="nonnegative")
     replanning_time: float = option(60.0, "time for a new plan where no correction winds", unit="s", sign="nonnegative")
     correction: FollowOptions = field(default_factory=FollowOptions)
@@ -580,58 +584,67 @@ class _Learner:
     def _improve(self, flights: Sequence[Array]) -> bool:
         """Choose the next moves, by the model and its repeated error; return whether they were planned again.
 
-        Moves corrected for the planned strike, those so far, and variations of both are tried in the model. If none of
-        them is `sure` to wind, a new plan is tried as well.
+        Moves corrected for the planned strike, and variations of them and of those so far, are tried in the model. If
+        none of them is `sure` to wind, a new plan is tried as well, if parameters are learned, and otherwise those
+        corrected are next.
         """
         options, since = self.options, self._since
         error = _Error(self._casts[since:], flights[since:], options) if options.motion else None
-        goal, caution = self._goal._replace(moves=self.moves), options.caution
-        centres = [self.moves, *(self._corrected(goal, error, weight * caution) for weight in (1.0, 3.0, 10.0))]
-        self.moves, value = self._best(centres, error)
-        if value >= options.sure or not (options.parameters and options.replanning_time):
-            return False
-        problem = self.model.problem
+        goal = self._goal._replace(moves=self.moves)
+        corrected = [self._corrected(goal, error, weight) for weight in options.caution]
+        tried = [*corrected, *self._variations([self.moves, *corrected])]
+        moves, value = self._best(self.moves, tried, error)
+        self.moves = moves if value >= options.sure else corrected[0]
+        return value < options.sure and options.parameters and options.replanning_time > 0.0 and self._replan(value)
+
+    def _replan(self, least: float) -> bool:
+        """Plan again in the model as it is now; return whether that winds more surely than the `least` value."""
+        options, problem = self.options, self.model.problem
         search = SearchOptions(seed=len(self._casts), threads=options.threads, skip_feasibility=True)  # one was found
         given: dict[str, Any] = {"time_budget": options.replanning_time, "options": search}
         plan = plan_cast(problem.rope, problem.arm, self.model.peg, **given)
         goal = None if plan.moves is None else self._strike(plan.moves)
         if goal is None:
             return False
-        moves, other = self._best([goal.moves], None)
-        if other <= value:
+        moves, value = self._best(goal.moves, [goal.moves, *self._variations([goal.moves])], None)
+        if value <= least:
             return False
         self.moves, self._goal, self._since = moves, goal, len(self._casts)
         return True
 
-    def _best(self, centres: Sequence[Moves], error: "_Error | None") -> tuple[Moves, float]:
-        """Return which of some moves, and of variations of them, winds most surely, and its value.
+    def _best(self, now: Moves, tried: Sequence[Moves], error: "_Error | None") -> tuple[Moves, float]:
+        """Return which of some moves winds most surely with the least change of those now, and its value.
 
-        All are flown in the model with its repeated error, and strike in contact; the best also with the target aside.
+        All are flown in the model with its repeated error, and strike in contact. The best are also tried with the
+        target aside, by more after each miss. A change costs nothing if by the model those now would have wound.
         """
-        tried = [*centres, *(each for one in centres for each in self._variations(one, len(centres)))]
-        scale = self._scale(centres[0])
-        away = np.linalg.norm([(each.parameters - centres[0].parameters) / scale for each in tried], axis=1)
-        values = self._values(tried, [self.model.peg] * len(tried), error) - self.options.caution * away
-        best = np.argsort(-values)[: self.options.checked]
-        x, y, aside = self.model.peg.x, self.model.peg.y, self.options.model_error
-        pegs = [replace(self.model.peg, x=x + a * aside, y=y + b * aside) for a, b in ASIDE]
-        some = [(tried[k], peg) for k in best for peg in pegs]
-        around = self._values([moves for moves, _ in some], [peg for _, peg in some], error).reshape(best.size, -1)
-        around -= self.options.caution * away[best, None]
-        means = np.concatenate([values[best, None], around], axis=1).mean(axis=1)
-        return tried[best[means.argmax()]], float(means.max())
+        options, peg, scale = self.options, self.model.peg, self._scale(now)
+        away = np.linalg.norm([(each.parameters - now.parameters) / scale for each in tried], axis=1)
+        wound, *others = self._values([now, *tried], [peg] * (1 + len(tried)), error).tolist()
+        cost = options.change * away * (wound < options.sure)
+        values = np.array(others) - cost
+        best = np.argsort(-values, kind="stable")[: options.checked]
+        aside = options.model_error * sum(not each.wound for each in self.attempts[self._since :])
+        pegs = [replace(peg, x=peg.x + a * aside, y=peg.y + b * aside) for a, b in ASIDE]
+        some = [(tried[k], each) for k in best for each in pegs]
+        around = self._values([moves for moves, _ in some], [each for _, each in some], error).reshape(best.size, -1)
+        values = np.append(values[best, None], around - cost[best, None], axis=1).mean(axis=1)
+        return tried[best[values.argmax()]], float(values.max())
 
     def _scale(self, moves: Moves) -> Array:
         """Return the scales of parameters (2 k,) of moves: strokes, rad, and rests, s."""
         options = self.options.correction
         return np.repeat([options.stroke_scale, options.rest_scale], moves.ends.size)
 
-    def _variations(self, moves: Moves, shares: int) -> list[Moves]:
-        """Return moves whose strokes and rests before the strike differ at random, by little and by more."""
-        count, scale = self.options.tried // shares, self._scale(moves)
-        spreads: Array = np.geomspace(*self.options.spread, count)
-        changes = self._random.standard_normal((count, scale.size)) * spreads[:, None] * scale
-        return [moves.varied(each) for each in changes]
+    def _variations(self, some: Sequence[Moves]) -> list[Moves]:
+        """Return moves whose strokes and rests differ at random from some moves, by little and by more."""
+        count, found = self.options.tried // len(some), list[Moves]()
+        for moves in some:
+            spreads: Array = np.geomspace(*self.options.spread, count)
+            scale = self._scale(moves)
+            changes = self._random.standard_normal((count, scale.size)) * spreads[:, None] * scale
+            found += [moves.varied(each) for each in changes]
+        return found
 
     def _values(self, casts: Sequence[Moves], pegs: Sequence[Peg], error: "_Error | None") -> Array:
         """Return how surely casts (M,) wind, each round its peg, in the model with an error of its flights."""
@@ -716,7 +729,7 @@ class _Learner:
             return np.asarray((np.array(ends) - here).T / steps)
 
         found = least_squares(
-            lambda x: left(x[None])[0], begin, slopes, bounds=(least, most), x_scale=scale, ftol=1e-3, max_nfev=30
+            lambda x: left(x[None])[0], begin, slopes, bounds=(least, most), x_scale=scale, ftol=1e-3, max_nfev=10
         )
         best = changed(found.x)
         if begun == count:
