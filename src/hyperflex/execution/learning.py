@@ -7,6 +7,7 @@ known to wind, and strokes and rests are corrected, by Gauss-Newton steps on the
 the repeated part of its error meets that state.
 """
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -141,7 +142,7 @@ class LearningOptions:
     strike_window: float = option(0.12, "time before the strike in which it is measured", unit="s", sign="positive")
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
     caution: tuple[float, ...] = option((0.3, 1.0), "weights of changes of the motion", sign="nonnegative")
-    tried: int = option(24, "variations of the moves tried after a miss", sign="positive")
+    tried: int = option(48, "variations of the moves tried after a miss", sign="positive")
     checked: int = option(5, "of these, tried with the target aside", sign="positive")
     spread: tuple[float, float] = option((0.02, 0.3), "standard deviations of the variations", sign="positive")
     change: float = option(0.1, "cost of a change by one scale", sign="nonnegative")
@@ -381,16 +382,14 @@ class _Error:
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Return the error (T, K, 2), m, and its slope, m/s, at times t (T,), s; 0 where it was not seen."""
-        mean, weight = None, self.options.newest
-        for cast, places in zip(self.casts, self.flights, strict=True):
-            now = _lines(cast, places, t, self.options)
-            mean = (
-                now
-                if mean is None
-                else np.where(np.isnan(mean), now, np.where(np.isnan(now), mean, (1.0 - weight) * mean + weight * now))
-            )
-        value, slope = np.nan_to_num(mean)
+        first, *others = (_lines(*each, t, self.options) for each in zip(self.casts, self.flights, strict=True))
+        value, slope = np.nan_to_num(functools.reduce(self._mean, others, first))
         return value, slope
+
+    def _mean(self, before: Array, now: Array) -> Array:
+        """Return the mean of errors with one more; what one does not know is the other's."""
+        mean = (1.0 - self.options.newest) * before + self.options.newest * now
+        return np.where(np.isnan(before), now, np.where(np.isnan(now), before, mean))
 
     def turned(self, rope: Rope, t: Array, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return what the error at times t (T,), s, adds to angles q, rad, and rates qd, rad/s, (M, T, n)."""
