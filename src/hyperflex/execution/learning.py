@@ -1,10 +1,11 @@
 """Learning from each cast: parameters of rope and motor, and the motion, until the rope winds.
 
-After each cast two things are updated. The *parameters*: factors on the rope's length and friction, and the motor's
-lag, fitted to the free flights of all casts so far, from their known start at rest, with what was known before as the
-prior. The *motion*: iterative learning at the critical instant. The state at the strike is compared with one that is
-known to wind, and strokes and rests are corrected, by Gauss-Newton steps on the model, so that the model's state plus
-the repeated part of its error meets that state.
+After each cast two things are updated. The *parameters*: factors on the rope's length, friction and air drag, and the
+motor's lag, fitted to the free flights of all casts so far, from their known start at rest, with what was known before
+as the prior. The *motion*: iterative learning at the critical instant. The state at the strike is compared with one
+that is known to wind, and strokes and rests are corrected, by Gauss-Newton steps on the model, so that the model's
+state plus the repeated part of its error meets that state. These moves and variations of them then strike in the
+simulation, from the model's state plus that error; the least change that surely winds is made next.
 """
 
 import functools
@@ -50,7 +51,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-ASIDE = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # where a target may stand, in errors of the model
+ASIDE = (
+    (0.0, 0.0),
+    (1.0, 0.0),
+    (-1.0, 0.0),
+    (0.0, 1.0),
+    (0.0, -1.0),
+)  # where a target may stand, in errors of the model
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +107,8 @@ class LearningOptions:
         Casts in a row that must wind.
     prior : mapping of str to float
         What is learned of the rope, in the words of :func:`hyperflex.identify` ("friction:factor", "length:factor",
-        "drag:factor", ...), each with the standard deviation of its logarithm before the first cast. The motor's lag is
-        learned wherever the arm's angle is measured.
+        "drag:factor", ...), each with the standard deviation of its logarithm before the first cast; a rope without
+        drag, or friction, has none to learn. The motor's lag is learned wherever the arm's angle is measured.
     newest : float
         Weight of the newest cast in the repeated error of the model: 1 forgets all others.
     model_error : float
@@ -116,10 +123,11 @@ class LearningOptions:
         Weights of changes of the motion, in its scales, against the distance from the state that winds: moves corrected
         with each of them are tried.
     tried, checked : int
-        Variations of the moves that are tried in the model after a miss; how many of the best are also tried with the
-        target aside by `model_error`.
+        Variations of the moves that are tried in the model after a miss; how many of the best are also tried with
+        shorter links, and with the target aside by `model_error` times the misses so far.
     spread : (least, greatest)
-        Standard deviations of these variations, in scales.
+        Standard deviations of these variations, in scales. Nearer than the greatest to a cast that missed although it
+        winds by the model, the model is not believed.
     change : float
         What a change by one scale costs, as a part of the trials that must wind.
     sure : float
@@ -134,7 +142,9 @@ class LearningOptions:
     parameters: bool = option(True, "learn the parameters of rope and motor")
     motion: bool = option(True, "correct the motion")
     wins: int = option(3, "casts in a row that must wind", sign="positive")
-    prior: Mapping[str, float] = field(default_factory=lambda: {"length:factor": 0.02, "friction:factor": 0.2})
+    prior: Mapping[str, float] = field(
+        default_factory=lambda: {"length:factor": 0.02, "friction:factor": 0.2, "drag:factor": 0.5}
+    )
     newest: float = option(0.7, "weight of the newest cast in the repeated error of the model", sign="positive")
     model_error: float = option(
         0.02, "error of the model's positions that no parameter explains", unit="m", sign="positive"
@@ -143,7 +153,7 @@ class LearningOptions:
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
     caution: tuple[float, ...] = option((0.3, 1.0), "weights of changes of the motion", sign="nonnegative")
     tried: int = option(48, "variations of the moves tried after a miss", sign="positive")
-    checked: int = option(5, "of these, tried with the target aside", sign="positive")
+    checked: int = option(8, "of these, tried with the target aside", sign="positive")
     spread: tuple[float, float] = option((0.02, 0.3), "standard deviations of the variations", sign="positive")
     change: float = option(0.1, "cost of a change by one scale", sign="nonnegative")
     sure: float = option(0.6, "part of these trials in which the rope must wind", sign="nonnegative")
@@ -370,6 +380,7 @@ class _Flown(NamedTuple):
     noise: Array
     parts: Array
     strike: float
+    missed: bool = True
 
 
 @dataclass(frozen=True)
@@ -437,7 +448,11 @@ class _Learner:
         self.attempts: list[Attempt] = []
         self._casts: list[_Flown] = []
         self._since = 0  # casts before the present plan
-        self._logs = np.zeros(len(self.options.prior))  # logarithms of the factors
+        words = [(word, std, parse_label(word)) for word, std in options.prior.items()]
+        self._prior = {
+            word: std for word, std, label in words if label and np.any(getattr(plan.problem.rope, label.name))
+        }
+        self._logs = np.zeros(len(self._prior))  # logarithms of the factors
         goal = self._strike(moves)
         if goal is None:
             raise InvalidInput("the planned moves do not strike", fix="Plan again")
@@ -522,17 +537,17 @@ class _Learner:
             raise InvalidInput(
                 f"no marker has {options.min_samples} samples in the {options.strike_window:g} s before the strike"
             )
-        return _Flown(self.moves, t[flown], places[flown], noise[flown], parts, strike)
+        return _Flown(self.moves, t[flown], places[flown], noise[flown], parts, strike, not log.wound)
 
     # ------------------------------------------------------------------ parameters
 
     def _known(self) -> dict[str, float]:
         """Return the learned factors."""
-        return dict(zip(self.options.prior, np.exp(self._logs).tolist(), strict=True))
+        return dict(zip(self._prior, np.exp(self._logs).tolist(), strict=True))
 
     def _rope(self, logs: Array) -> Rope:
         """Return the planned rope with the logarithms of its factors."""
-        words = dict(zip(self.options.prior, np.eye(logs.size), strict=True))
+        words = dict(zip(self._prior, np.eye(logs.size), strict=True))
         return perturbed(self.plan.problem.rope, words, logs)
 
     def _learn_parameters(self, log: CastLog) -> None:
@@ -544,7 +559,7 @@ class _Learner:
             self.model = replace(self.model, lag=_fitted_lag(motion, log.recording.t, np.asarray(log.arm_angle)))
         if not self._logs.size:
             return
-        spreads, now = np.array(list(self.options.prior.values())), self.model
+        spreads, now = np.array(list(self._prior.values())), self.model
 
         def left(every: Array) -> Array:
             models = [now.with_rope(self._rope(logs)) for logs in every]
@@ -614,21 +629,29 @@ class _Learner:
     def _best(self, now: Moves, tried: Sequence[Moves], error: "_Error | None") -> tuple[Moves, float]:
         """Return which of some moves winds most surely with the least change of those now, and its value.
 
-        All are flown in the model with its repeated error, and strike in contact. The best are also tried with the
-        target aside, by more after each miss. A change costs nothing if by the model those now would have wound.
+        All are flown in the model with its repeated error, and strike in contact; the best also with shorter links, and
+        with the target aside, by more after each miss. Near casts that missed the model is not believed, as far as it
+        says that they wind.
         """
-        options, peg, scale = self.options, self.model.peg, self._scale(now)
-        away = np.linalg.norm([(each.parameters - now.parameters) / scale for each in tried], axis=1)
-        wound, *others = self._values([now, *tried], [peg] * (1 + len(tried)), error).tolist()
-        cost = options.change * away * (wound < options.sure)
-        values = np.array(others) - cost
-        best = np.argsort(-values, kind="stable")[: options.checked]
-        aside = options.model_error * sum(not each.wound for each in self.attempts[self._since :])
+        options, peg = self.options, self.model.peg
+        missed = [each.moves for each in self._casts[self._since :] if each.missed and now is self.moves]
+        wound = self._values(missed, [peg] * len(missed), error, SearchOptions.pieces) if missed else np.zeros(0)
+        near = np.exp([[-self._apart(a, b) / options.spread[1] for b in missed] for a in tried])
+        costs = options.change * np.array([self._apart(now, each) for each in tried])
+        costs += (near * wound).max(axis=1, initial=0.0)
+        coarse = self._values(tried, [peg] * len(tried), error) - costs
+        best = np.argsort(-coarse, kind="stable")[: options.checked].tolist()
+        aside = options.model_error * max(1, len(missed))
         pegs = [replace(peg, x=peg.x + a * aside, y=peg.y + b * aside) for a, b in ASIDE]
-        some = [(tried[k], each) for k in best for each in pegs]
-        around = self._values([moves for moves, _ in some], [each for _, each in some], error).reshape(best.size, -1)
-        values = np.append(values[best, None], around - cost[best, None], axis=1).mean(axis=1)
-        return tried[best[values.argmax()]], float(values.max())
+        some = [tried[k] for k in best]
+        around = self._values([each for each in some for _ in pegs], pegs * len(some), error).reshape(len(some), -1)
+        fine = self._values(some, [peg] * len(some), error, SearchOptions.pieces)
+        values = np.minimum(fine, around.mean(axis=1)) - costs[best]
+        return some[values.argmax()], float(values.max())
+
+    def _apart(self, one: Moves, other: Moves) -> float:
+        """Return how far parameters of moves are apart, in scales."""
+        return float(np.linalg.norm((one.parameters - other.parameters) / self._scale(one)))
 
     def _scale(self, moves: Moves) -> Array:
         """Return the scales of parameters (2 k,) of moves: strokes, rad, and rests, s."""
@@ -645,8 +668,11 @@ class _Learner:
             found += [moves.varied(each) for each in changes]
         return found
 
-    def _values(self, casts: Sequence[Moves], pegs: Sequence[Peg], error: "_Error | None") -> Array:
-        """Return how surely casts (M,) wind, each round its peg, in the model with an error of its flights."""
+    def _values(self, casts: Sequence[Moves], pegs: Sequence[Peg], error: "_Error | None", pieces: int = 1) -> Array:
+        """Return how surely casts (M,) wind, each round its peg, in the model with an error of its flights.
+
+        In contact each link is cut into so many pieces.
+        """
         model, problem, budget = self.model, self.model.problem, self.budget
         motions = [model.motion(moves) for moves in casts]
         batch = RolloutBatch.from_start(problem, [problem.rope] * len(casts), pegs, motions)
@@ -656,7 +682,9 @@ class _Learner:
             change, rate = error.turned(problem.rope, t, q, qd)
             q, qd = q + change, qd + rate
         found = find_strikes(problem, model.peg, batch, t, q, qd)
-        return robust_values(wound_after(problem, batch, found, budget), problem)
+        cut = problem.cut(pieces)
+        found = replace(found, q=np.repeat(found.q, pieces, axis=1), qd=np.repeat(found.qd, pieces, axis=1))
+        return robust_values(wound_after(cut, replace(batch, ropes=[cut.rope] * len(casts)), found, budget), cut)
 
     # ------------------------------------------------------------------ motion
 
