@@ -162,10 +162,20 @@ def test_the_measured_error_of_a_flight_turns_the_links_to_where_they_were():
     spin: np.ndarray = np.linspace(0.02, 0.04, 8)
     turned = q + spin * t[:, None]
     flown, seen = (np.cumsum(0.1 * np.stack([np.sin(each), -np.cos(each)], axis=-1)[0], axis=1) for each in (q, turned))
-    cast = _Flown(MOVES, t, seen, np.zeros(seen.shape), np.arange(1, 9) / 8.0, 2.0)
-    turn, rate = _Error([cast], [flown], OPTIONS).turned(ROPE, t[20:180], q[:, 20:180], qd[:, 20:180])
+    order = np.array([7, 0, 1, 2, 3, 4, 5, 6])  # markers may be in any order
+    cast = _Flown(MOVES, t, seen[:, order], np.zeros(seen.shape), (1 + order) / 8.0, 2.0)
+    turn, rate = _Error([cast], [flown[:, order]], OPTIONS).turned(ROPE, t[20:180], q[:, 20:180], qd[:, 20:180])
     assert turn == pytest.approx((turned - q)[:, 20:180], abs=1e-3)
     assert rate == pytest.approx(np.tile(spin, (1, 160, 1)), abs=2e-3)
+
+
+def test_the_error_of_a_marker_that_was_not_seen_is_the_one_of_the_next_towards_the_arm():
+    t: np.ndarray = np.arange(0.0, 1.0, 0.01)
+    seen = np.tile(np.array([[0.01, 0.0], [0.02, 0.0], [0.03, 0.0]]), (t.size, 1, 1))
+    seen[:, :2] = np.where(t[:, None, None] > 0.5, np.nan, seen[:, :2])
+    cast = _Flown(MOVES, t, seen, np.zeros(seen.shape), np.array([0.8, 0.5, 0.3]), 1.0)
+    value, _ = _Error([cast], [np.zeros(seen.shape)], OPTIONS).at(np.array([0.2, 0.9]))
+    assert value[:, :, 0] == pytest.approx(np.array([[0.01, 0.02, 0.03], [0.03, 0.03, 0.03]]))
 
 
 def test_angles_teach_as_markers_do():

@@ -392,10 +392,19 @@ class _Error:
     options: "LearningOptions"
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """Return the error (T, K, 2), m, and its slope, m/s, at times t (T,), s; 0 where it was not seen."""
+        """Return the error (T, K, 2), m, and its slope, m/s, at times t (T,), s.
+
+        That of a marker that was not seen is the one of the next marker towards the arm, or 0.
+        """
         first, *others = (_lines(*each, t, self.options) for each in zip(self.casts, self.flights, strict=True))
-        value, slope = np.nan_to_num(functools.reduce(self._mean, others, first))
-        return value, slope
+        both, near = functools.reduce(self._mean, others, first), np.zeros((2, t.size, 2))
+        for k in self._along():
+            both[:, :, k] = near = np.where(np.isnan(both[:, :, k]), near, both[:, :, k])
+        return both[0], both[1]
+
+    def _along(self) -> Array:
+        """Return the numbers of the markers from the arm to the tip."""
+        return np.argsort(self.casts[-1].parts)
 
     def _mean(self, before: Array, now: Array) -> Array:
         """Return the mean of errors with one more; what one does not know is the other's."""
@@ -404,10 +413,11 @@ class _Error:
 
     def turned(self, rope: Rope, t: Array, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return what the error at times t (T,), s, adds to angles q, rad, and rates qd, rad/s, (M, T, n)."""
-        joints, parts = np.append(0.0, rope.link_ends) / rope.total_length, self.casts[-1].parts
-        known = np.append(0.0, parts[parts > 0.0])
+        joints, order, parts = np.append(0.0, rope.link_ends) / rope.total_length, self._along(), self.casts[-1].parts
+        order = order[parts[order] > 0.0]
+        known = np.append(0.0, parts[order])
         share = np.stack([np.interp(joints, known, one) for one in np.eye(known.size)[1:]], axis=1)  # (n + 1, K)
-        value, slope = (np.diff(share @ each[:, parts > 0.0], axis=1) / rope.length[:, None] for each in self.at(t))
+        value, slope = (np.diff(share @ each[:, order], axis=1) / rope.length[:, None] for each in self.at(t))
         along, across = unit_along(q), unit_across(q)
         turn = (value * across).sum(axis=-1)
         return turn, (slope * across).sum(axis=-1) - qd * (value * along).sum(axis=-1)
@@ -795,9 +805,10 @@ def _states(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array,
 def _lines(cast: _Flown, places: Array, t: Array, options: LearningOptions) -> Array:
     """Return the error of predicted places (T', K, 2), m, and its slope, m/s, (2, T, K, 2) at times t (T,), s.
 
-    By lines through a window about each time, the last one of which ends at the strike; NaN where too little was seen.
+    By lines through a window about each time, the last one of which ends at the strike; some time after that the error
+    stays as it is. NaN where too little was seen.
     """
-    half = 0.5 * options.strike_window
+    half, last = 0.5 * options.strike_window, cast.strike + options.correction.window
     centre = np.clip(t, half, cast.strike - half)
     since = cast.t - centre[:, None]
     near, left = np.abs(since) <= half, cast.places - places
@@ -807,7 +818,8 @@ def _lines(cast: _Flown, places: Array, t: Array, options: LearningOptions) -> A
     whole, moment = (np.tensordot(near * since**k, left, 1) for k in range(2))
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (count * moment - first * whole) / (count * second - first**2)
-        value = (whole - slope * first) / count + slope * (t - centre)[:, None, None]
+        value = (whole - slope * first) / count + slope * (np.minimum(t, last) - centre)[:, None, None]
+    slope = np.where((t > last)[:, None, None], 0.0, slope)
     return np.where(count >= options.min_samples, np.stack([value, slope]), np.nan)
 
 
