@@ -177,7 +177,7 @@ def won(row: dict[str, Any], casts: int) -> bool:
 
 def page(rows: list[dict[str, Any]]) -> str:
     """The page of results."""
-    ways = list(dict.fromkeys(row["key"]["way"] for row in rows))
+    ways = [way for way in WAYS if any(row["key"]["way"] == way for row in rows)]
     of = {way: [row for row in rows if row["key"]["way"] == way] for way in ways}
     count = len(of[ways[0]])
     text = ["# Learning from each cast", ""]
