@@ -402,9 +402,9 @@ class _Error:
             both[:, :, k] = near = np.where(np.isnan(both[:, :, k]), near, both[:, :, k])
         return both[0], both[1]
 
-    def _along(self) -> Array:
+    def _along(self) -> list[int]:
         """Return the numbers of the markers from the arm to the tip."""
-        return np.argsort(self.casts[-1].parts)
+        return [int(k) for k in np.argsort(self.casts[-1].parts)]
 
     def _mean(self, before: Array, now: Array) -> Array:
         """Return the mean of errors with one more; what one does not know is the other's."""
