@@ -414,7 +414,7 @@ class _Error:
     def turned(self, rope: Rope, t: Array, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return what the error at times t (T,), s, adds to angles q, rad, and rates qd, rad/s, (M, T, n)."""
         joints, order, parts = np.append(0.0, rope.link_ends) / rope.total_length, self._along(), self.casts[-1].parts
-        order = order[parts[order] > 0.0]
+        order = [k for k in order if parts[k] > 0.0]
         known = np.append(0.0, parts[order])
         share = np.stack([np.interp(joints, known, one) for one in np.eye(known.size)[1:]], axis=1)  # (n + 1, K)
         value, slope = (np.diff(share @ each[:, order], axis=1) / rope.length[:, None] for each in self.at(t))
