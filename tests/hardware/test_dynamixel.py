@@ -5,6 +5,7 @@ import math
 import struct
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -95,7 +96,12 @@ def test_it_moves_where_it_is_told_and_tells_where_it_is():
 
 
 def test_the_torque_limit_is_held_by_the_servo_where_it_measures_its_current():
-    for model, limits, mode in ((1030, LIMITS, 5), (1030, MotorLimits(), 4), (1060, MotorLimits(), 4)):
+    for model, limits, mode in (
+        (1030, LIMITS, 5),
+        (1030, MotorLimits(), 4),
+        (1060, MotorLimits(), 4),
+        (1060, LIMITS, 4),
+    ):
         device = servo(model=model)
         with Wire(device) as wire, link_to(wire) as link:
             link.enable(limits)
@@ -105,8 +111,8 @@ def test_the_torque_limit_is_held_by_the_servo_where_it_measures_its_current():
                 assert most == pytest.approx(1.5, abs=4e-3)  # a count
             assert math.isnan(link.read().torque) == (model == 1060)
             if model == 1060:
-                with pytest.raises(DriveError, match=r"XL430-W250.*keeps no limit of torque"):
-                    link.enable(LIMITS)
+                with pytest.raises(DriveError, match=r"XL430-W250.*keeps no limit.*stall torque, 1.5 N m, or more"):
+                    link.enable(replace(LIMITS, torque=1.4))
 
 
 def test_silence_stops_the_servo_and_locks_its_goals_until_the_fault_is_cleared():

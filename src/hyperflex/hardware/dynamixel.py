@@ -94,7 +94,7 @@ SERVOS = {
     1030: Servo("XM430-W210", 2.69e-3, (3.0, 2.3)),
     1040: Servo("XH430-V350", 1.34e-3, (3.3, 0.7)),
     1050: Servo("XH430-V210", 1.34e-3, (2.6, 0.7)),
-    1060: Servo("XL430-W250"),
+    1060: Servo("XL430-W250", 0.0, (1.5, 1.4)),
     1070: Servo("XC430-W150"),
     1080: Servo("XC430-W240"),
     1090: Servo("2XL430-W250"),
@@ -139,7 +139,7 @@ class DynamixelLink:
     It follows positions only: rate and torque of a goal are ignored. With a torque limit it runs in current-based
     position mode, which holds the limit in the servo; else in extended position mode. Torque is current times stall
     torque over stall current: rough, within about 30 %, and worse near zero because of the gear's friction. Models
-    without a current sensor (XL430, XC430) report NaN, and refuse a limit of torque.
+    without a current sensor (XL430, XC430) report NaN, and refuse a limit of torque below that at stall.
 
     The bus watchdog does not switch the torque off: the servo stops and **holds with torque** where it is, and refuses
     goals until its torque is off and the fault is cleared. A hardware error is cleared by a reboot, after which it
@@ -261,9 +261,12 @@ class DynamixelLink:
 
     def enable(self, limits: MotorLimits) -> None:
         """Arm watchdog and torque limit, and switch the torque on where the shaft is."""
-        limited = math.isfinite(limits.torque)
+        limited, stall = math.isfinite(limits.torque), self.servo.stall[0]
         if limited and not self.servo.current:
-            raise DriveError(f"{self.name} keeps no limit of torque: it does not measure its current.")
+            if not 0.0 < stall <= limits.torque:
+                allowed = f"Allowed: its stall torque, {stall:g} N m, or more" if stall else "Use another servo"
+                raise DriveError(f"{self.name} keeps no limit of torque: it does not measure its current. {allowed}.")
+            limited = False
         self._set(Register.DELAY, b"\x00")
         direction = self._get(Register.DRIVE_MODE, 1)[0] & 1
         self._set(Register.DRIVE_MODE, bytes([direction]))  # no profile by time, no torque on by a goal
