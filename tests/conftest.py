@@ -23,9 +23,9 @@ for library in (
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 # as a shell, or nohup, starts what it leaves in the background
-for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
     if signal.getsignal(number) is signal.SIG_IGN:
-        signal.signal(number, usual)
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
 # The first example compiles kernels, so a deadline would time the compiler; "ci" draws the same examples in each run.
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -45,7 +45,7 @@ class SimulatedMotor:
     --------
     >>> from hyperflex.motion import move_arm
     >>> motor = SimulatedMotor(angle=0.0, lag=0.02, counts=4096)
-    >>> motor.set_motion(move_arm(0.0, 1.0, duration=0.5), at=0.0)
+    >>> taken = motor.set_motion(move_arm(0.0, 1.0, duration=0.5), at=0.0)
     >>> round(motor.angle(0.25), 2), round(motor.angle(1.0), 2)
     (0.42, 1.0)
     """
