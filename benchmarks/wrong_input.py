@@ -62,6 +62,7 @@ CAUSES: dict[
     "half of the frames dropped, times counted on": (Kind.UNEVEN_FRAMES, Kind.MISSING_FRAMES, *TIMES_OR_LENGTHS),
     "every 25th frame dropped, times counted on": (Kind.MISSING_FRAMES, Kind.UNEVEN_FRAMES),
     "half the frames, each twice": (Kind.REPEATED_FRAMES,),
+    "a frame is repeated every second": (Kind.REPEATED_FRAMES,),
     "a zero moved halfway": (Kind.JUMP, *ANGLES),
     "4 % outliers": (Kind.OUTLIERS,),
     "last link 10 ms late": (Kind.LINK_LATE,),
