@@ -220,11 +220,16 @@ def _identified(record: DriveRecord) -> DriveFit:
     first.solve(15)
     first.weigh()
     period, rates = float(np.median(np.diff(record.sent))), bool(record.goal_rate.any())
-    kinds = [first.variant(hold, part) for hold in (period, 0.0)[: 1 + rates] for part in (0.0, 1.0)[: 1 + rates]]
+    kinds = [
+        first.variant(hold, part, faster)
+        for hold in (period, 0.0)[: 1 + rates]
+        for part in (0.0, 1.0)[: 1 + rates]
+        for faster in (1.0, 2.0)
+    ]
     for most in (8, 30):
         for each in kinds:
             each.solve(most)
-        kinds = sorted(kinds, key=lambda each: each.cost)[:2]
+        kinds = sorted(kinds, key=lambda each: each.cost)[:3]
     best = kinds[0]
     for _ in range(3):
         best.weigh()
@@ -258,13 +263,16 @@ class _Fit:
         self.values["acceleration_limit"] = 2.0 * self.reached[1]
         self.free: list[str] = []
 
-    def variant(self, hold: float, feedforward: float) -> "_Fit":
-        """Return the fit of another kind of loop, from the best of a grid around this one: it has several minima."""
+    def variant(self, hold: float, feedforward: float, faster: float) -> "_Fit":
+        """Return the fit of another kind of loop, from the best of a grid around one so much faster.
+
+        There are several minima: a slow loop without a delay moves nearly as a fast one with a delay.
+        """
         other = copy(self)
         other.hold = hold
         starts = [
             self.values | {"feedforward": feedforward, "frequency": w * self.values["frequency"], "damping": z}
-            for w in np.geomspace(0.6, 1.6, 5)
+            for w in faster * np.geomspace(0.6, 1.6, 5)
             for z in np.geomspace(0.5, 2.0, 5) * self.values["damping"]
         ]
         costs = [float((other.residuals(each) ** 2).sum()) for each in starts]
