@@ -318,8 +318,7 @@ def fit(
             before, linear = best.cost, problem.linear(best)
             promised = problem.predicted_decrease(best, linear)
             start, tried = best, damping
-            most = MOST_DAMPING if promised >= least * before else tried  # nothing is left to gain: one step is enough
-            best, damping, free = problem.improved(start, linear, tried, most)
+            best, damping, free = problem.improved(start, linear, tried)
             gain = (before - best.cost) / before if before > 0.0 else 0.0
             history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
             if report is not None:
@@ -433,14 +432,12 @@ class _Problem:
         gains = (each.residual @ each.residual - left @ left for each, left in zip(linear, ahead, strict=True))
         return float(sum(gains)) if known else np.inf
 
-    def improved(self, at: Fit, linear: Sequence[Linear], damping: float, most: float) -> tuple[Fit, float, bool]:
+    def improved(self, at: Fit, linear: Sequence[Linear], damping: float) -> tuple[Fit, float, bool]:
         """Return the fit after an accepted step (`at` itself, if no damping helps) and the damping for the next round.
-
-        Steps are tried with `damping` first, then with more, up to `most`.
 
         And whether the step was hardly shortened by the damping.
         """
-        while damping <= most:
+        while damping < MOST_DAMPING:
             shared, moves = self.step(at, linear, damping)
             states = [state + move for state, move in zip(at.states, moves, strict=False)]  # a target has none
             tried = self.evaluated(at.x if self.states_only else at.x + shared, states, at.loss, at.noise)
