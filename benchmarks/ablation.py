@@ -1,23 +1,26 @@
-"""What each option of the search of a cast gives: the same targets with one option switched off at a time.
+"""What each option of the search of a cast gives: the same targets with one option changed at a time.
 
-python -m benchmarks.ablation --seed 1 --ropes 10           ropes and targets of benchmarks.random_ropes
-python -m benchmarks.ablation --seed 1 --ropes 4 --only as-is,no-variation
+python -m benchmarks.ablation --seed 613              three targets of each rope of benchmarks.casting; hours
+python -m benchmarks.ablation --seed 613 --targets 1 --only as-is,no-variation --out -    a look; nothing is written
 
-``cem`` is a baseline without any of them: the cross-entropy method over five parameters of a swing.
+Each search ends with the first plan that succeeds, or after 40 s of processor time. Targets are those in reach; their
+seed is one on which no option was set. ``cem`` is a baseline without any of the options: the cross-entropy method over
+five parameters of a swing. Rows are kept in ablation.jsonl: the same command goes on where it stopped. All simulated.
 """
 
 import argparse
 import json
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.random_ropes import rope_and_arm, targets
+from benchmarks import casting, machine
+from benchmarks import log as lines
 
 import hyperflex as hf
+from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.planning.ensemble import verify_members
 from hyperflex.planning.feasibility import search_time
@@ -26,16 +29,23 @@ from hyperflex.planning.planner import Candidate
 from hyperflex.planning.rollouts import RolloutBatch, winding_scores
 from hyperflex.planning.tasks.wind import viscous
 
-VARIANTS: dict[str, dict[str, Any]] = {
-    "as-is": {},
-    "no-variation": {"members": 0},
-    "no-predictability": {"deviations": (math.inf, math.inf)},
-    "full-speed": {"speeds": (1.0,)},
-    "narrow-beam": {"width": 3},
-    "one-finish": {"finishes": 1},
-    "coarse-contact": {"coarse": math.inf},
-    "halves": {"pieces": 2},
+RESULTS = Path(__file__).parent / "results"
+VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "as-is": ("all options as they are", {}),
+    "no-variation": ("no variations of the best moves", {"members": 0}),
+    "no-predictability": ("unpredictable swings are continued as well", {"deviations": (math.inf, math.inf)}),
+    "full-speed": ("strokes at the motor's full speed alone", {"speeds": (1.0,)}),
+    "narrow-beam": ("3 swings from each side are continued, not 12", {"width": 3}),
+    "many-siblings": ("all swings that are continued may differ in the last stroke alone", {"siblings": 12}),
+    "two-rests": ("2 rests are tried after a stroke, not 5", {"rests": 2}),
+    "one-finish": ("last moves are tried one at a time, not 3 at once", {"finishes": 1}),
+    "coarse-contact": ("links near the target are not cut in rollouts", {"coarse": math.inf}),
+    "halves": ("halves of links in verifications, not thirds", {"pieces": 2}),
+    "restart-anywhere": ("a new pass may begin at any stroke", {"back": 100}),
+    "no-priority": ("near misses in turns wait for their turn", {"nearly": 100.0}),
+    "small-batch": ("2 swings at once are tried in contact, not 8", {"batch": 2}),
 }
+CEM = "the cross-entropy method over five parameters of a swing, in place of the search"
 
 
 def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
@@ -64,37 +74,81 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
     return False
 
 
+def tried(rope: str, number: int, seed: int, name: str, seconds: float) -> dict[str, Any]:
+    """Plan for a target with a variant, until a plan succeeds."""
+    known, peg = casting.problem(rope), casting.target(number, rope, seed)
+    budget = Budget(seconds, threads=1, clock=time.process_time)
+    if name == "cem":
+        success = cem(known.rope, known.arm, peg, budget)
+    else:
+        search = hf.SearchOptions(threads=1, **VARIANTS[name][1])
+        plan = hf.plan_cast(known.rope, known.arm, peg, time_budget=budget, options=search, on_plan=lambda _: True)
+        success = plan.success
+    about = {"rope": rope, "target": number, "seed": seed, "limit": seconds, "variant": name}
+    return about | {"success": success, "seconds": budget.elapsed, "planner": lines.planner()}
+
+
+def page(rows: list[dict[str, Any]], seconds: float) -> str:
+    """Return the table of all variants as Markdown."""
+    text = (
+        "# What the options of the search of a cast give\n\n"
+        f"The first plan that succeeds within {seconds:g} s of processor time, on one thread. Gained and lost: targets "
+        "that are planned with the variant alone, and without it alone. Ratio: median of the times over those without "
+        "the variant, of the targets that both plan.\n\n"
+        "| variant | what is changed | planned | gained | lost | median, s | ratio |\n|---|---|---|---|---|---|---|\n"
+    )
+    spent = dict[str, dict[Any, float]]()
+    for row in rows:
+        found = row["seconds"] if row["success"] else math.inf
+        spent.setdefault(row["variant"], {})[row["rope"], row["target"]] = found
+    usual = spent.get("as-is", {})
+    for name, times in spent.items():
+        both = [(times[one], usual[one]) for one in times if one in usual]
+        ratios = [one / other for one, other in both if math.isfinite(one) and math.isfinite(other)]
+        gained = sum(math.isfinite(one) and not math.isfinite(other) for one, other in both)
+        lost = sum(math.isfinite(other) and not math.isfinite(one) for one, other in both)
+        planned = sum(map(math.isfinite, times.values()))
+        ratio = f"{np.median(ratios):.2f}" if ratios else ""
+        what = CEM if name == "cem" else VARIANTS[name][0]
+        median = float(np.median(list(times.values())))
+        cells = [name, what, f"{planned} of {len(times)}", gained, lost, f"{median:.1f}", ratio]
+        text += "| " + " | ".join(map(str, cells)) + " |\n"
+    return text
+
+
 def main() -> None:
-    """Plan with each variant and print a table."""
+    """Plan with each variant, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--ropes", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=40.0, help="of processor time for each plan")
+    parser.add_argument("--seed", type=int, default=613, help="of the targets (613)")
+    parser.add_argument("--targets", type=int, default=3, help="of each rope (3)")
+    parser.add_argument("--seconds", type=float, default=40.0, help="of processor time for each plan (40)")
     parser.add_argument("--only", default=",".join([*VARIANTS, "cem"]), help="variants, separated by commas")
-    parser.add_argument("--out", type=Path, help="JSON lines")
+    parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
-    names, seconds = options.only.split(","), dict[str, list[float]]()
-    for number in range(options.ropes):
-        rope, arm = rope_and_arm(options.seed, number)
-        for peg in targets(options.seed, number, rope, arm, 1):
-            for name in names:
-                budget = Budget(options.seconds, threads=1, clock=time.process_time)
-                if name == "cem":
-                    success = cem(rope, arm, peg, budget)
-                else:
-                    search = hf.SearchOptions(threads=1, **VARIANTS[name])
-                    success = hf.plan_cast(rope, arm, peg, time_budget=budget, options=search).success
-                seconds.setdefault(name, []).append(budget.elapsed if success else math.inf)
-                line = json.dumps({"rope": number, "variant": name, "success": success, "seconds": budget.elapsed})
-                sys.stdout.write(line + "\n")
-                sys.stdout.flush()
-                if options.out is not None:
-                    with options.out.open("a") as file:
-                        file.write(line + "\n")
-    sys.stdout.write("| variant | planned | median, s of processor time |\n|---|---|---|\n")
-    for name, spent in seconds.items():
-        planned, median = int(np.isfinite(spent).sum()), float(np.median(spent))
-        sys.stdout.write(f"| {name} | {planned} of {len(spent)} | {median:.1f} |\n")
+    about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "ablation.jsonl"
+    known, rows = lines.read(log), list[dict[str, Any]]()
+    lines.told(known, planned=True)
+    numbers = {rope: casting.targets(rope, options.targets, seed=options.seed) for rope in casting.ROPES}
+    for k in range(options.targets):  # an interrupted run has all variants of the first targets
+        for rope in casting.ROPES:
+            for name in options.only.split(","):
+                marks = {"rope": rope, "target": numbers[rope][k], "seed": options.seed}
+                marks |= {"limit": options.seconds, "variant": name}
+                row = next((one for one in known if marks.items() <= one.items()), None)
+                if row is None:
+                    row = tried(rope, numbers[rope][k], options.seed, name, options.seconds)
+                    print(json.dumps(row), flush=True)
+                    if log is not None:
+                        lines.append(log, row)
+                rows.append(row)
+    made = f"{machine.sentence(about)} {lines.made(rows, 'planner')}"
+    text = (
+        page(rows, options.seconds)
+        + f"\nTargets of seed {options.seed}. {made}\n\nAgain: `python -m benchmarks.ablation`\n"
+    )
+    print(text)
+    if log is not None:
+        files.write_text(log.with_name("ablation.md"), text)
 
 
 if __name__ == "__main__":

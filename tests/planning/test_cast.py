@@ -1,6 +1,7 @@
 """Casts from end to end on short ropes with few links, their margins, and what a search does with what it is given."""
 
 import os
+import re
 import signal
 import time
 import warnings
@@ -185,6 +186,15 @@ def test_a_search_without_a_strike_counts_its_runs():
     plan = plan_cast(CABLE, hf.Arm(length=0.105), target, slow, time_budget=processor(1.0), options=options)
     assert plan.runs > 0
     assert plan.message == "no moves were found that strike it"
+
+
+@pytest.mark.parametrize(
+    ("mu", "turns", "message"), [(0.3, 2.6, r"turns at most, 2\.6 required"), (0.0, 1.25, "wind the rope [12]")]
+)
+def test_a_search_that_fails_says_how_far_the_rope_winds(mu, turns, message):
+    target, criteria, options = replace(PEG, mu=mu), WindCriteria(turns=turns), SearchOptions(skip_feasibility=True)
+    plan = plan_cast(CORD, ARM, target, criteria=criteria, time_budget=processor(2.0), options=options)
+    assert re.search(message, plan.message)
 
 
 def test_places_and_ropes_that_the_planner_tries_are_not_asked_about():

@@ -354,11 +354,19 @@ def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget, 
         margin = 0.0 if message else best.margin
     elif planner.rolled:
         moves, good = planner.rolled[0].moves, planner.rolled[0].good
-        message = f"{ended} before the best moves were verified" if good else "the best moves do not wind the rope"
+        message = f"{ended} before the best moves were verified" if good else _unwound(task)
     if message and task.peg.mu == 0.0:
         message += "; few ropes stay wound without friction (mu 0)"
     found = moves, outcome, finer, message, task.runs, budget.elapsed, interrupted
     return CastPlan(task.problem, task.peg, known, *found, margin=margin)
+
+
+def _unwound(task: WindTask) -> str:
+    """Why no rollout winds the rope."""
+    required, most = task.problem.criteria.turns, task.most_turns
+    if most < required:
+        return f"the best moves do not wind the rope: it makes {most:.2f} turns at most, {required:g} required"
+    return f"the best moves wind the rope {most:.2f} turns, but it does not stay wound"
 
 
 def fewer_turns(plan: CastPlan) -> tuple[str, ...]:

@@ -58,6 +58,11 @@ class WindTask(Task):
         With it candidates are compared, and verified, in sampled scenarios as well.
     start : sequence of Moves
         Moves to begin with.
+
+    Attributes
+    ----------
+    most_turns : float
+        Greatest number of turns that the rope made in a rollout at any time.
     """
 
     def __init__(
@@ -81,7 +86,7 @@ class WindTask(Task):
         self.scenarios: list[Scenario] = []
         if uncertainty is not None:
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
-        self._flights = 0
+        self.most_turns, self._flights = 0.0, 0
         self._start, self._samples = [one for one in start if one.side in self.sides], 0
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
@@ -120,6 +125,7 @@ class WindTask(Task):
         cuts = self._cuts
         states = [State(each.t, np.repeat(each.q, cuts), np.repeat(each.qd, cuts)) for each in states]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
+        self.most_turns = max(self.most_turns, float(wound.most.max(initial=0.0)))
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
         for one in swings:
             rows = [k for k, (other, _) in enumerate(pairs) if other is one]
