@@ -362,11 +362,14 @@ def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget, 
 
 
 def _unwound(task: WindTask) -> str:
-    """Why no rollout winds the rope."""
-    required, most = task.problem.criteria.turns, task.most_turns
-    if most < required:
-        return f"the best moves do not wind the rope: it makes {most:.2f} turns at most, {required:g} required"
-    return f"the best moves wind the rope {most:.2f} turns, but it does not stay wound"
+    """Why no rollout is worth a verification."""
+    criteria, most = task.problem.criteria, task.most_turns
+    return (
+        f"the best moves do not wind the rope: it makes {most:.2f} turns at most, {criteria.turns:g} required",
+        f"the best moves wind the rope {most:.2f} turns, but it comes off again",
+        "the best moves wind the rope, but it comes too near its arm, the shaft or an obstacle, or not behind its pegs",
+        f"the best moves wind the rope, but with shorter links it comes off or slips by {1e3 * criteria.max_slip:g} mm",
+    )[task.furthest]
 
 
 def fewer_turns(plan: CastPlan) -> tuple[str, ...]:

@@ -63,6 +63,9 @@ class WindTask(Task):
     ----------
     most_turns : float
         Greatest number of turns that the rope made in a rollout at any time.
+    furthest : int
+        What the best rollout reached: 0 too few turns, 1 the turns required, 2 also at the end, 3 also clear of arm and
+        obstacles.
     """
 
     def __init__(
@@ -86,7 +89,7 @@ class WindTask(Task):
         self.scenarios: list[Scenario] = []
         if uncertainty is not None:
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
-        self.most_turns, self._flights = 0.0, 0
+        self.most_turns, self.furthest, self._flights = 0.0, 0, 0
         self._start, self._samples = [one for one in start if one.side in self.sides], 0
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
@@ -125,8 +128,10 @@ class WindTask(Task):
         cuts = self._cuts
         states = [State(each.t, np.repeat(each.q, cuts), np.repeat(each.qd, cuts)) for each in states]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
-        self.most_turns = max(self.most_turns, float(wound.most.max(initial=0.0)))
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
+        reached = (wound.most >= required).astype(int) + np.isfinite(wound.slip) + (wound.turns >= required)
+        self.furthest = max(self.furthest, int(reached.max(initial=0)))
+        self.most_turns = max(self.most_turns, float(wound.most.max(initial=0.0)))
         for one in swings:
             rows = [k for k, (other, _) in enumerate(pairs) if other is one]
             k = max(rows, key=lambda row: (wound.turns[row] >= required, wound.score[row]))
