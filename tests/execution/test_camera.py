@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.errors import EstimatorLost
+from hyperflex.errors import EstimatorLost, InvalidInput
 from hyperflex.estimate import TrackingTask
 from hyperflex.execution import CameraRope, EmulatedCamera
 from hyperflex.execution.camera import SharedFrames, wound_turns
@@ -70,11 +70,10 @@ def test_turns_are_unknown_where_markers_before_the_peg_are_not_seen(side: int) 
         assert math.isnan(wound_turns(ROPE, ARCS, START, PEG, side, places[seen]))
 
 
-def test_an_emulated_camera_that_ends_at_its_start_is_one_line() -> None:
-    """Its emulator was not started: there is no rope."""
+def test_an_emulated_camera_before_an_emulator_that_does_not_run_is_one_line() -> None:
     plan = short_plan()
     emulator = Emulator(MoteusDevice, MotorModel(), plan.problem.rope)
-    with pytest.raises(EstimatorLost, match="emulated camera has ended at its start"):
+    with pytest.raises(InvalidInput, match="the emulator does not run"):
         EmulatedCamera(plan, emulator, plan.problem.rope).__enter__()
 
 

@@ -29,7 +29,7 @@ def run(wound: float, held: float = START, scatter: float = 0.0, end: float = HA
     t = np.linspace(0.0, END, 200)
     places = np.zeros((t.size, PLAN.problem.rope.n_links + 1, 2))
     places[:, :, 0] = t[:, None]
-    return CastRun(PLAN, MOTION, StreamLog(rows, 200.0, 0), Prediction(t, places, np.full(t.size, wound), np.inf, 1))
+    return CastRun(PLAN, MOTION, StreamLog(rows, 200.0), Prediction(t, places, np.full(t.size, wound), np.inf, 1))
 
 
 def test_only_turns_while_the_rope_is_watched_count():

@@ -202,6 +202,49 @@ def test_a_source_that_hangs_stops_the_run(tmp_path: Path) -> None:
     assert run.stopped == "The source of the rope's state has not answered for 0.3 s."
 
 
+class HangsOnce(SeenRope):
+    """A source that hangs when the closed loop asks it."""
+
+    def __init__(self, plan: CastPlan) -> None:
+        super().__init__(plan)
+        self.woken = threading.Event()
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        if self.cast and threading.current_thread().name != "rope recorder":
+            self.woken.wait(60.0)
+        return super().state(t, motion)
+
+
+@pytest.mark.parametrize(
+    ("asks", "message"),
+    [
+        (True, "The source of the rope's state has not answered for 0.3 s."),
+        (False, "The closed loop has not decided by the end of the motion: its source may hang."),
+    ],
+)
+def test_a_closed_loop_that_hangs_stops_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asks: bool, message: str
+) -> None:
+    plan = short_plan()
+    source = HangsOnce(plan)
+    begun, made = threading.Event(), plan.required(plan.motion, "motion")
+
+    def follow(_: object, watch: Any, **__: object) -> None:
+        begun.set()
+        if asks:
+            watch.state(0.1, made)
+        source.woken.wait(60.0)
+
+    monkeypatch.setattr(execution.run, "follow_plan", follow)
+    drive = partial(ideal_drive, tmp_path / "notes")
+    run = run_plan(plan, drive, source=source, follow=FollowOptions(), options=QUICK)
+    source.woken.set()
+    assert begun.is_set()
+    assert run.stopped == message
+    assert (run.log.column("sent")[-1] < made.breaks[-1]) is asks
+    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+
+
 def test_a_source_that_fails_in_any_way_stops_the_run_and_says_why(tmp_path: Path) -> None:
     plan = short_plan()
     source = SeenRope(plan, seen=0.1, lost=lambda: int("nothing"))

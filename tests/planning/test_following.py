@@ -243,6 +243,14 @@ def test_an_abort_that_the_motor_refuses_begins_at_the_next_rest():
     assert done.moves.ends.size == done.decisions[0].move + 2
 
 
+def test_an_abort_that_is_decided_too_late_begins_at_the_next_rest():
+    options = FollowOptions(real_time=True, sending=10.0)
+    done = follow_plan(PLAN, Hanging(), motor=Kept(refuses=1, lag=1e-3, counts=10**6), options=options)
+    last = done.decisions[-1]
+    assert (last.action, done.message) == ("aborted", f"aborted at {last.t:.2f} s: the rope will not strike")
+    assert done.moves.ends.size == last.move + 2
+
+
 def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path):
     PLAN.to_toml(tmp_path / "cast.toml")
     back = read_plan(tmp_path / "cast.toml")

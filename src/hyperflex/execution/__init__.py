@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from hyperflex.execution.emulated import EmulatedRope, emulator_of
     from hyperflex.execution.learning import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
     from hyperflex.execution.page import RunPage
-    from hyperflex.execution.run import ClockedSource, RunOptions, open_drive, run_plan
+    from hyperflex.execution.rope_watch import ClockedSource
+    from hyperflex.execution.run import RunOptions, open_drive, run_plan
     from hyperflex.execution.stream import MotionStream, StreamLog
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

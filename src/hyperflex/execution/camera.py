@@ -1,27 +1,24 @@
 """A rope that a camera sees while a plan is carried out: a real camera, or one that is rendered before an emulator."""
 
 import math
-import multiprocessing
-import signal
 import time
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.child import Child, Records
 from hyperflex.errors import EstimatorLost
 from hyperflex.estimate import CameraStateSource, EstimatedParameter, TrackingTask
-from hyperflex.hardware import Emulator, EmulatorLog, Rows
+from hyperflex.hardware import Emulator, EmulatorLog
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import CastPlan
 from hyperflex.trajectory import swept
 from hyperflex.vision import Camera, Frame, Image, MarkerColour, Occluder, Renderer, RopeMotion, Scene
-
-START = 60.0  # s that the process of an emulated camera may take to start
 
 
 class CameraRope(CameraStateSource):
@@ -119,38 +116,31 @@ class SharedFrames:
         Width and height, px.
     """
 
-    SLOTS = 3  # frames that are kept: one is written, one is read
-
     def __init__(self, image_size: tuple[int, int]) -> None:
-        context = multiprocessing.get_context("spawn")
         width, height = self.image_size = image_size
         self.notes: list[str] = []
-        self._shape = self.SLOTS, height, width, 3
-        self._data, self._stamps = context.RawArray("B", int(np.prod(self._shape))), context.RawArray("d", self.SLOTS)
-        self._written, self._closed = context.RawValue("q", 0), False
+        kind = [("stamp", np.float64), ("image", np.uint8, (height, width, 3))]
+        self._frames, self._closed = Records(3, kind), False  # one is written, one is read
 
     @property
     def count(self) -> int:
         """Frames written so far."""
-        return int(self._written.value)
+        return self._frames.written
 
     def write(self, image: Image, stamp: float) -> None:
         """Write a frame (height, width, 3) with its time stamp, s."""
-        slot = self.count % self.SLOTS
-        np.frombuffer(self._data, np.uint8).reshape(self._shape)[slot] = image
-        self._stamps[slot] = stamp
-        self._written.value += 1
+        self._frames.write((stamp, image))
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames as they come: one that nobody took in time is left out."""
-        images, seen = np.frombuffer(self._data, np.uint8).reshape(self._shape), self.count
+        seen = self.count
         while not self._closed:
             if self.count == seen:
                 time.sleep(1e-3)
                 continue
             seen = self.count
-            slot = (seen - 1) % self.SLOTS
-            yield Frame(self._stamps[slot], images[slot].copy(), seen - 1)
+            frame = self._frames.read(1)[0]
+            yield Frame(float(frame["stamp"]), frame["image"], seen - 1)
 
     def close(self) -> None:
         """End the iteration."""
@@ -213,54 +203,35 @@ class EmulatedCamera:
         seen = float(np.pi / 4.0 * (size * view.pixels_per_metre) ** 2)  # px^2
         colour = MarkerColour(np.asarray(scene.marker_colours)[0], area=seen)
         self.task = TrackingTask(believed, arcs, view, [colour], arm, measured_length())
-        self._arguments = emulator, rope.length, arm, view, scene, 1.0 / checks.number("rate", rate, sign="positive")
-        self._process: Any = None
+        period = 1.0 / checks.number("rate", rate, sign="positive", unit="Hz")
+        given = emulator.states, rope.length, arm, view, scene, period, self.frames
+        self._child, self._emulator = Child("The emulated camera", EstimatorLost, film, *given), emulator
 
     def __enter__(self) -> Self:
-        context = multiprocessing.get_context("spawn")
-        self._link, theirs = context.Pipe()
-        emulator, *others = self._arguments
-        arguments = (emulator.states, *others, self.frames, theirs)
-        self._process = context.Process(target=film, args=arguments, name="emulated camera", daemon=True)
-        self._process.start()
-        theirs.close()
-        why = f"has not started within {START:g} s"
-        if self._link.poll(START):
-            try:
-                self._link.recv()
-            except EOFError:
-                why = "has ended at its start"
-            else:
-                return self
-        self._end()
-        raise EstimatorLost(f"The emulated camera {why}.")
+        self._emulator.pid  # noqa: B018 raises if it does not run: there is no rope
+        self._child.start()
+        return self
 
     def __exit__(self, *_: object) -> None:
-        self._end()
+        self._child.end()
 
     @property
     def pid(self) -> int:
         """Identifier of the process."""
-        return int(self._process.pid)
-
-    def _end(self) -> None:
-        self._process.kill()
-        self._process.join()
-        self._link.close()
+        return self._child.pid
 
 
 def film(
-    states: Rows,
+    link: Connection,
+    states: Records,
     length: Array,
     arm: Arm,
     camera: Camera,
     scene: Scene,
     period: float,
     frames: SharedFrames,
-    link: Connection,
 ) -> None:
     """Render frames in real time until the parent ends; say when the first one is there."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     begin = time.monotonic()
     renderer = Renderer(camera, _filmed(states, length, arm, begin), scene)
     middle = time.monotonic()  # of the exposure of the row that is read first
@@ -271,13 +242,13 @@ def film(
             if link.poll(1e-3):
                 return
         image = renderer.with_motion(motion).image(middle + camera.delay)
-        _wait_until(middle + camera.delay)
+        time.sleep(max(0.0, middle + camera.delay - time.monotonic()))
         frames.write(image, middle + camera.delay)
         if frames.count == 1:
-            link.send(None)
+            link.send((0, None))
 
 
-def _filmed(states: Rows, length: Array, arm: Arm, since: float) -> RopeMotion:
+def _filmed(states: Records, length: Array, arm: Arm, since: float) -> RopeMotion:
     """Return how rope and arm have moved since a moment of the monotonic clock, s, and a little before it."""
     log = EmulatorLog(np.zeros((0, 0)), states.read(newest=100), {})
     t, angle, rate = (log.column(name) for name in ("t", "arm_angle", "arm_rate"))
@@ -285,10 +256,6 @@ def _filmed(states: Rows, length: Array, arm: Arm, since: float) -> RopeMotion:
     q, qd = (each[first:] for each in log.rope)
     angle, rate = angle[first:], rate[first:]
     return RopeMotion(t[first:], q, qd, length, arm.tip(angle), arm.tip_velocity(angle, rate))
-
-
-def _wait_until(moment: float) -> None:
-    time.sleep(max(0.0, moment - time.monotonic()))
 
 
 def _facing(arm: Arm, rope: Rope) -> Camera:

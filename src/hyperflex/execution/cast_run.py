@@ -292,7 +292,7 @@ class CastRun:
 
     def to_netcdf(self, path: PathLike) -> None:
         """Write the drive's log, and the rope's angles if it was observed, to a NetCDF-4 file."""
-        units = dict(zip(FIELDS, ("s",) * 3 + ("rad", "rad/s", "N m") * 2 + ("V", "degC", "1"), strict=True))
+        units = dict(zip(FIELDS, ("s",) * 3 + ("rad", "rad/s", "N m") * 2 + ("V", "degC", "1", "1"), strict=True))
         drive = {
             name: Variable(("cycle",), self.log.column(name), {"units": units[name], "long_name": _spaced(name)})
             for name in FIELDS

@@ -4,52 +4,28 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from typing import Protocol
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import DriveError, EstimatorLost, HyperflexError, InvalidInput
 from hyperflex.execution.cast_run import CastRun, Prediction, weight_torque
 from hyperflex.execution.page import RunPage
+from hyperflex.execution.rope_watch import ClockedSource, RopeWatch
 from hyperflex.execution.stream import POLL, MotionStream, StreamLog
 from hyperflex.hardware import STEP, Drive, DriveZero, open_link
-from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import MotorLimits, Peg, Rope
+from hyperflex.model import MotorLimits, Rope
 from hyperflex.motion import Motion, hold_arm, move_arm
 from hyperflex.options import check, option
-from hyperflex.planning import CastPlan, FollowOptions, Problem, follow_plan, obstacle_gaps
-from hyperflex.recording import Recording
+from hyperflex.planning import CastPlan, FollowOptions, FollowResult, Problem, follow_plan
 
 LEAD = 0.5  # s between the last preparation and t = 0, so that the motion has arrived at the drive's process
 HANGS = 0.2  # rad from the vertical at which a link hangs: a rope that is still wound does not
-LOST = 0.3  # s without a state of the rope after which a cast is stopped: some ten frames of a camera
-
-
-class ClockedSource(StateSource, Protocol):
-    """A source of the rope's state whose t = 0 can be set: :class:`CameraRope` or :class:`EmulatedRope`."""
-
-    @property
-    def rope(self) -> Rope:
-        """The rope as far as it is known by now: a camera sees its length while it hangs."""
-
-    @property
-    def contact(self) -> bool:
-        """Whether states are right while the rope touches the target."""
-
-    def start_clock(self, at: float | None = None) -> None:
-        """Make a moment of the monotonic clock, s, or now, t = 0; in the latter case the rope may be anywhere."""
-
-    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
-        """Return times (T,), s, and the turns of the rope about a peg as it was seen then; NaN where they do not show.
-
-        `arm_angle` returns the arm's angles, rad, at times, s; `side` is 1 for a rope that is to wind counterclockwise,
-        else -1.
-        """
 
 
 @dataclass(frozen=True)
@@ -174,7 +150,7 @@ def run_plan(
     connect().check_motion(made)
     say("simulating the plan")
     prediction, stop, found, known = Prediction.of(plan, made), "", None, None
-    watch = _Watch(None, 0.0, made, chosen, plan, math.inf)
+    watch = RopeWatch(None, 0.0, made, plan, math.inf, lag=chosen.lag, rate=chosen.sampling)
     duration = 120.0 + 2.0 * float(made.breaks[-1])
     drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
     begun = False
@@ -208,7 +184,8 @@ def run_plan(
                 _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say, ready)
                 known = None if source is None else source.rope
                 begin = time.monotonic() + LEAD
-                watch = _Watch(source, begin, made, chosen, plan, prediction.touch if prediction else math.inf)
+                touch = prediction.touch if prediction else math.inf
+                watch = RopeWatch(source, begin, made, plan, touch, lag=chosen.lag, rate=chosen.sampling)
                 begun = True
                 try:
                     drive.start_clock(begin)
@@ -216,13 +193,13 @@ def run_plan(
                     fed.set_motion(made, 0.0)
                     say("the cast runs")
                     watch.start()
-                    if follow is not None and source is not None:
+                    if follow is not None:
                         now = replace(follow, real_time=True)
-                        found = follow_plan(plan, watch, motor=fed, rope=known, options=now)
+                        following = partial(follow_plan, plan, watch, motor=fed, rope=known, options=now)
+                        found = _supervise(following, drive, watch)
                     criteria = plan.problem.criteria
                     end = float((drive.motion or made).breaks[-1])
-                    strike = end if prediction is None else min(end, prediction.touch)
-                    _sleep_until(begin + strike, drive, watch)  # what is seen after it changes nothing
+                    _sleep_until(begin + min(end, touch), drive, watch)  # what is seen after it changes nothing
                     _sleep_until(begin + end + criteria.settle + criteria.watch, drive)
                     drive.off()
                 except HyperflexError as error:
@@ -370,116 +347,31 @@ def _compare_weight(log: StreamLog, problem: Problem, say: Callable[[str], None]
         say(f"at {where:.2f} rad the motor holds arm and rope with {held:.3f} N m, not {expected:.3f}. {causes}")
 
 
-def _sleep_until(end: float, drive: MotionStream, watch: "_Watch | None" = None) -> None:
+def _supervise(follow: Callable[[], FollowResult], drive: MotionStream, watch: RopeWatch) -> FollowResult:
+    """Return the result of a function that runs in a thread; raise what ends the drive meanwhile, or a lost rope.
+
+    The thread is then left alone, for a source may hang in it. It moves nothing any more: the drive ends with the run.
+    """
+    result: Future[FollowResult] = Future()
+
+    def work() -> None:
+        try:
+            result.set_result(follow())
+        except BaseException as error:  # noqa: BLE001 whatever it is, it is raised by `result`
+            result.set_exception(error)
+
+    threading.Thread(target=work, name="follower", daemon=True).start()
+    while not result.done():
+        _sleep_until(time.monotonic() + POLL, drive, watch)
+        if drive.motion is not None and drive.now > drive.motion.breaks[-1]:
+            raise EstimatorLost("The closed loop has not decided by the end of the motion: its source may hang.")
+    return result.result()
+
+
+def _sleep_until(end: float, drive: MotionStream, watch: RopeWatch | None = None) -> None:
     """Wait until a moment of the monotonic clock, s; raise what ended the drive's process, or why the rope is lost."""
     while (rest := end - time.monotonic()) > 0.0:
         time.sleep(min(POLL, rest))
         drive.raise_if_ended()
         if watch is not None:
             watch.raise_if_lost()
-
-
-class _Watch:
-    """A source in real time: it waits for the time that is asked for, and records the rope meanwhile.
-
-    The arm moves later than it is commanded, by the lag: the rope's state now belongs to what was commanded then. A
-    source that knows no contact is recorded until the rope touches the target, about at `touch`, s.
-    """
-
-    def __init__(
-        self,
-        source: ClockedSource | None,
-        begin: float,
-        motion: Motion,
-        options: RunOptions,
-        plan: CastPlan,
-        touch: float,
-    ) -> None:
-        self.source, self.begin, self.lag, self.period = source, begin, options.lag, 1.0 / options.sampling
-        self.plan, self.touch = plan, touch
-        self.states: list[RopeState] = []
-        self._motion = motion.shifted(self.lag)
-        self._lock, self._over = threading.Lock(), threading.Event()
-        self._thread = threading.Thread(target=self._record, name="rope recorder", daemon=True)
-        self._failed: HyperflexError | None = None  # since the last state
-        self._looks = 0  # since then
-        self._seen = begin
-
-    def start(self) -> None:
-        """Begin to record."""
-        if self.source is not None:
-            self.source.start_clock(self.begin)
-            self._thread.start()
-
-    def stop(self) -> None:
-        """End the recording; a source that hangs is left alone."""
-        self._over.set()
-        if self._thread.is_alive():
-            self._thread.join(1.0)
-
-    @property
-    def newest(self) -> RopeState | None:
-        """The last state; None if the rope has not been seen for LOST, s."""
-        return self.states[-1] if self.states and time.monotonic() - self._seen < LOST else None
-
-    def raise_if_lost(self) -> None:
-        """Raise why the rope has not been seen for LOST, s; in several looks, for a busy machine may pause."""
-        if not self._thread.is_alive() or time.monotonic() < self.begin:  # nothing is looked for, or no longer
-            return
-        self._looks += 1
-        if self._looks > 3 and time.monotonic() - self._seen > LOST:
-            raise self._failed or EstimatorLost(f"The source of the rope's state has not answered for {LOST:g} s.")
-
-    def state(self, t: float, motion: Motion) -> RopeState:
-        """Return the state at a time, s, once that time has come, for a command that the arm follows at once."""
-        checks.number("t", t, unit="s")
-        if self.source is None:
-            raise InvalidInput("there is no source of the rope's state")
-        time.sleep(max(0.0, self.begin + t - time.monotonic()))
-        if not self._lock.acquire(timeout=LOST):
-            raise EstimatorLost(f"The source of the rope's state has not answered for {LOST:g} s.")
-        try:
-            self._motion = motion.shifted(self.lag)
-            found = self.source.state(time.monotonic() - self.begin, self._motion)
-        finally:
-            self._lock.release()
-        return replace(found, t=found.t - self.lag)
-
-    def recording(self) -> Recording | None:
-        """Return the observed link angles; None of fewer than two."""
-        if len(self.states) < 2:
-            return None
-        stds = [None if each.covariance is None else np.sqrt(np.diag(each.covariance)) for each in self.states]
-        noise = None
-        if all(each is not None for each in stds):
-            noise = np.maximum(np.array(stds)[:, : self.states[0].q.size], 1e-9)
-        t, q = np.array([each.t for each in self.states]), np.array([each.q for each in self.states])
-        return Recording(t, q, "angles", noise, name="a cast carried out")
-
-    def _record(self) -> None:
-        due = time.monotonic()  # a camera's process is told the motion before it begins
-        while not self._over.wait(max(0.0, due - time.monotonic())):
-            due += self.period
-            t = time.monotonic() - self.begin
-            try:
-                with self._lock:
-                    assert self.source is not None  # noqa: S101 the thread runs with a source alone
-                    state = self.source.state(t, self._motion)
-            except HyperflexError as error:
-                self._failed = error
-                continue
-            except Exception as error:  # noqa: BLE001 whatever it is, the rope is not seen
-                self._failed = EstimatorLost(f"The source of the rope's state failed: {error!r}.")
-                continue
-            self._failed, self._looks, self._seen = None, 0, time.monotonic()
-            if state.t >= 0.0 and (not self.states or state.t > self.states[-1].t):
-                self.states.append(state)
-            if not self.source.contact and self._touches(state):
-                return
-
-    def _touches(self, state: RopeState) -> bool:
-        """Whether the rope touches the target. One that hangs before it, early, does not."""
-        problem, peg = self.plan.problem, self.plan.target
-        joints = problem.rope.joints(state.q, problem.arm.tip(self._motion.angle(state.t)))
-        gap = float(obstacle_gaps((peg,), joints[:-1], joints[1:]).min())
-        return gap < 2.0 * problem.rope.radius and state.t > 0.5 * self.touch

@@ -1,17 +1,13 @@
 """A motion streamed to a drive at a fixed rate, by a process of its own that nothing else delays."""
 
-import gc
 import math
-import multiprocessing
-import os
 import signal
-import threading
 import time
 from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -19,16 +15,14 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.child import ANSWER, Child, Records, run_in_real_time, serve
 from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import DriveError, HyperflexError, InvalidInput
 from hyperflex.hardware import Drive, DriveState, Goal
-from hyperflex.interruption import leave_terminal
 from hyperflex.motion import Motion
 
 SPIN = 3e-4  # s before a deadline from which the process waits awake: a sleep may end so much too late
-START = 60.0  # s that the process may take to start: imports, and the link
 POLL = 0.01  # s between two looks at the process while waiting
-ANSWER = 2.0  # s within which the process answers a request
 MEET = 2e-3, 0.05  # rad and rad/s by which goals of a motion that comes late may differ from those of the one before
 FIELDS = (
     "scheduled",
@@ -43,6 +37,7 @@ FIELDS = (
     "voltage",
     "temperature",
     "lost",
+    "missed",
 )
 
 
@@ -52,19 +47,16 @@ class StreamLog:
 
     Attributes
     ----------
-    rows : (T, 12) float64
+    rows : (T, 13) float64
         Columns: times at which the goal was due, sent and answered, s since t = 0; goal (rad, rad/s, N m); the drive's
         angle, rate and torque (rad, rad/s, N m), voltage, V, and temperature, degrees Celsius, as of the last answer;
-        requests in a row without an answer, up to this one.
+        requests in a row without an answer, up to this one; cycles left out before it, because one took too long.
     rate : float
         Cycles a second.
-    missed : int
-        Cycles that were left out because the one before took too long.
     """
 
     rows: Array
     rate: float
-    missed: int
 
     def column(self, name: str) -> Array:
         """Return a column (T,) by its name, as in FIELDS."""
@@ -74,6 +66,11 @@ class StreamLog:
         """Angle of the arm (K,) at times t (K,), s, as the drive reported it, interpolated, rad."""
         answered = self.column("lost") == 0
         return np.asarray(np.interp(t, self.column("received")[answered], self.column("angle")[answered]))
+
+    @property
+    def missed(self) -> int:
+        """Cycles that were left out."""
+        return int(self.column("missed").sum())
 
     @property
     def jitter(self) -> Array:
@@ -131,80 +128,35 @@ class MotionStream:
         clear: bool = False,
         waits: bool = False,
     ) -> None:
-        self.connect, self.clear, self.waits = connect, clear, waits
         self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
         rows = math.ceil(self.rate * checks.number("duration", duration, sign="positive", unit="s"))
-        context = multiprocessing.get_context("spawn")
-        self._shared = Shared(context.RawArray("d", rows * len(FIELDS)), context.RawArray("q", 2))
-        self._context, self._zero, self._number, self.late = context, 0.0, 0, 0
+        self._records = Records(rows, len(FIELDS))
+        arguments = connect, clear, 1.0 / self.rate, waits, self._records
+        self._child = Child("The process of the drive", DriveError, stream, *arguments)
+        self._zero, self.late = 0.0, 0
         self.motion: Motion | None = None
-        self._worker: Any = None
-        self._ending, self._confirmed = threading.Lock(), True  # two threads that wait for one process lose its code
 
     def __enter__(self) -> Self:
-        self._link, theirs = self._context.Pipe()
-        arguments = (self.connect, self.clear, 1.0 / self.rate, self.waits, theirs, self._shared)
-        worker: Any = self._context.Process(target=stream, args=arguments, name="motion stream", daemon=True)
-        self._confirmed = False
-        worker.start()
-        self._worker = worker
-        theirs.close()
-        try:
-            self._receive(0, START)
-            self.start_clock()
-        except BaseException:
-            self._end()
-            raise
+        self._zero = self._child.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         with suppress(OSError):
-            self._link.send((0, "end"))
-        self._end()
+            self._child.link.send((0, "end"))
+        error = self._child.end(ANSWER)
+        if self._child.code != 0:
+            why = "" if error is None else f" {error}"
+            raise DriveError(f"The drive did not confirm that its torque is off.{why} Cut its power.")
 
     def stop(self) -> bool:
         """Switch the torque off at once and end the process; return whether the device confirmed it. For any thread."""
-        worker = self._worker
-        if worker is None:
-            return self._confirmed
-        with self._ending:
-            worker.terminate()
-        return self._exit_code(worker) == 0
-
-    def _exit_code(self, worker: Any) -> int | None:
-        """Wait for the end of the process; return its exit code, or None if it has not ended in time. For any thread.
-
-        The code is 0 if the torque is off for certain.
-        """
-        if not wait([worker.sentinel], ANSWER):
-            return None
-        with self._ending:
-            worker.join()
-            return int(worker.exitcode)
-
-    def _end(self) -> None:
-        """Wait for the end of the process; raise if it did not confirm that the torque is off."""
-        worker = self._worker
-        code = self._exit_code(worker)
-        for hasten in (worker.terminate, worker.kill):
-            if code is None:
-                hasten()
-                code = self._exit_code(worker)
-        self._confirmed, self._worker = code == 0, None
-        why = ""
-        with suppress(EOFError, OSError):
-            while self._link.poll():
-                _, answer = self._link.recv()
-                why = f" {answer}" if isinstance(answer, Exception) else why
-        self._link.close()
-        if not self._confirmed:
-            raise DriveError(f"The drive did not confirm that its torque is off.{why} Cut its power.")
+        return self._child.stop() == 0
 
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0; what is held then is held until the next motion."""
         self._zero = time.monotonic() if at is None else checks.number("at", at, unit="s")
         self.motion = None
-        self._ask("clock", self._zero)
+        self._child.ask("clock", self._zero)
 
     @property
     def now(self) -> float:
@@ -213,15 +165,15 @@ class MotionStream:
 
     def enable(self) -> DriveState:
         """Switch the torque on; the arm holds where it is. Return the state."""
-        return checks.instance("answer", self._ask("enable"), DriveState)
+        return checks.instance("answer", self._child.ask("enable"), DriveState)
 
     def off(self) -> None:
         """Switch the torque off."""
-        self._ask("off")
+        self._child.ask("off")
 
     def state(self) -> DriveState:
         """Return the newest state of the drive, with the torque on or off."""
-        return checks.instance("answer", self._ask("state"), DriveState)
+        return checks.instance("answer", self._child.ask("state"), DriveState)
 
     def set_motion(self, motion: Motion, at: float, torque: tuple[npt.ArrayLike, npt.ArrayLike] | None = None) -> bool:
         """Stream a motion from a time `at` (s) on; see :class:`hyperflex.interfaces.Motor`.
@@ -237,7 +189,7 @@ class MotionStream:
             times = checks.times("torque times", torque[0])
             values = checks.array("torque", torque[1], times.shape, unit="N m")
         path = Path(motion.breaks.tolist(), motion.coef[:, ANGLE].tolist(), times.tolist(), values.tolist())
-        taken = bool(self._ask("motion", checks.number("at", at, unit="s"), path))
+        taken = bool(self._child.ask("motion", checks.number("at", at, unit="s"), path))
         self.motion, self.late = motion if taken else self.motion, self.late + (not taken)
         return taken
 
@@ -248,47 +200,18 @@ class MotionStream:
 
     def log(self) -> StreamLog:
         """Return all cycles so far, also after the end."""
-        return self._shared.log(self.rate, self._zero)
+        rows = self._records.read()
+        rows[:, :3] -= self._zero
+        return StreamLog(rows, self.rate)
 
     @property
     def pid(self) -> int:
         """Identifier of the process."""
-        self.raise_if_ended()
-        return int(self._worker.pid)
-
-    def _ask(self, *request: Any) -> Any:
-        self.raise_if_ended()
-        self._number += 1
-        with suppress(OSError):  # why it has ended is received
-            self._link.send((self._number, *request))
-        return self._receive(self._number, ANSWER)
-
-    def _receive(self, number: int, patience: float) -> Any:
-        """Return the answer to a request; those to earlier ones, which came late, are dropped."""
-        until = time.monotonic() + patience
-        while self._link.poll(max(0.0, until - time.monotonic())):
-            answered, value = self._take()
-            if answered == number:
-                return value
-        raise DriveError(f"The process of the drive has not answered for {patience:g} s.")
-
-    def _take(self) -> tuple[int, Any]:
-        """Return the next answer and the number of its request; raise an error that the process sent, or its end."""
-        try:
-            number, value = self._link.recv()
-        except (EOFError, OSError):
-            code = self._exit_code(self._worker)
-            raise DriveError(f"The process of the drive ended with code {code}.") from None
-        if isinstance(value, Exception):
-            raise value
-        return number, value
+        return self._child.pid
 
     def raise_if_ended(self) -> None:
         """Raise what ended the process, if it has ended."""
-        if self._worker is None:
-            raise InvalidInput("the motion stream is closed", fix="Use it within its with block")
-        while self._link.poll():  # a late answer, or why it has ended
-            self._take()
+        self._child.raise_if_ended()
 
 
 class Path(NamedTuple):
@@ -318,59 +241,27 @@ class Path(NamedTuple):
         return (1.0 - part) * self.torques[k] + part * self.torques[k + 1]
 
 
-class Shared:
-    """Rows of the log in memory that two processes share; one writes, the other reads."""
-
-    def __init__(self, data: Any, counts: Any) -> None:
-        self._data, self._counts = data, counts  # numbers; rows written, cycles missed
-
-    def writer(self) -> Callable[[tuple[float, ...]], None]:
-        """Return a function that writes a row."""
-        rows = np.frombuffer(self._data).reshape(-1, len(FIELDS))
-
-        def write(row: tuple[float, ...]) -> None:
-            rows[self._counts[0] % len(rows)] = row
-            self._counts[0] += 1
-
-        return write
-
-    def miss(self, cycles: int) -> None:
-        """Count cycles that were left out."""
-        self._counts[1] += cycles
-
-    def log(self, rate: float, zero: float) -> StreamLog:
-        """Return the rows, with times since `zero`, s."""
-        rows, count = np.frombuffer(self._data).reshape(-1, len(FIELDS)), int(self._counts[0])
-        first = max(count - len(rows) + 1, 0)  # the oldest row of a full log may be overwritten meanwhile
-        found = rows[np.arange(first, count) % len(rows)]
-        found[:, :3] -= zero
-        return StreamLog(found, rate, int(self._counts[1]))
-
-
 def stream(
-    connect: Callable[[], Drive], clear: bool, period: float, waits: bool, link: Connection, shared: Shared
+    link: Connection, connect: Callable[[], Drive], clear: bool, period: float, waits: bool, records: Records
 ) -> None:
     """Serve requests and, with the torque on, send a goal each period, s, until the parent ends or asks for the end.
 
     The exit code is 0 if the torque is off for certain.
     """
-    leave_terminal()
     drive, ended = connect(), None
 
     def leave(*_: object) -> None:
-        raise SystemExit(int(drive.enabled))
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second signal does not interrupt the end
+        raise SystemExit
 
     signal.signal(signal.SIGTERM, leave)
     try:
         drive.connect(clear=clear)
         with drive:
-            link.send((0, None))
-            gc.collect()
-            gc.freeze()
-            gc.disable()
-            with suppress(OSError, AttributeError):  # only with the right to do so
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-            _Cycle(drive, period, waits, link, shared).run()
+            cycle = _Cycle(drive, period, waits, link, records)
+            link.send((0, cycle.zero))
+            run_in_real_time()
+            cycle.run()
     except HyperflexError as error:
         ended = error
     except SystemExit:
@@ -381,30 +272,33 @@ def stream(
     if ended is not None:
         with suppress(OSError):
             link.send((0, ended))
-    link.close()
     raise SystemExit(int(drive.enabled))
 
 
 class _Cycle:
     """The loop of the process, and what it streams: paths, each from a time on."""
 
-    def __init__(self, drive: Drive, period: float, waits: bool, link: Connection, shared: Shared) -> None:
-        self.drive, self.period, self.waits, self.link, self.shared = drive, period, waits, link, shared
-        self.write, self.zero = shared.writer(), 0.0
+    def __init__(self, drive: Drive, period: float, waits: bool, link: Connection, records: Records) -> None:
+        self.drive, self.period, self.waits, self.link, self.records = drive, period, waits, link, records
+        self.zero, self.missed = time.monotonic(), 0
         self.paths: list[tuple[float, Path]] = []
+        self.answers: dict[str, Callable[..., Any]] = {
+            "clock": self.set_clock,
+            "motion": self.take,
+            "enable": self.enable,
+            "off": drive.off,
+            "state": drive.read,
+        }
 
     def run(self) -> None:
         """Serve and send until the end is asked for, or the parent has ended."""
         due = time.monotonic()
-        while self.serve():
+        while serve(self.link, self.answers):
             due += self.period
             late = time.monotonic() - due
-            if late > self.period:
-                missed = int(late / self.period)
-                if self.drive.enabled:
-                    self.shared.miss(missed)
-                due += missed * self.period
-                self.zero += missed * self.period * self.waits
+            self.missed = max(0, int(late / self.period))
+            due += self.missed * self.period
+            self.zero += self.missed * self.period * self.waits
             _wait_until(due)
             if self.drive.enabled:
                 self.send(due)
@@ -414,8 +308,8 @@ class _Cycle:
         now = time.monotonic()
         goal = self.goal(now - self.zero)
         state = self.drive.command(goal, at=now)
-        measured = (state.angle, state.rate, state.torque, state.voltage, state.temperature, float(state.lost))
-        self.write((due, now, state.received, goal.angle, goal.rate, goal.torque, *measured))
+        measured = state.angle, state.rate, state.torque, state.voltage, state.temperature, state.lost
+        self.records.write((due, now, state.received, goal.angle, goal.rate, goal.torque, *measured, self.missed))
 
     def goal(self, t: float) -> Goal:
         """Return the goal of a time, s: that of the last path that has begun."""
@@ -427,32 +321,17 @@ class _Cycle:
         """Hold an angle, rad, until the next motion."""
         self.paths = [(-math.inf, Path([-1.0, 0.0], [[angle]], [0.0], [0.0]))]
 
-    def serve(self) -> bool:
-        """Answer what the parent asks; return False at the end."""
-        try:
-            if not self.link.poll():
-                return True
-            number, kind, *values = self.link.recv()
-        except (EOFError, OSError):  # the parent has ended
-            return False
-        if kind == "end":
-            return False
-        answer: Any = None
-        if kind == "clock":
-            if self.paths:
-                self.hold(self.goal(time.monotonic() - self.zero).angle)
-            self.zero = values[0]
-        elif kind == "motion":
-            answer = self.take(*values)
-        elif kind == "enable":
-            answer = self.drive.enable()
-            self.hold(answer.angle)
-        elif kind == "off":
-            self.drive.off()
-        elif kind == "state":
-            answer = self.drive.read()
-        self.link.send((number, answer))
-        return True
+    def set_clock(self, zero: float) -> None:
+        """Make a moment of the monotonic clock, s, t = 0, and hold the goal of now."""
+        if self.paths:
+            self.hold(self.goal(time.monotonic() - self.zero).angle)
+        self.zero = zero
+
+    def enable(self) -> DriveState:
+        """Switch the torque on, and hold the arm where it is."""
+        state = self.drive.enable()
+        self.hold(state.angle)
+        return state
 
     def take(self, at: float, path: Path) -> bool:
         """Stream a path from a time `at`, s, on; refuse one that has begun and would make the goal jump."""

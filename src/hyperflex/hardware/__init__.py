@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from hyperflex.hardware.drive_model import DriveModel, plan_test_motion
     from hyperflex.hardware.dynamixel import DynamixelLink
     from hyperflex.hardware.emulate.plant import MotorModel
-    from hyperflex.hardware.emulate.process import Emulator, EmulatorLog, Rows
+    from hyperflex.hardware.emulate.process import Emulator, EmulatorLog
     from hyperflex.hardware.links import emulated_device, open_link
     from hyperflex.hardware.moteus import MoteusLink
     from hyperflex.hardware.odrive import ODriveLink

@@ -333,13 +333,13 @@ class _Loop:
         arm_error = math.nan if motor is None else motor.angle(now) - float(self.motion().angle(now))
         first = move if left >= options.decision_time else move + 1  # that may still be changed
         before, after, action = math.inf, math.inf, "aborted"
-        if far := abs(arm_error) > options.max_arm_error:
+        if abs(arm_error) > options.max_arm_error:
             self.abort(first)
         else:
             before, after, action = self.choose(self.goal, self._seen, first)
         seconds = time.monotonic() - begin
         due = float(self.starts()[min(first, self.last)]) - now - options.sending  # of the first move that may change
-        if options.real_time and seconds > due and action != "kept" and not far:
+        if options.real_time and seconds > due and action == "changed":  # an abort may still begin at a later rest
             (self.moves, self.delay), after, action = self._planned, before, "late"
         self.move += 1
         return Decision(move, now, left, before, after, action, seconds, arm_error)

@@ -1,8 +1,6 @@
 """A rope's state from a camera for the closed loop: estimated in another process, predicted to now by the reader."""
 
 import math
-import multiprocessing
-import signal
 import threading
 import time
 from collections import deque
@@ -16,6 +14,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.child import Child
 from hyperflex.errors import EstimatorLost, HyperflexError, InvalidInput
 from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
@@ -29,7 +28,6 @@ from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.vision import Camera, Frame, Image, MarkerColour, MarkerDetector
 
-READY = "ready"
 TICK = 0.05  # s, longest time between two packets: the parent sees that the process runs
 MOST_CHANGES = 16  # that a packet carries
 _CLOCK_DRIFT = 1e-4  # s per s, by which the clocks of camera and machine may drift apart
@@ -149,26 +147,17 @@ class StampClock:
         return Frame(self._last, arrival.frame.image, arrival.frame.index)
 
 
-def work(source: int | str | Source, task: TrackingTask, link: Connection) -> None:
-    """Send a :class:`Packet` for each frame, and while none comes, until the parent ends; errors are sent as text.
+def work(link: Connection, source: int | str | Source, task: TrackingTask) -> None:
+    """Send a :class:`Packet` for each frame, and while none comes, until the parent ends.
 
     Parameters
     ----------
+    link : Connection
+        Receives motions, each with the time of its t = 0, s, and whether the rope is to be searched anew.
     source : int, str or Source
         Camera, stream or file.
     task : TrackingTask
-    link : Connection
-        Receives motions, each with the time of its t = 0, s, and whether the rope is to be searched anew.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
-    with suppress(OSError):  # the parent has ended
-        try:
-            _follow(source, task, link)
-        except HyperflexError as error:
-            link.send(str(error))
-
-
-def _follow(source: int | str | Source, task: TrackingTask, link: Connection) -> None:
     from threadpoolctl import threadpool_limits
 
     tracker, motions = task.tracker(), 0
@@ -188,7 +177,7 @@ def _follow(source: int | str | Source, task: TrackingTask, link: Connection) ->
         if frames.image_size != task.camera.image_size:
             got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, task.camera.image_size))
             raise InvalidInput("the frames have another size than the camera's calibration", got=got, allowed=allowed)
-        link.send(READY)
+        link.send((0, None))
         count, changes, spots = 0, deque[Change](maxlen=MOST_CHANGES), np.zeros((0, 2))
         for estimate in Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion):
             count += estimate.frame is not None
@@ -199,8 +188,9 @@ def _follow(source: int | str | Source, task: TrackingTask, link: Connection) ->
             if found and estimator.t is not None:
                 t, seen_at = estimator.t, estimator.t - estimator.age
             state = estimator.process_noise.value, estimator.x, estimator.factor
-            link.send(Packet(time.monotonic(), t, seen_at, found, count, *state, tuple(changes), motions, spots))
-        link.send(f"no more frames come: {frames.ended}")
+            packet = Packet(time.monotonic(), t, seen_at, found, count, *state, tuple(changes), motions, spots)
+            link.send((0, packet))
+        raise EstimatorLost(f"No more frames come: {frames.ended}.")
 
 
 def _spots(tracker: RopeTracker, image: Image, tracked: TrackedFrame) -> Array:
@@ -266,8 +256,9 @@ class CameraStateSource:
         self._anew, self._since = False, 0  # whether the rope is to be searched anew, and since which motion it is
         self._packet: Packet | None = None
         self.spots: list[tuple[float, Array]] = []
-        self._message = ""
-        self._worker: multiprocessing.process.BaseProcess | None = None
+        self._ended: HyperflexError | None = None
+        self._receiver = threading.Thread()
+        self._child = Child("The estimator", EstimatorLost, work, source, task)
 
     def __enter__(self) -> Self:
         self._start()
@@ -376,54 +367,35 @@ class CameraStateSource:
             self._send()
 
     @property
-    def pid(self) -> int | None:
-        """Identifier of the process; None if there is none."""
-        return None if self._worker is None else self._worker.pid
+    def pid(self) -> int:
+        """Identifier of the process."""
+        return self._child.pid
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._link, theirs = context.Pipe()
-        self._packet, self._message, self._sent, self._since = None, "", 0, 0
-        arguments = (self.source, self.task, theirs)
-        worker = context.Process(target=work, args=arguments, name="rope estimator", daemon=True)
-        worker.start()
-        self._worker = worker
-        theirs.close()
-        self._receiver = threading.Thread(target=self._receive, args=(self._link,), daemon=True)
+        self._packet, self._ended, self._sent, self._since = None, None, 0, 0
+        try:
+            self._child.start(self.start_timeout)
+        except HyperflexError as error:
+            raise EstimatorLost(f"The estimator did not start: {error}") from error
+        self._receiver = threading.Thread(target=self._receive, daemon=True)
         self._receiver.start()
-        until = time.monotonic() + self.start_timeout
-        while not self._message and self._receiver.is_alive() and time.monotonic() < until:
-            time.sleep(_POLL)
-        message, late, self._message = self._message, self._receiver.is_alive(), ""
-        if message != READY:
-            self._end()
-            if not message and late:
-                message = f"not within {self.start_timeout:g} s. Allow more start_timeout"
-            raise EstimatorLost(f"The estimator did not start: {message or 'its process ended'}")
 
-    def _receive(self, link: Connection) -> None:
+    def _receive(self) -> None:
         """Keep what the process sends until it ends."""
-        with suppress(EOFError, OSError):
+        try:
             while True:
-                received = link.recv()
-                if isinstance(received, Packet):
-                    if self._packet is not None and received.frames > self._packet.frames:
-                        self.spots.append((received.t - self._zero, received.spots))
-                    self._packet = received
-                else:
-                    self._message = received
+                packet = self._child.receive(None)
+                if self._packet is not None and packet.frames > self._packet.frames:
+                    self.spots.append((packet.t - self._zero, packet.spots))
+                self._packet = packet
+        except HyperflexError as error:
+            self._ended = error
 
     def _newest(self) -> Packet | None:
         """Return the newest packet, None before the first; raise if the process has ended or stalled."""
-        worker = self._worker
-        if worker is None:
-            raise InvalidInput("the state source is closed", fix="Use it within its with block")
-        if not worker.is_alive():
-            self._receiver.join()
-        if self._message or not worker.is_alive():
-            code = worker.exitcode
-            how = f"its process ended by signal {-code}" if code and code < 0 else f"its process ended with code {code}"
-            raise EstimatorLost(f"The estimator has ended: {(self._message or how).rstrip('.')}. Call restart().")
+        self._child.pid  # noqa: B018 raises if it does not run
+        if self._ended is not None:
+            raise EstimatorLost(f"{self._ended} Call restart().")
         quiet = 0.0 if self._packet is None else time.monotonic() - self._packet.written
         if quiet > self.stalled:
             raise EstimatorLost(
@@ -444,19 +416,11 @@ class CameraStateSource:
 
     def _send(self) -> None:
         with suppress(OSError):  # the process has ended: the next call reports it
-            self._link.send((self._motion, self._zero, self._anew))
+            self._child.link.send((self._motion, self._zero, self._anew))
         self._pending, self._anew, self._sent = False, False, self._sent + 1
 
     def _end(self) -> None:
         """End the process and wait for it."""
-        worker, self._worker = self._worker, None
-        if worker is None:
-            return
-        worker.terminate()
-        worker.join(1.0)
-        if worker.is_alive():
-            worker.kill()
-            worker.join()
-        worker.close()
-        self._receiver.join()
-        self._link.close()
+        self._child.end()
+        if self._receiver.is_alive():
+            self._receiver.join()

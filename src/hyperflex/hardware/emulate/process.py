@@ -1,7 +1,5 @@
 """An emulated drive as a process of its own, in real time, on a pseudo-terminal."""
 
-import gc
-import multiprocessing
 import os
 import select
 import time
@@ -15,13 +13,12 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import DriveError, HyperflexError, InvalidInput
+from hyperflex.child import START, Child, Records, run_in_real_time, serve
+from hyperflex.errors import DriveError
 from hyperflex.hardware.emulate.faults import FaultyWire, WireFaults
 from hyperflex.hardware.emulate.plant import MotorModel, Plant
-from hyperflex.interruption import leave_terminal
 from hyperflex.model import Arm, Rope
 
-PATIENCE = 120.0  # s within which the process answers; it may have to compile its kernels first
 AHEAD = (
     5e-3  # s of the plant that are integrated between two looks at the wire; a slow machine falls behind, and answers
 )
@@ -76,28 +73,6 @@ class EmulatorLog:
         return q, qd
 
 
-class Rows:
-    """Rows of numbers in memory that processes share: one writes, others read; the newest are kept."""
-
-    def __init__(self, count: int, columns: int) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._data, self._written = context.RawArray("d", count * columns), context.RawValue("q", 0)
-        self._shape = count, columns
-
-    def write(self, *row: float | Array) -> None:
-        """Write a row of numbers and arrays."""
-        rows, at = np.frombuffer(self._data).reshape(self._shape), self._written.value % self._shape[0]
-        np.concatenate([np.atleast_1d(each) for each in row], out=rows[at])
-        self._written.value += 1
-
-    def read(self, newest: int | None = None) -> Array:
-        """Return the `newest` rows, or all."""
-        written, (count, _) = self._written.value, self._shape
-        first = max(0, written - count + 1)  # the oldest may be overwritten meanwhile
-        first = first if newest is None else max(first, written - newest)
-        return np.asarray(np.frombuffer(self._data).reshape(self._shape)[np.arange(first, written) % count])
-
-
 class Emulator:
     """An emulated drive in a process of its own. Use it as a context manager; a host opens its `port`.
 
@@ -121,7 +96,7 @@ class Emulator:
     ----------
     port : str
         Path of the serial port, then the options that an address of the device needs, or was given.
-    states : Rows
+    states : Records
         Rows as of :attr:`EmulatorLog.states`, to be handed to a process that draws the rope.
 
     Notes
@@ -147,33 +122,23 @@ class Emulator:
             for name, value in (("duration", duration), ("sample", sample))
         )
         links = 1 if rope is None else rope.n_links
-        self.states = Rows(round(span / sample), len(STATES) + 2 * links)
-        self._goals = Rows(round(1e3 * span), len(GOALS))
-        self._arguments = device, {"model": model, "rope": rope, "arm": arm or Arm(), **plant}, baud, sample
-        self._process: Any = None
+        self.states = Records(round(span / sample), len(STATES) + 2 * links)
+        self._goals = Records(round(1e3 * span), len(GOALS))
+        given = device, {"model": model, "rope": rope, "arm": arm or Arm(), **plant}, baud, sample
+        self._child = Child("The emulator", DriveError, emulate, *given, self.states, self._goals)
         self.port = ""
 
     def __enter__(self) -> Self:
-        context = multiprocessing.get_context("spawn")
-        self._link, theirs = context.Pipe()
-        shared = theirs, self.states, self._goals
-        self._process = context.Process(target=emulate, args=(*self._arguments, *shared), name="emulator", daemon=True)
-        self._process.start()
-        theirs.close()
-        try:
-            self.port = self._receive()
-        except BaseException:
-            self._end()
-            raise
+        self.port = self._child.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._end()
+        self._child.end()
 
     @property
     def pid(self) -> int:
         """Identifier of the process."""
-        return int(self._process.pid)
+        return self._child.pid
 
     def log(self) -> EmulatorLog:
         """Return what the device has received and done until now."""
@@ -214,64 +179,40 @@ class Emulator:
             self._ask("disconnect")
 
     def _ask(self, *request: Any) -> Any:
-        if self._process is None:
-            raise InvalidInput("the emulator does not run", fix="Use it within its with block")
-        with suppress(OSError):  # why it has ended is received
-            self._link.send(request)
-        return self._receive()
-
-    def _receive(self) -> Any:
-        if not self._link.poll(PATIENCE):
-            raise DriveError(f"The emulator has not answered for {PATIENCE:g} s.")
-        try:
-            answer = self._link.recv()
-        except (EOFError, OSError):
-            self._process.join()
-            raise DriveError(f"The emulator ended with code {self._process.exitcode}.") from None
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    def _end(self) -> None:
-        process, self._process = self._process, None
-        process.kill()
-        process.join()
-        self._link.close()
+        return self._child.ask(*request, patience=START)  # what is behind the clock answers late
 
 
 def emulate(
+    link: Connection,
     make: Callable[[Plant], Device],
     plant: dict[str, Any],
     baud: int,
     sample: float,
-    link: Connection,
-    states: Rows,
-    goals: Rows,
+    states: Records,
+    goals: Records,
 ) -> None:
     """Run a device in real time until the parent ends."""
-    leave_terminal()  # its signals are the host's, whose drive is to answer them
-    try:
-        motor = Plant(**plant)
-        motor.warm()
-        device = make(motor)
-        motor.on_goal = lambda goal: goals.write(time.monotonic(), goal.angle, goal.rate, goal.torque)
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-        with suppress(OSError, AttributeError):  # only with the right to do so
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-        _serve(device, _Terminal(baud), link, states, sample)
-    except HyperflexError as error:
-        with suppress(OSError):
-            link.send(error)
+    motor = Plant(**plant)
+    motor.warm()
+    device = make(motor)
+    motor.on_goal = lambda goal: goals.write((time.monotonic(), goal.angle, goal.rate, goal.torque))
+    run_in_real_time()
+    _serve(device, _Terminal(baud), link, states, sample)
 
 
-def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows, sample: float) -> None:
+def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Records, sample: float) -> None:
     wire, plant, began = FaultyWire(), device.plant, time.monotonic()
+    answers: dict[str, Callable[..., Any]] = {
+        "replies": lambda: dict(wire.counts),
+        "wire": wire.set,
+        "impose": lambda imposed: plant.impose(**imposed),
+        "hang": plant.hang,
+        "disconnect": terminal.close,
+    }
     _record(states, plant, 0.0)
-    link.send(f"{terminal.port}?{device.options}".rstrip("?"))
+    link.send((0, f"{terminal.port}?{device.options}".rstrip("?")))
     due = began  # of the next sample
-    while True:
+    while serve(link, answers):
         listened: list[Any] = [*terminal.ends, link]
         ready = select.select(listened, [], [], plant.step)[0]
         now = time.monotonic()
@@ -285,40 +226,14 @@ def _serve(device: Device, terminal: "_Terminal", link: Connection, states: Rows
         if now >= due:
             _record(states, plant, now - began - plant.t)
             due = max(due + sample, now)
-        if link in ready and not _answer(link, plant, wire, terminal):
-            return
         if behind > AHEAD:  # a system stops a process at real-time priority that never sleeps, for some 50 ms
             time.sleep(0.1 * AHEAD)
 
 
-def _record(states: Rows, plant: Plant, behind: float) -> None:
+def _record(states: Records, plant: Plant, behind: float) -> None:
     read = plant.angle, plant.rate, plant.torque, plant.voltage, plant.temperature, float(plant.enabled), behind
-    states.write(time.monotonic(), plant.arm_angle, plant.arm_rate, *read, *plant.rope_state())
-
-
-def _answer(link: Connection, plant: Plant, wire: FaultyWire, terminal: "_Terminal") -> bool:
-    """Answer a request of the parent; return False if it has ended."""
-    try:
-        kind, *values = link.recv()
-    except (EOFError, OSError):
-        return False
-    answer: Any = None
-    try:
-        if kind == "replies":
-            answer = dict(wire.counts)
-        elif kind == "wire":
-            wire.set(*values)
-        elif kind == "impose":
-            plant.impose(**values[0])
-        elif kind == "hang":
-            plant.hang(*values)
-        elif kind == "disconnect":
-            terminal.close()
-    except (HyperflexError, TypeError) as error:
-        answer = error
-    with suppress(OSError):
-        link.send(answer)
-    return True
+    q, qd = plant.rope_state()
+    states.write((time.monotonic(), plant.arm_angle, plant.arm_rate, *read, *q, *qd))
 
 
 class _Terminal:
