@@ -6,31 +6,38 @@ python -m benchmarks.hand --kept                              the page of all ro
 
 A renderer, the tracker, the follower, the process that streams to the drive, and the emulated drive with its rope are
 separate processes. The rope in the emulator is 1.5 % longer and heavier than the planner's and has 10 % more friction;
-its links are cut as in a verified run. The motor acts 15 ms late, and the target is 1 cm aside. Closed loop and
-learning know of the rope what is tracked in the rendered pictures, and of the drive the lag that is identified once, in
-a test motion. Each target has a cast as planned, one in closed loop, and one after at most three from which was
-learned: the first of them is the one as planned, and a motion that winds the rope, as the camera sees it, is kept. A
-cast counts as won if the emulated rope's true state keeps the turns that the plan requires, as long as it requires.
-Rows are kept in hand.jsonl: the same command goes on where it stopped.
+its links are cut as in a verified run. The motor acts 15 ms late, what it reads is noisy, and the target is 1 cm aside.
+The tracker's camera is not the renderer's: its pose is off as after a calibration. Closed loop and learning know of the
+rope what is tracked in the rendered pictures, and of the drive the lag that is identified once, in a test motion. Each
+target has a cast as planned, one in closed loop, and one after at most three from which was learned: the first of them
+is the one as planned, and a motion that winds the rope, as the camera sees it, is kept. A cast counts as won if the
+emulated rope's true state keeps the turns that the plan requires, as long as it requires.
+
+A cast in which the emulator fell behind the clock is no fair trial: it is repeated, three times at most, and kept apart
+in the row. Any other cast that fails counts as lost, with its reason. Rows are kept in hand.jsonl: the same command
+goes on where it stopped.
 """
 
 import argparse
+import math
 import resource
-import sys
 import time
+import zlib
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
 
 from hyperflex import files
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.errors import HyperflexError
+from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.execution import (
     CameraRope,
     CastLog,
@@ -50,10 +57,15 @@ from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, MotorLimits, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, FollowOptions, read_plan, scaled_rope
+from hyperflex.vision import Camera
 
 RESULTS = Path(__file__).parent / "results"
 LENGTH, MASS, FRICTION = 1.015, 1.015, 1.1  # of the planner's
 LATE, ASIDE = 0.015, 0.01  # s, m
+NOISE = {"angle_noise": 5e-4, "rate_noise": 0.05, "torque_noise": 0.02}  # rad, rad/s, N m; of what the motor reads
+TURNED, SHIFTED, SCALED = 0.2, 2e-3, 1e-3  # deviations of the pose: degrees, m, part of the distance
+BEHIND = 0.02  # s behind the clock: the time in which a usual drive follows
+REPEATS = 3  # of a cast that was no fair trial
 CASTS = 3  # that are learned from
 WAYS = ("nominal", "closed", "learned")
 
@@ -61,44 +73,78 @@ WAYS = ("nominal", "closed", "learned")
 class Rig:
     """An emulated drive with the other rope, a camera and a tracker before it; they go on from cast to cast."""
 
-    def __init__(self, plan: CastPlan, motor: str, lag: float, stack: ExitStack) -> None:
+    def __init__(self, path: Path, plan: CastPlan, motor: str, lag: float, stack: ExitStack) -> None:
         other = scaled_rope(plan.problem.rope, LENGTH, MASS, FRICTION)
         self.plan, self.rope = plan, replace(plan, problem=replace(plan.problem, rope=other)).setup().rope
         self.peg = replace(plan.target, x=plan.target.x + ASIDE)
         make, self.emulator = emulator_of(plan, motor, model(motor), rope=self.rope, obstacles=(self.peg,))
         stack.enter_context(self.emulator)
         camera = stack.enter_context(EmulatedCamera(plan, self.emulator, self.rope, self.peg))
-        self.source = stack.enter_context(CameraRope(camera.frames, camera.task))
+        task = replace(camera.task, camera=calibrated(camera.task.camera, zlib.crc32(path.stem.encode())))
+        self.source = stack.enter_context(CameraRope(camera.frames, task))
         address = f"{make}:{self.emulator.port}"
         self.connect = partial(open_drive, address, plan.problem.limits, None, 0.5)
         self.options = RunOptions(wait=5.0, countdown=0.0, lag=lag)
 
-    def cast(self, motion: Motion | None = None, follow: bool = False) -> tuple[CastRun, dict[str, Any]]:
+    def cast(self, motion: Motion | None = None, follow: bool = False) -> tuple[CastRun | None, dict[str, Any]]:
+        """Carry the plan out, again if the emulator fell behind the clock; return the run, and what became of it."""
+        unfair: list[dict[str, Any]] = []
+        while True:
+            run, found = self.once(motion, follow)
+            if found["behind"] <= BEHIND or len(unfair) == REPEATS:
+                return run, {**found, "unfair": unfair}
+            unfair.append({name: found[name] for name in ("behind", "won", "stopped")})
+
+    def once(self, motion: Motion | None, follow: bool) -> tuple[CastRun | None, dict[str, Any]]:
         """Unwind the rope, and carry the plan out; return the run, and what became of it."""
         plan, closed = self.plan, FollowOptions(decision_time=0.3) if follow else None
         made = motion or plan.required(plan.motion, "motion")
+        begin = time.monotonic()
         self.emulator.hang(float(made.angle(0.0)))
-        run = run_plan(plan, self.connect, motion=motion, source=self.source, follow=closed, options=self.options)
+        try:
+            run = run_plan(plan, self.connect, motion=motion, source=self.source, follow=closed, options=self.options)
+        except HyperflexError as error:  # before the cast
+            return None, lost(str(error), self.behind(begin))
         turns = true_turns(self.emulator, plan, self.rope, self.peg)
         decided = [] if run.follow is None else run.follow.decisions
-        row = {
+        return run, {
             "won": abs(turns) >= plan.problem.criteria.turns,
             "turns": turns,
             "seen": run.turns,
+            "wound": run.wound,
             "stopped": run.stopped,
             "cycles": len(run.log.rows),
             "missed": run.log.missed,
             "late": run.late,
             "frames": len(self.source.spots),
-            "behind": behind(self.emulator),
+            "behind": self.behind(begin),
             "decisions": [[each.action, each.before, each.after, each.seconds] for each in decided],
         }
-        return run, row
+
+    def behind(self, begin: float) -> float:
+        """Return the longest time by which motor and rope were behind the clock since a moment of it, s."""
+        log = self.emulator.log()
+        return float(log.column("behind")[log.column("t") >= begin].max())
+
+
+def lost(why: str, behind: float = 0.0) -> dict[str, Any]:
+    """Return the figures of a cast that was not carried out."""
+    none: dict[str, Any] = {"turns": None, "seen": None, "wound": None, "decisions": []}
+    return {"won": False, "stopped": why, "behind": behind, "cycles": 0, "missed": 0, "late": 0, "frames": 0, **none}
+
+
+def calibrated(camera: Camera, seed: int) -> Camera:
+    """Return a camera as a calibration knows it: the swing plane is turned and shifted a little before it."""
+    random = np.random.default_rng(seed)
+    turned = cv2.Rodrigues(np.radians(TURNED) * random.standard_normal(3))[0]
+    rotation = cv2.Rodrigues(cv2.Rodrigues(camera.rotation)[0] @ turned)[0][:, 0]
+    place = camera.translation * (1.0 + SCALED * random.standard_normal())
+    return replace(camera, rotation=rotation, translation=place + SHIFTED * random.standard_normal(3) * [1.0, 1.0, 0.0])
 
 
 def model(motor: str) -> MotorModel:
     """Return the emulated motor."""
-    return MotorModel(latency=LATE, extrapolates=motor.startswith("emulator:moteus"))
+    return MotorModel(latency=LATE, extrapolates=motor.startswith("emulator:moteus"), **NOISE)
 
 
 def true_turns(emulator: Emulator, plan: CastPlan, rope: Rope, peg: Peg) -> float:
@@ -112,43 +158,52 @@ def true_turns(emulator: Emulator, plan: CastPlan, rope: Rope, peg: Peg) -> floa
     return float(min(found, key=abs))
 
 
-def behind(emulator: Emulator) -> float:
-    """Return the longest time between two states of the emulated rope, s: it falls behind the clock."""
-    return float(np.diff(emulator.log().column("t")).max())
-
-
 def row(path: Path, motor: str, lag: float) -> dict[str, Any]:
     """Return what became of a plan in each way."""
     plan = read_plan(path)
     assert isinstance(plan, CastPlan)
     begin, used = time.monotonic(), usage()
     casts: list[dict[str, Any]] = []
-    with ExitStack() as stack:
-        rig = Rig(plan, motor, lag, stack)
-        started = time.monotonic()
+    found: dict[str, dict[str, Any]] = {}
+    learned_from: list[str] = []
+    started, why = begin, ""
+    try:
+        with ExitStack() as stack:
+            rig = Rig(path, plan, motor, lag, stack)
+            started = time.monotonic()
 
-        def cast(motion: Motion | None = None, follow: bool = False) -> CastRun:
-            run, found = rig.cast(motion, follow)
-            casts.append(found)
-            return run
+            def cast(motion: Motion | None = None, follow: bool = False) -> CastRun | None:
+                run, made = rig.cast(motion, follow)
+                casts.append(made)
+                return run
 
-        nominal = cast()
-        cast(follow=True)
-        first = [nominal.cast_log()]
+            nominal = cast()
+            found["nominal"] = casts[0]
+            cast(follow=True)
+            found["closed"] = casts[1]
+            first = [] if nominal is None or nominal.recording is None else [nominal.cast_log()]
 
-        def once(motion: Motion) -> CastLog:
-            return first.pop() if first else cast(motion).cast_log()
+            def once(motion: Motion) -> CastLog:
+                if first:
+                    return first.pop()
+                run = cast(motion)
+                if run is None:
+                    raise InvalidInput(casts[-1]["stopped"])
+                return run.cast_log()
 
-        options = LearningOptions(wins=1, replanning_time=15.0)
-        learned = learn_cast(plan, once, attempts=CASTS, options=options)
-        if not learned.success:
-            cast(learned.motion)
-        last = casts[0] if learned.success and len(learned.attempts) == 1 else casts[-1]
+            options = LearningOptions(wins=1, replanning_time=15.0)
+            learned = learn_cast(plan, once, attempts=CASTS, options=options)
+            learned_from = [str(each) for each in learned.attempts]
+            if not learned.success:
+                cast(learned.motion)
+            found["learned"] = casts[0] if learned.success and len(learned.attempts) == 1 else casts[-1]
+    except HyperflexError as error:
+        why = str(error)
     return {
         "plan": path.stem,
-        **dict(zip(WAYS, (*casts[:2], last), strict=True)),
+        **{way: found.get(way, lost(why)) for way in WAYS},
         "casts": casts,
-        "learned_from": [str(each) for each in learned.attempts],
+        "learned_from": learned_from,
         "seconds": time.monotonic() - begin,
         "starting": started - begin,
         "processor_time": usage() - used,
@@ -178,23 +233,33 @@ def page(rows: list[dict[str, Any]]) -> str:
     casts = [each for row in rows for each in row["casts"]]
     missed, cycles = (sum(each[name] for each in casts) for name in ("missed", "cycles"))
     late = sum(each["late"] for each in casts) + sum(one[0] == "late" for each in casts for one in each["decisions"])
-    decided = [one[3] for each in casts for one in each["decisions"]]
-    agreed = [each["seen"] is not None and (abs(each["seen"]) >= 1.25) == each["won"] for each in casts]
-    longest = max(each["behind"] for each in casts)
+    decided = [one[3] for each in casts for one in each["decisions"]] or [math.nan]
+    unfair = [one["behind"] for each in casts for one in each["unfair"]]
+    still = sum(each["behind"] > BEHIND for each in casts)
+    verdicts = Counter("not known" if each["wound"] is None else each["wound"] == each["won"] for each in casts)
     about = (
         f"{len(rows)} planned casts on an emulated drive ({rows[0]['motor']}), in real time. All emulated: motor, rope "
         "and pictures. Renderer, tracker, follower, stream and drive are separate processes. The emulated rope is 1.5 "
         "% longer and heavier than the planner's and has 10 % more friction; its links are cut as in a verified run. "
-        f"The motor acts 15 ms late (identified: {1e3 * rows[0]['lag']:.1f} ms), the target is 1 cm aside. The camera "
-        "has 480x480 pixels and 30 frames a second, and ten markers are on the rope. A cast is won if the true rope "
-        "keeps the turns that the plan requires, as long as it requires. The emulated drive allows pauses of 0.25 s, "
-        f"for it shares two cores with all others. {'' if len(rows) >= 20 else 'Not measured on 20 targets yet.'}"
+        f"The motor acts 15 ms late (identified: {1e3 * rows[0]['lag']:.1f} ms), the target is 1 cm aside. What the "
+        f"motor reads is noisy: {1e3 * NOISE['angle_noise']:g} mrad, {NOISE['rate_noise']:g} rad/s, "
+        f"{NOISE['torque_noise']:g} N m. The camera has 480x480 pixels and 30 frames a second, and ten markers are on "
+        f"the rope. The tracker knows the camera as after a calibration, another one for each plan: its pose is off by "
+        f"{TURNED:g} degrees about each axis, {1e3 * SHIFTED:g} mm in the plane and {100 * SCALED:g} % of the distance "
+        "(standard deviations). A cast is won if the true rope keeps the turns that the plan requires, as long as it "
+        "requires. The emulated drive allows pauses of 0.25 s, for it shares two cores with all others. "
+        f"{'' if len(rows) >= 20 else 'Not measured on 20 targets yet.'}"
     )
     found = (
-        f"Missed cycles of the drive: {missed} of {cycles} ({missed / cycles:.2%}). Corrections that came too late: "
-        f"{late} of {len(decided)}; a decision took {np.median(decided):.2f} s in the median and {max(decided):.2f} s "
-        f"at most. Longest time between two states of the emulated rope: {1e3 * longest:.0f} ms. "
-        f"The camera's verdict was right in {sum(agreed)} of {len(casts)} casts."
+        f"Missed cycles of the drive: {missed} of {cycles} ({missed / max(cycles, 1):.2%}). Corrections that came too "
+        f"late: {late} of {len(decided)}; a decision took {np.median(decided):.2f} s in the median and "
+        f"{max(decided):.2f} s at most. The verdict of the camera, or else of the torque, was right in "
+        f"{verdicts[True]} of {len(casts)} casts, wrong in {verdicts[False]}, and not known in {verdicts['not known']}."
+    )
+    fair = (
+        f"Casts in which the emulator fell more than {1e3 * BEHIND:.0f} ms behind the clock, and which were repeated: "
+        f"{len(unfair)}{f', by up to {1e3 * max(unfair):.0f} ms' if unfair else ''}. After {REPEATS} repeats a cast "
+        f"counts as it is: {still}."
     )
     won = " | ".join(str(sum(row[way]["won"] for row in rows)) for way in WAYS)
     text = [
@@ -204,13 +269,29 @@ def page(rows: list[dict[str, Any]]) -> str:
         "",
         "| as planned | closed loop | learned after at most three casts | of |",
     ]
-    text += ["|---|---|---|---|", f"| {won} | {len(rows)} |", "", found, "", "True turns (w: won):", ""]
+    text += ["|---|---|---|---|", f"| {won} | {len(rows)} |", "", found, "", fair, "", "True turns (w: won):", ""]
     text += ["| plan | as planned | closed loop | decisions | learned | casts |", "|---|---|---|---|---|---|"]
     for row in rows:
-        turns = [f"{abs(row[way]['turns']):.2f}{' w' * row[way]['won']}" for way in WAYS]
+        turns = [_turns(row[way]) for way in WAYS]
         actions = ", ".join(one[0] for one in row["closed"]["decisions"])
         text.append(f"| {row['plan']} | {turns[0]} | {turns[1]} | {actions} | {turns[2]} | {len(row['casts'])} |")
+    reasons = [
+        f"- {row['plan']}, {number}: {why}"
+        for row in rows
+        for number, why in [*((f"cast {k + 1}", each["stopped"]) for k, each in enumerate(row["casts"])), *_left(row)]
+        if why
+    ]
+    text += ["", "Casts that were stopped or not carried out; they count as they are:", "", *reasons] if reasons else []
     return "\n".join([*text, "", "    python -m benchmarks.hand PLANS"]) + "\n"
+
+
+def _turns(cast: dict[str, Any]) -> str:
+    return "none" if cast["turns"] is None else f"{abs(cast['turns']):.2f}{' w' * cast['won']}"
+
+
+def _left(row: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the ways that have no cast, with the reason."""
+    return [(way, row[way]["stopped"]) for way in WAYS if row[way] not in row["casts"]]
 
 
 def main() -> None:
@@ -229,14 +310,10 @@ def main() -> None:
         if any((each["plan"], each["motor"]) == (path.stem, options.motor) for each in rows):
             continue
         lag = identified_lag(options.motor) if lag is None else lag
-        try:
-            found = {**row(path, options.motor, lag), "motor": options.motor, "lag": lag}
-        except HyperflexError as error:  # before a cast
-            sys.stderr.write(f"{path.stem}: {error}\n")
-            continue
+        found = {**row(path, options.motor, lag), "motor": options.motor, "lag": lag}
         rows.append(found)
         lines.append(log, found)
-        told = {way: (found[way]["won"], round(found[way]["turns"], 2)) for way in WAYS}
+        told = {way: _turns(found[way]) for way in WAYS}
         print(path.stem, told, f"{found['seconds']:.0f} s, {found['processor_time']:.0f} s of processors", flush=True)
     if not rows:
         raise SystemExit("no rows yet")
