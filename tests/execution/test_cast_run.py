@@ -1,5 +1,6 @@
 """The verdict of a run, from a log that is given."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +35,24 @@ def run(wound: float, held: float = START, scatter: float = 0.0, end: float = HA
 
 def test_only_turns_while_the_rope_is_watched_count():
     t = np.array([STOP, STOP + 0.15, END, END + 0.2])
-    assert replace(run(0.0), observed=(t, np.array([0.0, 1.6, 1.5, 0.0]))).turns == 1.5
+    assert replace(run(0.0), observed=(t, np.array([0.0, 1.6, 1.5, 0.0])[:, None] + [0.0, 0.1])).turns == 1.5
+
+
+@pytest.mark.parametrize(
+    ("turns", "wound", "message"),
+    [
+        ((1.3, 1.35), True, ""),
+        ((0.3, 0.4), False, "the rope is not wound: 0.30 turns of 1.25 (state)"),
+        ((0.3, 1.3), None, "not known whether the rope is wound: it shows 0.30 to 1.30 turns of 1.25"),
+    ],
+)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_rope_is_wound_by_its_likeliest_turns_and_not_if_it_cannot_be(turns, wound, message, side):
+    t = STOP + np.linspace(0.12, 0.28, 7)
+    seen = side * np.array([[1.9, 2.0]] * 3 + [[math.nan] * 2, turns, turns, [0.1, 0.1]])
+    cast = replace(run(0.0, scatter=1.0), observed=(t, seen))
+    assert (cast.wound, cast.judged_by) == (wound, "" if wound is None else "state")
+    assert cast.message.replace("-", "") == message
 
 
 @pytest.mark.parametrize(

@@ -77,10 +77,11 @@ class SeenRope:
         self.given.append(self.true.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
         return self.given[-1]
 
-    def turns(self, arm_angle: Callable[[Array], Array], peg: hf.Peg, side: int) -> tuple[Array, Array]:
+    def turns(self, arm_angle: Callable[[Array], Array], peg: hf.Peg, side: int, rope: hf.Rope) -> tuple[Array, Array]:
         t = np.array([each.t for each in self.given])
         rows = zip(self.given, arm_angle(t).tolist(), strict=True)
-        return t, np.array([observed_turns(ROPE, self.plan.problem.arm, state, angle, peg) for state, angle in rows])
+        turns = [observed_turns(ROPE, self.plan.problem.arm, state, angle, peg) for state, angle in rows]
+        return t, np.transpose([turns, turns])
 
 
 def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(tmp_path: Path) -> None:
@@ -241,7 +242,7 @@ def test_a_closed_loop_that_hangs_stops_the_run(
     source.woken.set()
     assert begun.is_set()
     assert run.stopped == message
-    assert (run.log.column("sent")[-1] < made.breaks[-1]) is asks
+    assert bool(run.log.column("sent")[-1] < made.breaks[-1]) is asks
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
 
 

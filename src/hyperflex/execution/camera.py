@@ -17,7 +17,6 @@ from hyperflex.estimate import CameraStateSource, EstimatedParameter, TrackingTa
 from hyperflex.hardware import Emulator, EmulatorLog
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import CastPlan
-from hyperflex.trajectory import swept
 from hyperflex.vision import Camera, Frame, Image, MarkerColour, Occluder, Renderer, RopeMotion, Scene
 
 
@@ -37,17 +36,20 @@ class CameraRope(CameraStateSource):
         if at is None:
             self.search()
 
-    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
-        """Return the times (T,), s, of the pictures, and the turns of the rope about a peg in each; NaN: not seen."""
-        arm, rope, arcs = checks.instance("arm", self.task.arm, Arm), self.task.rope, np.asarray(self.task.arc_lengths)
-        seen = list(self.spots)
+    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int, rope: Rope) -> tuple[Array, Array]:
+        """Return the times (T,), s, of the pictures, and the turns of the rope about a peg in each (T, 2).
+
+        Those that explain the markers best, and the most that may be: of :func:`wound_turns`. NaN: not seen.
+        """
+        arm, seen = checks.instance("arm", self.task.arm, Arm), list(self.spots)
+        arcs = np.asarray(self.task.arc_lengths) * rope.total_length / self.task.rope.total_length
+        middle, radius = np.array([peg.x, peg.y]), peg.radius + rope.radius
         t = np.array([at for at, _ in seen])
-        tips = arm.tip(arm_angle(t))
-        found = [wound_turns(rope, arcs, tip, peg, side, spots) for tip, (_, spots) in zip(tips, seen, strict=True)]
-        parts = np.lib.stride_tricks.sliding_window_view(np.pad(found, 4, "edge"), 9) if found else np.zeros((0, 9))
-        turns, known = np.full(t.shape, math.nan), np.isfinite(parts).sum(axis=1) > 4
-        turns[known] = np.nanmedian(parts[known], axis=1)  # of nine: markers pass before others
-        return t, turns
+        starts = arm.tip(arm_angle(t)) - middle
+        found = [
+            wound_turns(arcs, radius, side, start, at - middle) for start, (_, at) in zip(starts, seen, strict=True)
+        ]
+        return t, np.array(found).reshape(-1, 2)
 
 
 def measured_length() -> list[EstimatedParameter]:
@@ -55,56 +57,79 @@ def measured_length() -> list[EstimatedParameter]:
     return [EstimatedParameter("length", 0.02)]
 
 
-def wound_turns(rope: Rope, arc_lengths: Array, start: Array, peg: Peg, side: int, spots: Array) -> float:
-    """Return by how many turns a rope is wound about a peg, from its markers, whose order is not known.
+def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spots: Array) -> tuple[float, float]:
+    """Return by how many turns a rope is wound about a peg at the origin, from its markers, whose order is not known.
 
-    From the start markers follow each other at about their distances along the rope, up to the peg. All others off the
-    peg are those of the free end, the last of the rope. What is between both, less the straight ways to the peg, is on
-    it. Right to some 0.3 turns where the rope hangs slack; markers that are hidden by others make them more. Where a
-    marker more would have to be seen off the peg, nothing is known.
+    Paths along the rope from marker to marker are compared, straight or round the peg, by how much longer or shorter
+    they are than the rope between the markers, by how far they cut into the peg, and by the markers that are not seen:
+    those on the peg hide each other. A path's turns are exact, but for the place of the peg. A wound rope may often be
+    explained with a turn less as well, one that is not wound hardly ever with a turn more.
 
     Parameters
     ----------
-    rope : Rope
     arc_lengths : (K,) float64
         Of the markers, m.
-    start : (2,) float64
-        The rope's first joint, m.
-    peg : Peg
+    radius : float
+        Of peg and rope, m.
     side : int
         1 if the rope winds counterclockwise, else -1.
+    start : (2,) float64
+        The rope's first joint, m.
     spots : (M, 2) float64
         Places of all that looks like a marker, m.
 
     Returns
     -------
-    float
-        Signed, as of :func:`observed_turns`; 0 if nothing of the rope is on the peg, NaN if none, or too few, are
-        seen off it.
+    best : float
+        Turns of the likeliest path, signed as of :func:`observed_turns`; NaN if less than half of the markers are seen.
+    most : float
+        The most turns of a path that is at least a tenth as likely.
     """
-    middle, radius = np.array([peg.x, peg.y]), peg.radius + rope.radius
-    free = [spot for spot in spots if math.dist(spot, middle) > 2.0 * radius]
-    if not free:
-        return math.nan
-    chain, arc = [start], 0.0  # of what leads to the peg
-    for gap in np.diff(arc_lengths, prepend=0.0).tolist():
-        steps = [abs(math.dist(spot, chain[-1]) - gap) for spot in free]
-        if not steps or min(steps) > 0.3 * gap:
-            break
-        chain.append(free.pop(int(np.argmin(steps))))
-        arc += gap
-    first = arc_lengths.size - len(free)  # marker of the free end
-    end = sorted(free, key=lambda spot: math.dist(spot, middle))
-    ways = [math.dist(each, middle) for each in (chain[-1], *end[:1])]
-    straight = sum(math.sqrt(max(0.0, way**2 - radius**2)) for way in ways)
-    on = (arc_lengths[first] if end else rope.total_length) - arc - straight
-    if first < 0 or on <= 0.0:
-        return 0.0
-    if max(ways) > 1.3 * np.diff(arc_lengths, prepend=0.0).max() + 2.0 * radius:
-        return math.nan
-    beside = sum(math.acos(min(1.0, radius / way)) for way in ways)  # rad, to where a way meets the peg
-    about = sum(float(swept(np.array(each) - middle).sum()) for each in (chain, end) if len(each) > 1)
-    return (side * (on / radius + beside) + about) / math.tau
+    if 2 * len(spots) < arc_lengths.size:
+        return math.nan, math.nan
+    where = np.vstack([start, spots])
+    way, away = where - where[:, None], np.hypot(*where.T)
+    square = np.maximum((way**2).sum(axis=2), 1e-12)
+    nearest = where[:, None] - way * np.clip((where[:, None] * way).sum(axis=2) / square, -1.0, 0.0)[:, :, None]
+    near = np.linalg.norm(nearest, axis=2)
+    cut = np.maximum(0.0, np.minimum(radius, np.minimum(away, away[:, None])) - near)
+    angle, reach = np.arctan2(where[:, 1], where[:, 0]), np.maximum(away, 1.001 * radius)
+    tangent, meets = np.sqrt(reach**2 - radius**2), np.arccos(radius / reach)
+    about = (side * (angle - angle[:, None])) % math.tau
+    round_peg = about + math.tau * np.arange(3)[:, None, None]
+    on = round_peg - meets - meets[:, None]
+    # From spot to spot, straight and round the peg: angle about it, rad, length, m, and costs of the way and of each
+    # marker that is not seen on it: less near the peg, where markers hide each other.
+    turned = np.concatenate([(about - math.tau * (about > math.pi))[None], round_peg])
+    length = np.concatenate([np.sqrt(square)[None], tangent + tangent[:, None] + radius * on])
+    cost = np.concatenate([(cut[None] / 0.01) ** 2, np.where(on > 0.0, 0.0, np.inf)])
+    hides = np.concatenate([np.where(near < 2.0 * radius, 2.0, 4.0)[None], np.full_like(on, 2.0)])
+    arcs = np.append(arc_lengths, 0.0)  # the last one is the start's, whose number is -1
+    paths = np.zeros((1, 4 + len(where)))  # cost, angle, last spot, number of its marker, and which spots are used
+    paths[0, 3:5] = -1.0, 1.0
+    for number, arc in enumerate(arc_lengths.tolist()):
+        last, before = paths[:, 2:4].T.astype(int)
+        gap = (arc - arcs[before])[:, None]
+        over = length[:, last] - gap
+        allowed = np.where(over > 0.0, 0.01 + 0.03 * gap, 0.15 * gap)  # m, of a rope that is taut, and of a slack one
+        total = cost[:, last] + (over / allowed) ** 2 + (number - 1 - before)[:, None] * hides[:, last]
+        how, path, spot = np.nonzero((total < np.inf) & (paths[:, 4:] == 0.0))
+        longer = paths[path]
+        longer[:, 0] += total[how, path, spot]
+        longer[:, 1] += turned[how, last[path], spot]
+        longer[:, 2], longer[:, 3] = spot, number
+        longer[np.arange(spot.size), 4 + spot] = 1.0
+        paths = np.concatenate([longer, paths])
+        paths = paths[np.argsort(paths[:, 0] + 2.0 * (number - paths[:, 3]), kind="stable")[:200]]
+    last, number = paths[:, 2:4].T.astype(int)
+    wrapped = (arc_lengths[-1] - arcs[number] - tangent[last]) / radius  # rad, of an end that is not seen, on the peg
+    ends = (number < arc_lengths.size - 1) & (wrapped > 0.0)
+    turns = (paths[:, 1] + ends * (meets[last] + wrapped)) / math.tau
+    total = paths[:, 0] + (arc_lengths.size - 1 - number) * np.where(ends, 2.0, 4.0)
+    total += 8.0 * (paths[:, 4:] == 0.0).sum(axis=1)  # of what looks like a marker and is none
+    best = total.argmin()
+    most = turns[total < total[best] + 2.0 * math.log(10.0)].max() + 0.05  # by which the place of the peg may be wrong
+    return side * float(turns[best]), side * float(most)
 
 
 class SharedFrames:

@@ -109,8 +109,9 @@ class CastRun:
         The simulated run of the plan; None if it cannot be simulated.
     recording : Recording or None
         Absolute link angles as the source of the rope's state gave them; None without a source.
-    observed : ((T,) float64, (T,) float64), or None
-        Times, s, and the turns of the rope about the target as it was seen then; NaN where they do not show.
+    observed : ((T,) float64, (T, 2) float64), or None
+        Times, s, and the turns of the rope about the target as it was seen then: the likeliest, and the most that may
+        be; NaN where they do not show.
     follow : FollowResult or None
         The decisions, if the plan was followed in closed loop.
     stopped : str
@@ -145,11 +146,15 @@ class CastRun:
             return f"interrupted: {self.stopped or 'the torque was switched off'}"
         if self.stopped:
             return self.stopped
+        required = self.plan.problem.criteria.turns
+        if self.wound is None and self._turns is not None:
+            likely, most = self._turns
+            return f"not known whether the rope is wound: it shows {likely:.2f} to {most:.2f} turns of {required:g}"
         if self.wound is None:
             return "nothing shows whether the rope is wound: neither a camera nor a torque that differs enough"
         if self.wound:
             return ""
-        seen = "" if self.turns is None else f": {abs(self.turns):.2f} turns of {self.plan.problem.criteria.turns:g}"
+        seen = "" if self.turns is None else f": {abs(self.turns):.2f} turns of {required:g}"
         return f"the rope is not wound{seen} ({self.judged_by})"
 
     @property
@@ -166,28 +171,40 @@ class CastRun:
 
     @property
     def wound(self) -> bool | None:
-        """Whether the rope is wound at the end: by its observed state, else by the torque; None if nothing shows it."""
-        if self.turns is not None:
-            return abs(self.turns) >= self.plan.problem.criteria.turns
-        return self._wound_by_torque
+        """Whether the rope is wound at the end: by its observed state, else by the torque; None if neither decides."""
+        return self._wound_by_torque if self._wound_by_state is None else self._wound_by_state
 
     @property
     def judged_by(self) -> str:
         """What shows whether it is wound: "state", "torque", or nothing."""
-        if self.turns is not None:
+        if self._wound_by_state is not None:
             return "state"
         return "" if self._wound_by_torque is None else "torque"
 
     @property
     def turns(self) -> float | None:
-        """Least turns of the observed rope about the target while it is watched; None where nothing shows them."""
+        """Turns of the observed rope about the target, the least while it is watched; None where nothing shows them."""
+        return None if self._turns is None else self._turns[0]
+
+    @property
+    def _wound_by_state(self) -> bool | None:
+        if self._turns is None:
+            return None
+        enough, possible = (abs(each) >= self.plan.problem.criteria.turns for each in self._turns)
+        return True if enough else None if possible else False
+
+    @cached_property
+    def _turns(self) -> tuple[float, float] | None:
+        """Likeliest turns, and the most that may be: medians of the halves of the watch, of which the lesser counts."""
         if self.observed is None:
             return None
         t, turns = self.observed
-        found = turns[self._watched(t) & np.isfinite(turns)]
-        if not found.size:
+        halves = [each[np.isfinite(each).all(axis=1)] for each in np.array_split(turns[self._watched(t)], 2)]
+        if not all(len(each) for each in halves):
             return None
-        return float(found[np.argmin(np.sign(found[-1]) * found)])
+        medians = np.array([np.median(each, axis=0) for each in halves])
+        likely, most = medians[np.abs(medians).argmin(axis=0), [0, 1]].tolist()
+        return likely, most
 
     @cached_property
     def _wound_by_torque(self) -> bool | None:

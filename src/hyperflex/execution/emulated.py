@@ -73,11 +73,11 @@ class EmulatedRope:
         self._parts[now] = RopeState(now, q, qd), arm_angle
         return RopeState(now, *self._joined(q, qd))
 
-    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
-        """Return the times (T,) at which states were returned, s, and the turns of the emulated rope about a peg."""
+    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int, rope: Rope) -> tuple[Array, Array]:
+        """Return the times (T,) at which states were returned, s, and the true turns about a peg (T, 2), both alike."""
         parts = [self._parts[t] for t in sorted(self._parts)]
         turns = [observed_turns(self.emulated, self.arm, *each, peg) for each in parts]
-        return np.array([state.t for state, _ in parts]), np.array(turns)
+        return np.array([state.t for state, _ in parts]), np.repeat(np.array(turns)[:, None], 2, axis=1)
 
     def _joined(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Angles and rates of the chords of the links that are made of parts."""

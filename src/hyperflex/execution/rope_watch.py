@@ -34,11 +34,12 @@ class ClockedSource(StateSource, Protocol):
     def start_clock(self, at: float | None = None) -> None:
         """Make a moment of the monotonic clock, s, or now, t = 0; in the latter case the rope may be anywhere."""
 
-    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int) -> tuple[Array, Array]:
-        """Return times (T,), s, and the turns of the rope about a peg as it was seen then; NaN where they do not show.
+    def turns(self, arm_angle: Callable[[Array], Array], peg: Peg, side: int, rope: Rope) -> tuple[Array, Array]:
+        """Return times (T,), s, and the turns of the rope about a peg as it was seen then (T, 2).
 
-        `arm_angle` returns the arm's angles, rad, at times, s; `side` is 1 for a rope that is to wind counterclockwise,
-        else -1.
+        Those that are likeliest, and the most that may be; NaN where they do not show. `arm_angle` returns the arm's
+        angles, rad, at times, s; `side` is 1 for a rope that is to wind counterclockwise, else -1; the `rope` is as
+        long as it was seen to be.
         """
 
 

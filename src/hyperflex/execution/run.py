@@ -159,7 +159,8 @@ def run_plan(
         watch.stop()
         log, recording, turns = drive.log(), watch.recording(), None
         if recording is not None and source is not None:
-            turns = source.turns(log.angle, plan.target, 1 if prediction is None else prediction.side)
+            side = 1 if prediction is None else prediction.side
+            turns = source.turns(log.angle, plan.target, side, known or plan.problem.rope)
         commanded = made if drive.motion is None or not begun else drive.motion
         return CastRun(
             plan,
