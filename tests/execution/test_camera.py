@@ -79,9 +79,12 @@ def test_a_rope_that_hangs_free_or_passes_the_peg_has_no_turns() -> None:
 
 
 def test_an_end_that_is_not_seen_is_on_the_peg_if_it_reaches_it() -> None:
-    places, turns = wound(1)
-    best, _ = turns_of(places[:5])  # before the peg
-    assert best == pytest.approx(turns, abs=0.35)  # 0.1 m of the rope hang down from it
+    """Seven markers lead straight to a thin peg, and end 0.25 m before it."""
+    lead = np.arange(0.2, 1.5, 0.2)[:, None] * np.array([1.0, 0.0])
+    best, _ = wound_turns(2.0 * ARCS, 0.02, 1, np.array([-1.65, 0.0]), lead - [1.65, 0.0])
+    assert best == pytest.approx(0.25 + (0.6 - 0.25) / 0.02 / math.tau, abs=0.02)
+    best, most = wound_turns(2.0 * ARCS, 0.02, 1, np.array([-2.1, 0.0]), lead - [2.1, 0.0])  # too far from it
+    assert max(best, most) < 0.06
 
 
 def test_turns_are_unknown_where_most_markers_are_not_seen() -> None:
