@@ -98,12 +98,10 @@ def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spot
     about = (side * (angle - angle[:, None])) % math.tau
     round_peg = about + math.tau * np.arange(3)[:, None, None]
     on = round_peg - meets - meets[:, None]
-    # From spot to spot, straight and round the peg: angle about it, rad, length, m, and costs of the way and of each
-    # marker that is not seen on it: less near the peg, where markers hide each other.
+    # From spot to spot, straight and round the peg: angle about it, rad, length, m, and cost
     turned = np.concatenate([(about - math.tau * (about > math.pi))[None], round_peg])
     length = np.concatenate([np.sqrt(square)[None], tangent + tangent[:, None] + radius * on])
     cost = np.concatenate([(cut[None] / 0.01) ** 2, np.where(on > 0.0, 0.0, np.inf)])
-    hides = np.concatenate([np.where(near < 2.0 * radius, 2.0, 4.0)[None], np.full_like(on, 2.0)])
     arcs = np.append(arc_lengths, 0.0)  # the last one is the start's, whose number is -1
     paths = np.zeros((1, 4 + len(where)))  # cost, angle, last spot, number of its marker, and which spots are used
     paths[0, 3:5] = -1.0, 1.0
@@ -112,7 +110,7 @@ def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spot
         gap = (arc - arcs[before])[:, None]
         over = length[:, last] - gap
         allowed = np.where(over > 0.0, 0.01 + 0.03 * gap, 0.15 * gap)  # m, of a rope that is taut, and of a slack one
-        total = cost[:, last] + (over / allowed) ** 2 + (number - 1 - before)[:, None] * hides[:, last]
+        total = cost[:, last] + (over / allowed) ** 2 + 3.0 * (number - 1 - before)[:, None]  # each not seen
         how, path, spot = np.nonzero((total < np.inf) & (paths[:, 4:] == 0.0))
         longer = paths[path]
         longer[:, 0] += total[how, path, spot]
@@ -120,13 +118,13 @@ def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spot
         longer[:, 2], longer[:, 3] = spot, number
         longer[np.arange(spot.size), 4 + spot] = 1.0
         paths = np.concatenate([longer, paths])
-        paths = paths[np.argsort(paths[:, 0] + 2.0 * (number - paths[:, 3]), kind="stable")[:200]]
+        paths = paths[np.argsort(paths[:, 0] + 3.0 * (number - paths[:, 3]), kind="stable")[:200]]
     last, number = paths[:, 2:4].T.astype(int)
+    missed, unused = arc_lengths.size - 1 - number, (paths[:, 4:] == 0.0).sum(axis=1)
     wrapped = (arc_lengths[-1] - arcs[number] - tangent[last]) / radius  # rad, of an end that is not seen, on the peg
-    ends = (number < arc_lengths.size - 1) & (wrapped > 0.0)
-    turns = (paths[:, 1] + ends * (meets[last] + wrapped)) / math.tau
-    total = paths[:, 0] + (arc_lengths.size - 1 - number) * np.where(ends, 2.0, 4.0)
-    total += 8.0 * (paths[:, 4:] == 0.0).sum(axis=1)  # of what looks like a marker and is none
+    end = np.where(missed * wrapped > 0.0, 0.0, np.inf)
+    turns = np.append(paths[:, 1], paths[:, 1] + meets[last] + wrapped) / math.tau
+    total = np.append(4.0 * missed, 2.0 * missed + end) + np.tile(paths[:, 0] + 8.0 * unused, 2)
     best = total.argmin()
     most = turns[total < total[best] + 2.0 * math.log(10.0)].max() + 0.05  # by which the place of the peg may be wrong
     return side * float(turns[best]), side * float(most)
