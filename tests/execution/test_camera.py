@@ -65,9 +65,8 @@ def test_markers_on_the_peg_that_hide_each_other_leave_a_turn_in_doubt(side: int
     places, turns = wound(side)
     away = places[np.hypot(*(places - MIDDLE).T) > 0.05]
     best, most = turns_of(away, side)
-    assert len(away) < len(places) - 1
-    assert side * best == pytest.approx(side * turns, abs=0.05)
-    assert side * most >= side * best + 0.05
+    assert len(away) == 5
+    assert 1.5 < side * best < side * turns < side * most < side * turns + 0.1
 
 
 def test_a_rope_that_hangs_free_or_passes_the_peg_has_no_turns() -> None:
