@@ -77,6 +77,13 @@ def test_a_rope_that_hangs_free_or_passes_the_peg_has_no_turns() -> None:
     assert abs(most) < 0.6
 
 
+def test_a_rope_does_not_pass_through_the_peg() -> None:
+    """The way round below is a little longer than the straight one, which cuts into the peg above its middle."""
+    spots = np.array([[-0.1, 0.01], [0.1, 0.01]])
+    best, _ = wound_turns(np.array([0.34, 0.56]), 0.03, 1, np.array([-0.44, 0.01]), spots)
+    assert best == pytest.approx(0.5, abs=0.05)
+
+
 def test_an_end_that_is_not_seen_is_on_the_peg_if_it_reaches_it() -> None:
     """Seven markers lead straight to a thin peg, and end 0.25 m before it."""
     lead = np.arange(0.2, 1.5, 0.2)[:, None] * np.array([1.0, 0.0])
@@ -127,7 +134,8 @@ def test_the_newest_of_shared_frames_is_given() -> None:
     last = frame if frame.index == 2 else next(every)
     assert last.time == pytest.approx(0.2)
     assert np.all(last.image == 2)
-    frames.write(image + 7, 1.0)
+    for _ in range(3):
+        frames.write(image + 7, 1.0)
     assert np.all(last.image == 2)  # a frame that was given does not change
     frames.close()
     assert next(every, None) is None or not list(every)
