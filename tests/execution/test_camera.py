@@ -80,7 +80,7 @@ def test_a_rope_that_hangs_free_or_passes_the_peg_has_no_turns() -> None:
 def test_a_rope_does_not_pass_through_the_peg() -> None:
     """The way round below is a little longer than the straight one, which cuts into the peg above its middle."""
     spots = np.array([[-0.1, 0.01], [0.1, 0.01]])
-    best, _ = wound_turns(np.array([0.34, 0.56]), 0.03, 1, np.array([-0.44, 0.01]), spots)
+    best, _ = wound_turns(np.array([0.34, 0.545]), 0.03, 1, np.array([-0.44, 0.01]), spots)
     assert best == pytest.approx(0.5, abs=0.05)
 
 
