@@ -24,7 +24,7 @@ def causes(found: hf.Identification) -> tuple[hf.identification.Finding, ...]:
 
 @pytest.mark.nightly
 def test_friction_held_three_times_too_large_is_named_first():
-    """It moves no ratio of moments and inertias, and friction over moment is told by none but itself."""
+    """It moves no ratio of moments and inertias, but that of friction over a moment that is free."""
     guess = GUESS.replace(friction=3.0 * DOUBLE.friction)
     for free in (["inertia", "com"], ["inertia"]):  # in the second other masses explain nearly the same
         first = causes(fitted(DOUBLE, guess, free))[0]

@@ -37,7 +37,7 @@ from hyperflex.identification.uncertainty.covariance import (
     ratios,
 )
 from hyperflex.identification.uncertainty.noise import CHANCE
-from hyperflex.model import Rope
+from hyperflex.model import RESISTANCES, Rope
 from hyperflex.sensors import Angles
 
 
@@ -506,7 +506,11 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     x = parameters.rounded(after.fit.x)
     spread = ratio_spread(before.plant.parameters, before.information)
     then, now = ratios(parameters.rope(x)), ratios(before.plant.parameters.rope(before.fit.x))
-    later, size, std = (np.concatenate([each["J/p1"], each["p/p1"]]) for each in (then, now, spread))
+    own = next((f"{each.symbol}/p1" for each in RESISTANCES if each.name == base(test.name)), "J/p1")
+    stated = (spread[own] if own in spread else np.zeros(0)) > 0.0  # of a held resistance: its moment is free
+    later, size, std = (
+        np.concatenate([each["J/p1"], each["p/p1"], each.get(own, stated)[stated]]) for each in (then, now, spread)
+    )
     gain = 1.0 - after.fit.cost / before.fit.cost if before.fit.cost > 0.0 else 0.0
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
     noise, sure = before.information, before.information.whiteness >= CHANCE
