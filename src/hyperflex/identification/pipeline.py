@@ -23,6 +23,7 @@ from hyperflex.identification.declarations.score_tests import (
     Scores,
     ScoreTest,
     drift_test,
+    hidden_tests,
     link_test,
     scatter_test,
     score_tests,
@@ -226,6 +227,12 @@ class Trial:
         return self.plain.fit.converged and self.ended is None
 
 
+def _with_drift(trial: Trial) -> tuple[ScoreTest, ...]:
+    """Return the tests of a fit and that of a drifting clock, the greatest gain first."""
+    tests = (*trial.tests, *drift_test(trial.plain, trial.scores, trial.tests))
+    return tuple(sorted(tests, key=lambda each: -each.gain))
+
+
 def first_choice(guess: Rope, *, torque: bool = False) -> list[str]:
     """Return what is free at first: inertia and friction; of a rope of many links one value each, of stiffness if any.
 
@@ -283,7 +290,8 @@ class _Case:
             if trial.ended is None:
                 if trial.tests:
                     self.budget.check()
-                    tests = (*trial.tests, *link_test(trial.plain, trial.tests))
+                    tests = self._tests(trial)
+                    tests = (*tests, *link_test(trial.plain, tests))
                     scatter, covariance = scatter_test(trial.plain, trial.scores)
                     basis = with_model_error(trial.plain, tests, stds, covariance if scatter else None)
                     trial = replace(trial, basis=basis, tests=tests, scatter=scatter)
@@ -366,12 +374,17 @@ class _Case:
         trial = Trial(list(free), basis, basis, found.settings | delay, first, ended)
         with stoppable() as stop:
             if trial.complete and not (self.faulty and search.is_bad(found.windows, found.fit)):  # nothing to test
-                angles = self.recording.kind == "angles"
-                tests, scores = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
+                how: dict[str, Any] = {"angles": self.recording.kind == "angles", "budget": self.budget}
+                tests, scores = score_tests(basis, self.options.gravity_std, **how)
                 trial = replace(trial, tests=tests, scores=scores)
-                tests = (*tests, *drift_test(basis, scores, tests))
-                trial = replace(trial, tests=tuple(sorted(tests, key=lambda each: -each.gain)))
+                trial = replace(trial, tests=_with_drift(trial))
         return replace(trial, ended=ended or stop.status)
+
+    def _tests(self, trial: Trial) -> tuple[ScoreTest, ...]:
+        """Return all tests of the chosen fit, those included that show only where others are free as well."""
+        tests = [each for each in trial.tests if each.name != DRIFT]
+        angles = self.recording.kind == "angles"
+        return _with_drift(replace(trial, tests=hidden_tests(trial.plain, tests, angles=angles, budget=self.budget)))
 
     def _continued(self, search: MultiStart, free: Sequence[str], before: Trial | None) -> Fitted | None:
         """Return the continued fit, or None where a fit has to begin anew."""

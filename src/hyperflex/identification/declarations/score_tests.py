@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,8 @@ class ScoreTestOptions:
     refits: int = 3
     rounds: int = 40
     windows: int = 12
+    # gain of a round, as a part of the cost, that ends a refit: far less than gains that differ
+    enough: float = 1e-3
     # part of a gain, 1 - 1 / chi^2: chi^2 = 14, one in 6000 right fits
     sure: float = 0.93
     # part of the sum of squares: what takes away most of it is believed whatever the noise
@@ -300,33 +303,43 @@ def score_tests(
     ``S_h' r``, its information the Schur complement of ``S' S``. In place of a probability the part of the sum of
     squares that it explains is returned: residuals of real recordings are model errors, which have no noise level.
     It costs one round of a fit, with more columns. Resistances that would have to be negative explain nothing. Up to
-    three that explain much are fitted along, in some of the windows. A resistance that explains much, or anything that
-    explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again. So may a mass
-    or the like where residuals are no noise and nothing alone explains them.
+    three that explain much are fitted along, in some of the windows.
     """
-    budget = budget or Budget()
-    found, by_window = _refitted_tests(basis, budget, angles=angles)
-    tests = found
-    freed, later, now = list[str](), dict[str, ScoreTest](), basis
+    found, by_window = _refitted_tests(basis, budget or Budget(), angles=angles)
+    every = {each.name: each for each in found}
+    scales = scores(basis, list(scale_words(basis.plant).values()))
+    if scales is not None and scales.groups:
+        every[SCALES] = _test(basis, scales, SCALES, list(range(basis.fit.x.size, scales.x.size)))
+    if CLOCK in every:
+        every[CLOCK] = replace(every[CLOCK], declared_std=declared_std)
+    return tuple(sorted(every.values(), key=lambda each: -each.gain)), by_window
+
+
+def hidden_tests(
+    basis: Basis, tests: Sequence[ScoreTest], *, angles: bool = False, budget: Budget | None = None
+) -> tuple[ScoreTest, ...]:
+    """Return the `tests` of a fit with those in place that show only where others are free as well.
+
+    A resistance that explains much, or anything that explains most and changes no ratio, may hide what else is wrong: a
+    fit with it free is tested again. So may a mass or the like where residuals are no noise and nothing alone explains
+    them.
+    """
+    budget, every, freed, seen, now = budget or Budget(), {each.name: each for each in tests}, list[str](), tests, basis
     for _ in range(TESTING.hiding):
-        hiding = _hiding(tests, coloured=now.information.whiteness < CHANCE)
+        hiding = _hiding(seen, coloured=now.information.whiteness < CHANCE)
         richer = fit_with(now, hiding)
         if richer is None:
             break
         now = richer
         freed.append(hiding)
-        tests, _ = _refitted_tests(now, budget, angles=angles)
-        for each in tests:
+        seen, _ = _refitted_tests(now, budget, angles=angles)
+        for each in seen:
             if each.significant and (each.matters or each.slight) and not each.law:
-                later.setdefault(each.name, within(each, basis.fit.x.size, freed))
-    every = {each.name: each for each in found}
-    scales = scores(basis, list(scale_words(basis.plant).values()))
-    if scales is not None and scales.groups:
-        every[SCALES] = _test(basis, scales, SCALES, list(range(basis.fit.x.size, scales.x.size)))
-    every |= later | {name: each for name, each in every.items() if each.significant}
-    if CLOCK in every:
-        every[CLOCK] = replace(every[CLOCK], declared_std=declared_std)
-    return tuple(sorted(every.values(), key=lambda each: -each.gain)), by_window
+                known = every.get(each.name, each)
+                if not (known.significant or known.freed_with):
+                    later = within(each, basis.fit.x.size, freed)
+                    every[each.name] = replace(later, declared_std=known.declared_std)
+    return tuple(sorted(every.values(), key=lambda each: -each.gain))
 
 
 def _hiding(tests: Sequence[ScoreTest], *, coloured: bool) -> str:
@@ -472,7 +485,8 @@ def _fit_with(basis: Basis, name: str = "") -> Basis | None:
         if some is not None:
             plant, x, _ = extended(some.plant, some.fit.x, [name] * bool(name))
             with suppress(InvalidInput):
-                found = fit(plant, some.windows, x, some.fit.states, loss=some.fit.loss, rounds=TESTING.rounds)
+                again = partial(fit, plant, some.windows, x, some.fit.states, loss=some.fit.loss)
+                found = again(rounds=TESTING.rounds, enough=TESTING.enough)
                 basis.richer[name] = replace(some, plant=plant, fit=found)
     return basis.richer[name]
 
@@ -506,8 +520,9 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     x = parameters.rounded(after.fit.x)
     spread = ratio_spread(before.plant.parameters, before.information)
     then, now = ratios(parameters.rope(x)), ratios(before.plant.parameters.rope(before.fit.x))
-    own = next((f"{each.symbol}/p1" for each in RESISTANCES if each.name == base(test.name)), "J/p1")
-    stated = (spread[own] if own in spread else np.zeros(0)) > 0.0  # of a held resistance: its moment is free
+    # that of a resistance that is held, where the moment is free
+    own = next((f"{each.symbol}/p1" for each in RESISTANCES if each.name == base(test.name) and not test.uneven), "")
+    stated = spread.get(own, np.zeros(0)) > 0.0
     later, size, std = (
         np.concatenate([each["J/p1"], each["p/p1"], each.get(own, stated)[stated]]) for each in (then, now, spread)
     )

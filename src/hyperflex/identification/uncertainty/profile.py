@@ -1,6 +1,7 @@
 """Profile likelihood of a parameter or ratio, all else fitted again; and which intervals are found by it."""
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -302,6 +303,19 @@ class _Point:
         return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
 
 
+def _crossing(origin: float, seen: Sequence[_Point]) -> float:
+    """Return how far from the origin the rise meets its limit: as a parabola from there through the last points seen.
+
+    The limit is a straight line. Beside a bound the rise begins with a slope; one point tells a parabola without.
+    """
+    points = [(away, max(p.rise, 0.0) / away, p.limit) for p in seen if (away := abs(p.at - origin)) > 0.0]
+    away, chord, limit = points[-1]
+    apart = away - points[0][0]
+    bend, turn = ((chord - points[0][1]) / apart, (limit - points[0][2]) / apart) if apart else (chord / away, 0.0)
+    slope, limit = chord - bend * away - turn, limit - turn * away
+    return 2.0 * limit / max(slope + float(np.sqrt(max(slope**2 + 4.0 * bend * limit, 0.0))), 1e-300)
+
+
 class _ProfileSearch:
     """Walks away from the optimum along one coordinate, to either side."""
 
@@ -355,7 +369,7 @@ class _ProfileSearch:
         """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
         self.rounds = WALK.most_rounds
         along, bound = self.along, self.along.bound if sign < 0.0 else np.inf
-        inside, outside = self.points[0], None
+        inside, outside, seen = self.points[0], None, list[_Point]()
         origin = inside.at
         value = origin + sign * along.std * float(np.sqrt(quantile(self.level, along.basis.information.freedom)))
         for _ in range(WALK.tries):
@@ -368,6 +382,7 @@ class _ProfileSearch:
                 continue
             if abs(tried.excess) < WALK.close:
                 return tried.at, "crossed"
+            seen = [*seen[-1:], tried]
             short = self.short(tried, value)
             inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
             if (value == bound or short) and tried is inside:
@@ -376,7 +391,7 @@ class _ProfileSearch:
                 root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / WALK.longest)
                 value = origin + max(1.0 / root, 1.05) * (inside.at - origin)
             else:
-                part = -inside.excess / (outside.excess - inside.excess)
+                part = (_crossing(origin, seen) - abs(inside.at - origin)) / abs(outside.at - inside.at)
                 value = inside.at + float(np.clip(part, 0.05, 0.95)) * (outside.at - inside.at)
         if outside is None and self.settled:
             return sign * np.inf, "open"
