@@ -117,6 +117,16 @@ def test_columns_can_be_named(hyperflex_json, swing):
     assert (code, result["values"]["friction"][0]) == (0, pytest.approx(2e-4, rel=1e-2))
 
 
+def test_a_part_of_the_recording_is_fitted(hyperflex, hyperflex_json, swing):
+    """As what follows the release of a rope that a hand held."""
+    code, result = hyperflex_json(*words("rope.toml", *FRICTION, "--start", "0.5", "--end", "3.5", "--train", "inf"))
+    assert (code, result["settings"]["fitted_from"]) == (0, 0.5)
+    assert result["settings"]["fitted_to"] == pytest.approx(3.48)
+    code, _, err = hyperflex(*words("rope.toml", *FRICTION, "--start", "4"))
+    assert code == 2
+    assert "the span holds fewer than two samples" in err
+
+
 def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json, swing):
     code, result = hyperflex_json(*words("rope.toml", *FRICTION, "--intervals", "none"))
     assert (code, result["intervals"]) == (0, {})
@@ -288,6 +298,11 @@ def test_a_torque_column_drives_the_pendulum(hyperflex_json, refused, tmp_path, 
     code, found = hyperflex_json(*given, "--torque", "current", *known, "--free", "inertia,friction,torque_constant")
     assert code == 0
     assert found["values"]["torque_constant"] == pytest.approx([0.05], rel=0.01)
+    code, part = hyperflex_json(
+        *given, "--torque", "current", *known, "--free", "inertia,friction,torque_constant", "--start", 1.0
+    )
+    assert code == 0
+    assert part["values"]["torque_constant"] == pytest.approx([0.05], rel=0.02)  # the torque is cut alike
     assert found["values"]["friction"] == pytest.approx([0.02], rel=0.03)
     assert "no such columns" in refused(*given, "--torque", "amps")
     assert "--torque-constant is given without --torque" in refused(*given)

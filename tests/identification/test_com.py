@@ -36,6 +36,7 @@ def test_a_declared_centre_of_mass_that_would_move_far_contradicts_the_clock(fre
     assert found.grade is Grade.DO_NOT_USE
     first = found.findings[0]
     assert first.kind is Kind.COM_OR_CLOCK
+    assert not found.has(Kind.UNTESTED)  # which would contradict that
     assert first.values["clock"] == pytest.approx(1.25, rel=5e-3)  # quadratic drag, noise: 1.2497
     assert "times are to be multiplied by 1.25" in found.report()
 
@@ -95,3 +96,17 @@ def test_each_link_has_its_own_limit_of_where_its_mass_may_be():
     rope = guess.replace(inertia=[0.029, 1.8e-3])
     (found,) = _far(rope, guess, np.full(2, 1e-4))
     assert found.values["link"] == 0
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_spring_that_explains_as_much_as_a_declared_com_is_named_beside_it(declared: bool) -> None:
+    """Small swings hardly tell a spring in the first joint from more weight, and ratios are others then."""
+    com = [0.12, 0.115] if declared else [0.105, 0.13]
+    true = hf.Rope(length=[0.21, 0.26], mass=[0.18, 0.12], com=com, inertia=[7e-4, 8e-4], friction=[9e-4, 4e-4])
+    t = np.arange(600) / 100.0
+    run = hf.simulate(true.replace(stiffness=[0.02, 0.0]), duration=float(t[-1]), t_eval=t, q0=[0.56, -0.28], tol=1e-8)
+    seen = hf.Recording(t, run.q + 3e-3 * np.random.default_rng(5).standard_normal(run.q.shape))
+    found = hf.identify(seen, true.replace(inertia=[5e-4, 5e-4], friction=1e-3), options=hf.FitOptions(intervals=None))
+    (chosen,) = [each for each in found.findings if each.kind is Kind.CHOSEN]
+    assert list(chosen.values["added"]) == ["com"]
+    assert ("'stiffness'" in found.report()) == declared

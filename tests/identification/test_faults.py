@@ -138,6 +138,9 @@ SLOW = recorded(50.0, ([0.9, 0.6], [0.0, 0.0]), noise=5e-4)
 KEPT_SLOW = np.flatnonzero(np.arange(SLOW.t.size) % 25 > 0)
 AGAIN = np.arange(SLOW.t.size) - (np.arange(SLOW.t.size) % 50 == 0)
 AGAIN[0] = 0
+FILMED = recorded(30.0, ([0.4], [0.0]), "markers", duration=12.0, n=1)
+BURST = np.delete(np.arange(FILMED.t.size), slice(150, 170))
+HOOKED = noisy(FILMED.data, 1e-3) + np.where(FILMED.t[:, None] > 5.0, [0.03, 0.0, 0.03, 0.0], 0.0)
 HALF_LOST = np.random.default_rng(3).random(600) < 0.55
 HALF = np.sort(np.random.default_rng(0).permutation(600)[:300])
 
@@ -181,6 +184,8 @@ def test_a_hook_that_is_knocked_is_not_lost():
             "skips frames at t = 3.983 s",
         ),
         (spoiled(MARKERS, MARKERS.data[STRETCH], ANGLES.t[: STRETCH.size]), Kind.MISSING_FRAMES, "at t = 3.983 s"),
+        (spoiled(FILMED, FILMED.data[BURST], FILMED.t[: BURST.size]), Kind.MISSING_FRAMES, "at t = 4.967 s"),
+        (spoiled(FILMED, HOOKED), Kind.JUMP, "The x of all markers jumps by"),
         (spoiled(SLOW, SLOW.data[KEPT_SLOW], SLOW.t[: KEPT_SLOW.size]), Kind.MISSING_FRAMES, "skips frames at t ="),
         (spoiled(SLOW, SLOW.data[AGAIN]), Kind.REPEATED_FRAMES, "of the frames repeat the frame before"),
     ],
@@ -201,6 +206,8 @@ def test_a_hook_that_is_knocked_is_not_lost():
         "some missing",
         "a stretch missing",
         "a stretch missing, markers",
+        "a burst missing of a filmed string",
+        "a camera moved",
         "every 25th missing",
         "every 50th twice",
     ],

@@ -1,7 +1,8 @@
 """``hyperflex identify``: a recording and a first guess in, an identified rope and its report out."""
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,11 +39,18 @@ class Reading:
     max_rate: Annotated[
         float, typer.Option(help="Rate of an angle, rad/s, above which it is refused as a wrong unit.")
     ] = FASTEST
+    start: Annotated[
+        float, typer.Option(help="Leave out what was recorded before this time, s.", show_default="all")
+    ] = -math.inf
+    end: Annotated[
+        float, typer.Option(help="Leave out what was recorded from this time on, s.", show_default="all")
+    ] = math.inf
 
     def read(self, path: Path) -> Recording:
         """Return a recording."""
         given = vars(self) | {"columns": words(self.columns) or None, "markers": words(self.markers) or None}
-        return read_recording(path, **given.pop("declarations"), **given)
+        span = given.pop("start"), given.pop("end")
+        return read_recording(path, **given.pop("declarations"), **given).window(*span)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +84,8 @@ class Torque:
             return {}
         sense = reading.declarations.get("sense")
         found = read_channels(path, columns, time=reading.time, topic=reading.topic, sense=sense)
+        t = replace(reading, start=-math.inf, end=math.inf).read(path).t
+        found = found[(t >= reading.start) & (t < reading.end)]
         setup: dict[str, Any] = {"torque": found[:, 0] if len(columns) == 1 else found}
         if self.torque_joints:
             setup["torque_joints"] = [int(each) for each in numbers("--torque-joints", self.torque_joints, "0,1")]
@@ -192,7 +202,8 @@ def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
     if (held := found.held_out) is not None:
         rows.append((f"prediction error over {held.ahead:g} s, rms", " ".join(predicted(found)).rstrip()))
     yield from found.report().splitlines()
-    yield from (text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"])
+    chosen = [text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"]]
+    yield from (each for each in chosen if each not in found.report())
     if "gravity_angle" in found.values:
         yield "gravity_angle is the camera's turn: the rope's file keeps the gravity of the guess."
     yield Rows("Fit", rows)

@@ -28,9 +28,9 @@ class Severity(IntEnum):
 class Kind(StrEnum):
     """Kind of a finding, and its text: what was seen | what it means and what to do.
 
-    In a text {x:%} is a part in per cent, {x:m} a length, {x:deg} an angle, {x:list} a list of names, numbers or times
-    from one to another, {x:each (%)} a table of names and parts, {x:? words} words where x is not empty or 0. Of
-    findings of one severity plain evidence comes first, then causes, then symptoms.
+    In a text {x:%} is a part in per cent, {x:most} the same as a limit, {x:m} a length, {x:deg} an angle, {x:list} a
+    list of names, numbers or times from one to another, {x:each (%)} a table of names and parts, {x:? words} words
+    where x is not empty or 0. Of findings of one severity plain evidence comes first, then causes, then symptoms.
     """
 
     text: str
@@ -66,7 +66,7 @@ class Kind(StrEnum):
     HELD_STILL = (
         "held, then released",
         """The rope rests until t = {time:.6g} s and then moves at once. | A hand held or pushed it, unless it is
-        driven. Fit what follows: recording.window({time:.6g}, inf).""",
+        driven. Fit what follows: recording.window({time:.6g}, inf), or --start {time:.6g} on the command line.""",
     )
     UNEVEN_FRAMES = (
         "frames at wrong times",
@@ -80,8 +80,9 @@ class Kind(StrEnum):
     )
     JUMP = (
         "jump of a channel",
-        """The {channel} jumps by {size:{unit}} at t = {time:.4g} s and stays there. | A zero has moved, a marker has
-        slipped, or frames are missing there. Use the recording before or after it, or subtract a moved zero.""",
+        """The {channel} jumps by {size:{unit}} at t = {time:.4g} s and stays there. | A zero or the camera has moved, a
+        marker has slipped, or frames are missing there. Use the recording before or after it, or subtract a moved
+        zero.""",
     )
     SMOOTHED = (
         "smoothed samples",
@@ -130,13 +131,13 @@ class Kind(StrEnum):
     CLOCK = (
         "clock or lengths",
         """The fit is better with times multiplied by {clock:.3g}, or lengths divided by {scale:.3g}. | The clock, the
-        frame rate or a length is not as declared; ratios move by up to {moved:%}. Check the frame rate, and measure one
+        frame rate or a length is not as declared; ratios move by {moved:most}. Check the frame rate, and measure one
         length again.""",
     )
     DRIFT = (
         "drifting clock",
         """The clock seems to drift by {drift:%} from the first window to the last. | The clock drifts, or something
-        else changes over the recording; ratios move by up to {moved:%}. Check the time stamps, or fit parts of the
+        else changes over the recording; ratios move by {moved:most}. Check the time stamps, or fit parts of the
         recording separately.""",
     )
     LENGTHS = (
@@ -157,7 +158,7 @@ class Kind(StrEnum):
     ANGLE_SCALE = (
         "scale of the angles",
         """The fit is better with angles multiplied by {factor:.3g}. | The sensor's scale is not as declared; ratios
-        move by up to {moved:%}. Check what an angle of the sensor is in radians.""",
+        move by {moved:most}. Check what an angle of the sensor is in radians.""",
     )
     LINK_LATE = (
         "one link late",
@@ -220,7 +221,7 @@ class Kind(StrEnum):
     MARKER_PLACES = (
         "places of the markers",
         """The markers seem to be at {places:list} mm along the rope. | arc_lengths or a length are off; ratios move by
-        up to {moved:%}. Measure arc_lengths and lengths again, or free 'arc'.""",
+        {moved:most}. Measure arc_lengths and lengths again, or free 'arc'.""",
     )
     DELAY = (
         "delay of the motion",
@@ -245,7 +246,7 @@ class Kind(StrEnum):
     MASS_TAPER = (
         "mass changes along the rope",
         """Links at the tip seem {factor:.3g} times as heavy as at the first joint. | The mass is not even along the
-        rope; ratios move by up to {moved:%}. Give the guess such masses, or free 'mass:taper'.""",
+        rope; ratios move by {moved:most}. Give the guess such masses, or free 'mass:taper'.""",
     )
     REST_BEND = (
         "bent at rest",
@@ -254,8 +255,9 @@ class Kind(StrEnum):
     )
     HELD = (
         "held value",
-        """The fit is better with {name} of {values:list} {unit}. | The held value does not fit; ratios move by up to
-        {moved:%}. Measure it, or free {name}.""",
+        """The fit is better with {name} of {values:list} {unit}. | The held value does not fit; ratios move by
+        {moved:most}. Measure it{alike:?, and what removes as much: this motion does not tell them apart}, or free
+        {name}.""",
     )
     RESISTANCE = (
         "another resistance",
@@ -409,7 +411,7 @@ class Kind(StrEnum):
     COM_HELD = (
         "masses follow from com",
         """Masses follow from com, held at {com:list} m{default:?, its default of half the length}. | The torque
-        determines mass times com alone: a com 1 % larger makes a mass up to {moved:%} smaller. Find where the link
+        determines mass times com alone: a com 1 % larger makes a mass {moved:most} smaller. Find where the link
         balances and give com, or weigh it: free 'com' and hold 'mass'.""",
     )
     ONLY_RATIOS = (
@@ -425,7 +427,7 @@ class Kind(StrEnum):
     HELD_SCALE = (
         "proportional to held masses",
         """Masses, inertias and frictions are proportional to the held masses and centres of mass. | No motion tests
-        these{moved:? (1 % of a centre of mass moves ratios by up to {moved:%})}. Use ratios alone, or weigh the links
+        these{moved:? (1 % of a centre of mass moves ratios by {moved:most})}. Use ratios alone, or weigh the links
         and find where each balances.""",
     )
     COMMON_FACTOR = (
@@ -440,7 +442,7 @@ class Kind(StrEnum):
     )
     FRICTION_MODEL = (
         "friction depends on the model",
-        """Friction would change by up to {part:%} with {name} free as well. | The fitted friction stands for all that
+        """Friction would change by {part:most} with {name} free as well. | The fitted friction stands for all that
         damps the motion, air included, at the amplitudes seen{included:?; standard deviations include this change}.
         Free both if the recording determines both.""",
     )
@@ -474,7 +476,8 @@ class Kind(StrEnum):
     CHOSEN = (
         "free by default",
         """Free by default: {usual:list}. | Added because the recording shows it: {added:each (% of the residuals'
-        squares)}. Name what is free to choose otherwise.""",
+        squares)}.{rivals:? As much is explained by }{rivals}{rivals:?, and ratios are others then: one of the two is
+        not as declared.} Name what is free to choose otherwise.""",
     )
     HELD_VALUES = (
         "held values",
@@ -554,6 +557,8 @@ class _Formatter(string.Formatter):
         """Return a value as its specification says."""
         if spec == "%":
             return percent(value)
+        if spec == "most":
+            return "less than 0.001 %" if value < 1e-5 else "up to " * (value <= 10.0) + percent(value)
         if spec == "deg":
             return f"{np.degrees(value):.3g} degrees"
         if spec in ("m", "rad"):
@@ -566,7 +571,8 @@ class _Formatter(string.Formatter):
             value = [" to ".join(f"{end:.4g}" for end in each) if isinstance(each, list) else each for each in value]
             shown = [f"{each:.4g}" if isinstance(each, float) else str(each) for each in value]
             return listed(shown, NAMES) or "none"
-        return str(super().format_field(value, spec))
+        said = str(super().format_field(value, spec))
+        return f"{float(said):.0f}" if "e+0" in said else said  # 110, not 1.1e+02
 
 
 def percent(part: float) -> str:

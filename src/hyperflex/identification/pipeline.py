@@ -11,11 +11,11 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.budget import DEFAULT_TIME, Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
-from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
+from hyperflex.errors import IdentificationError, Interrupted, InvalidInput, listed
 from hyperflex.identification.declarations.channels import channel_faults
 from hyperflex.identification.declarations.evidence import evidence
 from hyperflex.identification.declarations.faults import faults
-from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
+from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES, as_free
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
 from hyperflex.identification.declarations.score_tests import (
     TESTING,
@@ -323,7 +323,7 @@ class _Case:
         explains the same, to EQUAL, the first of ALLOWED. An interrupted fit is the last.
         """
         trial, added = self.fit(first_choice(self.guess, torque=self.setup.torque is not None)), dict[str, float]()
-        usual = trial.free
+        usual, rivals = trial.free, list[str]()
         for _ in range(MOST):
             mistaken = [each.gain for each in trial.tests if each.significant and each.name in (DRIFT, ANGLES)]
             least = max((gain + TESTING.equal for gain in mistaken), default=0.0)
@@ -342,7 +342,10 @@ class _Case:
                 break
             trial = richer
             added[chosen.name] = chosen.gain
-        return trial, [Finding(Kind.CHOSEN, Severity.NOTE, {"usual": usual, "added": added})]
+            if chosen.name == "com" and _declared_com(self.guess):
+                rivals += [each.name for each in equals if each.law]
+        values = {"usual": usual, "added": added, "rivals": listed(as_free(rivals))}
+        return trial, [Finding(Kind.CHOSEN, Severity.DOUBT if rivals else Severity.NOTE, values)]
 
     def _required(self, test: ScoreTest, free: Sequence[str]) -> bool:
         name = test.name.partition(":")[0]
@@ -501,15 +504,16 @@ class _Case:
 
 
 def _at_bounds(plant: Plant, x: Array) -> bool:
-    """Whether all that is free of the masses of a free swing of few links is at its bound, and com is declared.
-
-    It counts as declared where it is not in the middle of each link, as by default.
-    """
+    """Whether all that is free of the masses of a free swing of few links is at its bound, and com is declared."""
     guess, every = plant.parameters.guess, zip(plant.parameters.all, x <= plant.parameters.lower, strict=True)
-    declared = not np.allclose(guess.com, 0.5 * guess.length, rtol=1e-6, atol=0.0)
     swings = guess.n_links <= FEW_LINKS and guess.gravity.any() and not plant.driven
     bounded = [at_bound for each, at_bound in every if each.name in MOMENTS]
-    return bool(declared and swings and bounded and all(bounded))
+    return bool(_declared_com(guess) and swings and bounded and all(bounded))
+
+
+def _declared_com(guess: Rope) -> bool:
+    """Whether somebody gave the centres of mass: not in the middle of each link, as by default."""
+    return not np.allclose(guess.com, 0.5 * guess.length, rtol=1e-6, atol=0.0)
 
 
 def _with_word(free: Sequence[str], word: str) -> list[str]:

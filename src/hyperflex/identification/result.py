@@ -26,6 +26,8 @@ SHOWN = (  # of a summary
     *("ratio_std", "ratio_model_std", "held", "parameters", "covariance", "length_covariance", "residual_rms"),
     *("residual_rms_all", "settings"),
 )
+# of settings
+UNITS = dict.fromkeys(("window", "delay_from", "fitted_from", "fitted_to"), " s") | {"autocorrelation": " samples"}
 LARGE = 0.3  # part of a standard deviation from which the model's is printed
 
 
@@ -45,10 +47,9 @@ class Identification:
         ``J/p1``, ``p/p1``, ``c/p1`` and of other resistances, identifiable without known forces
         (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
     model_std, ratio_model_std : dict of str to ndarray
-        The part of `std` and `ratio_std` that errors of the model have: what the values would move by if laws of the
-        joints and of the air that were left out, and that the data ask for, were in, lengths, times and torques were
-        off by `length_std`, `clock_std` and `torque_std`, and links finer where they are too long. The rest is of
-        noise.
+        The part of `std` and `ratio_std` that is not of noise: what the values would move by if laws of the joints and
+        of the air that were left out, and that the data ask for, were in, lengths, times and torques were off by
+        `length_std`, `clock_std` and `torque_std`, and links finer where they are too long.
     intervals : dict of str to Interval
         95 %, of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty where none were asked for.
     findings : tuple of Finding
@@ -92,8 +93,8 @@ class Identification:
     Notes
     -----
     Standard deviations allow for robust losses and autocorrelated residuals (see ``estimate_covariance``), intervals
-    for bounds and skewness as well. Both count errors of the model as far as score tests find them (`model_std`), and
-    no others.
+    for bounds and skewness as well. Both count, as `model_std`, errors of what was declared, and of the model as far as
+    score tests find them, and no others.
     """
 
     rope: Rope
@@ -246,7 +247,7 @@ class Identification:
         return identification_html(self)
 
     def __str__(self) -> str:
-        settings = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in self.settings.items()}
+        settings = {k: f"{v:.4g}{UNITS.get(k, '')}" if isinstance(v, float) else v for k, v in self.settings.items()}
         said = ", ".join(f"{k} {v}" for k, v in settings.items() if not isinstance(v, list))
         lines = [self.report(), f"Identification, {self.status}: {said}"]
         kinds = (

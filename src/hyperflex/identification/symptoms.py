@@ -58,6 +58,7 @@ OUTLYING, DECIDE = 6.0, 0.5
 ALONE = 0.5  # part of the outliers that others follow at most
 # part of the windows
 LEFT_OUT = 0.2
+TELL_LENGTHS = (Kind.MASS_FAR, Kind.COM_OR_CLOCK, Kind.LENGTH_OR_CLOCK, Kind.MARKER_PLACES)
 
 
 def symptoms(
@@ -80,6 +81,8 @@ def symptoms(
         declared, loose = [each for each in declared if each.kind is not Kind.CLOCK], []
     far = _far(rope, basis.plant.parameters.guess, std)
     found = [*impossible, *declared, *odd, *moved, *_lengths_moved(basis, settings), *far, *_com_held(basis), *loose]
+    if any(each.kind in TELL_LENGTHS for each in found):
+        found = [each for each in found if each.kind is not Kind.UNTESTED]
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
     if abs(angle) > AXES:
         found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))

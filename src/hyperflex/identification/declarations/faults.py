@@ -278,7 +278,11 @@ class _Polynomials(NamedTuple):
         size, variance = np.concatenate(found, axis=1) * known
         if not np.isfinite(size).any():
             return cls(side, size, variance, np.inf, np.inf)
-        std = float(np.nanquantile(np.abs(size), BAND)) / NormalDist().inv_cdf(0.5 + 0.5 * BAND)
+        about = np.abs(np.arange(size.size) - np.nanargmax(np.abs(size))) < side
+        others = np.abs(size[~about])  # than those about the largest
+        if not np.isfinite(others).any():
+            return cls(side, size, variance, np.inf, np.inf)
+        std = float(np.nanquantile(others, BAND)) / NormalDist().inv_cdf(0.5 + 0.5 * BAND)
         return cls(side, size, variance, float(np.nanmedian(variance)), std)
 
 
@@ -302,8 +306,17 @@ def jumps(recording: Recording) -> Iterator[Finding]:
             yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
         return
     most = max(found, key=lambda each: each.certain)
-    values = {"channel": recording.channel(most.channel), "size": most.size, "unit": UNIT[recording.kind]}
+    alike = {each.channel for each in found if _together(each, most)}
+    every = recording.kind == "markers" and len(alike) == recording.data.shape[1] // 2 > 1
+    channel = f"{'xy'[most.channel % 2]} of all markers" if every else recording.channel(most.channel)
+    values = {"channel": channel, "size": most.size, "unit": UNIT[recording.kind]}
     yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
+
+
+def _together(one: _Jump, other: _Jump) -> bool:
+    """Whether two jumps are of one axis, at one time and of about one size: those of a camera that was moved."""
+    same = one.channel % 2 == other.channel % 2 and abs(one.before - other.before) <= 1
+    return same and abs(one.size - other.size) < 0.5 * abs(other.size)
 
 
 def held(recording: Recording) -> Iterator[Finding]:
