@@ -11,6 +11,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import EstimatorLost, HyperflexError, InvalidInput
+from hyperflex.execution.stream import POLL
 from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import Motion
@@ -68,7 +69,7 @@ class RopeWatch:
         self._lock, self._over = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._record, name="rope recorder", daemon=True)
         self._failed: HyperflexError | None = None  # since the last state
-        self._looks = 0  # since then
+        self._looks = 0  # since then, POLL, s, apart
         self._seen = begin
 
     def start(self) -> None:
@@ -89,11 +90,11 @@ class RopeWatch:
         return self.states[-1] if self.states and time.monotonic() - self._seen < LOST else None
 
     def raise_if_lost(self) -> None:
-        """Raise why the rope has not been seen for LOST, s; in several looks, for a busy machine may pause."""
+        """Raise why the rope has not been seen in looks of LOST, s: a busy machine pauses them like the source."""
         if not self._thread.is_alive() or time.monotonic() < self.begin:  # nothing is looked for, or no longer
             return
         self._looks += 1
-        if self._looks > 3 and time.monotonic() - self._seen > LOST:
+        if self._looks * POLL > LOST:
             raise self._failed or EstimatorLost(f"The source of the rope's state has not answered for {LOST:g} s.")
 
     def state(self, t: float, motion: Motion) -> RopeState:
