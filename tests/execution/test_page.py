@@ -4,8 +4,10 @@ import json
 import time
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.request import Request, urlopen
 
+import numpy as np
 import pytest
 
 from hyperflex.execution import MotionStream, RunPage
@@ -15,7 +17,8 @@ from tests.execution.test_run import short_plan
 
 def test_the_page_shows_the_arm_and_the_phase(tmp_path: Path) -> None:
     with RunPage(short_plan()) as page, MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
-        page.attach(stream, lambda: None)
+        seen = SimpleNamespace(spots=[(0.0, np.zeros((2, 2))), (0.1, np.ones((1, 2)))])
+        page.attach(stream, lambda: None, seen)
         stream.enable()
         time.sleep(0.3)
         page.say("the cast runs")
@@ -26,6 +29,7 @@ def test_the_page_shows_the_arm_and_the_phase(tmp_path: Path) -> None:
     assert shown["phase"] == "the cast runs"
     assert shown["now"]["angle"] == pytest.approx(0.3)
     assert len(shown["past"]) > 5
+    assert shown["markers"] == [[[1.0, 1.0]]]
 
 
 def press(page: RunPage, answered: dict[str, bool]) -> None:

@@ -1,7 +1,7 @@
 """``hyperflex run``: a planned cast carried out on a drive."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -182,9 +182,9 @@ def run(
                 connect = partial(open_drive, address, limits, None, max_deviation)
                 return run_plan(planned, connect, motion=motion, source=source, **given)
 
-        _carry_out(planned, emulate if emulated else real, out, repeat=repeat, learn=learn, emulated=emulated)
+        _carry_out(planned, emulate if emulated else real, out, repeat=repeat, learn=learn, emulated=emulated, say=say)
         if shown is not None:
-            shown.end("the casts are over")
+            shown.end(f"{shown.phase}; the casts are over")
 
 
 @contextmanager
@@ -254,7 +254,9 @@ def _check_real(
     return known
 
 
-def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bool, emulated: bool) -> None:
+def _carry_out(
+    plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bool, emulated: bool, say: Callable[[str], None]
+) -> None:
     """Carry out one or more casts, write and report them."""
     from hyperflex.execution import learn_cast
 
@@ -265,7 +267,7 @@ def _carry_out(plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bo
         done, halted = output.run(lambda: once(motion))
         runs.append(done)
         written.update(_write(runs[-1], out, f"run-{len(runs)}" if repeat > 1 else "run"))
-        output.note(f"cast {len(runs)}: {runs[-1].message or 'the rope is wound'}")
+        say(f"cast {len(runs)}: {runs[-1].message or 'the rope is wound'}")
         if halted:
             raise Interrupted(done)
         if learn and runs[-1].stopped:

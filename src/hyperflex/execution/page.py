@@ -40,6 +40,7 @@ class RunPage(LocalServer):
         super().__init__(port)
         self.plan, self.phase, self.over = plan, "preparing", False
         self._drive: MotionStream | None = None
+        self._source: Any = None
         self._state: Callable[[], RopeState | None] = lambda: None
         self.start()
 
@@ -47,9 +48,9 @@ class RunPage(LocalServer):
         """Show a phase of the run, a line."""
         self.phase = phase
 
-    def attach(self, drive: MotionStream, state: Callable[[], RopeState | None]) -> None:
-        """Show a drive from now on, and the newest state of the rope that `state` returns."""
-        self._drive, self._state = drive, state
+    def attach(self, drive: MotionStream, state: Callable[[], RopeState | None], source: Any = None) -> None:
+        """Show a drive from now on, the rope's newest state that `state` returns, and markers that a `source` sees."""
+        self._drive, self._state, self._source = drive, state, source
 
     def end(self, verdict: str) -> None:
         """Show how the run ended; there is nothing to stop any more."""
@@ -95,4 +96,5 @@ class RunPage(LocalServer):
         state = self._state()
         if state is not None:
             shown["rope"] = problem.rope.joints(state.q, tip).round(4).tolist()
+        shown["markers"] = [places.round(4).tolist() for _, places in getattr(self._source, "spots", [])[-1:]]
         return shown

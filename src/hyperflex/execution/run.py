@@ -181,7 +181,7 @@ def run_plan(
         try:
             with drive:
                 if page is not None:
-                    page.attach(drive, lambda: watch.newest)
+                    page.attach(drive, lambda: watch.newest, source)
                 _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say, ready)
                 known = None if source is None else source.rope
                 begin = time.monotonic() + LEAD
