@@ -191,7 +191,7 @@ def row(path: Path, motor: str, lag: float) -> dict[str, Any]:
                     raise InvalidInput(casts[-1]["stopped"])
                 return run.cast_log()
 
-            options = LearningOptions(wins=1, replanning_time=15.0)
+            options = LearningOptions(wins=1)
             learned = learn_cast(plan, once, attempts=CASTS, options=options)
             learned_from = [str(each) for each in learned.attempts]
             if not learned.success:

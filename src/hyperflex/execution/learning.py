@@ -1,18 +1,20 @@
 """Learning from each cast: parameters of rope and motor, and the motion, until the rope winds.
 
 After each cast two things are updated. The *parameters*: factors on the rope's length, friction and air drag, and the
-motor's lag, fitted to the free flights of all casts so far, from their known start at rest, with what was known before
-as the prior. The *motion*: iterative learning at the critical instant. The state at the strike is compared with one
-that is known to wind, and strokes and rests are corrected, by Gauss-Newton steps on the model, so that the model's
-state plus the repeated part of its error meets that state. These moves and variations of them then strike in the
-simulation, from the model's state plus that error; the least change that surely winds is made next.
+motor's lag, fitted to the cast's free flight with what was known before as the prior. Each stretch of it is flown from
+the state that was measured at a rest of the arm: what the model lacks does not add up over the cast.
+
+The *motion*: iterative learning at the critical instant. Five times a second the measured state is compared with the
+model's, flown from the one before. The next casts are flown with the same differences added on the way: so the model
+makes the last cast exactly as it was measured, and is as wrong for others near it. In this model strokes and rests are
+corrected, by damped Gauss-Newton steps, until the strike is the state that is known to wind. These moves and variations
+of them then strike in contact, and the least change that winds is made next.
 """
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +24,9 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.identification import perturbed
+from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import Arm, Peg, Rope, parse_label, unit_across, unit_along
+from hyperflex.model import Peg, Rope, parse_label, unit_across, unit_along
 from hyperflex.motion import Motion, lagged
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -36,13 +39,13 @@ from hyperflex.planning import (
     RolloutBatch,
     SearchOptions,
     find_strikes,
-    fly_to_strikes,
     obstacle_gaps,
-    plan_cast,
     refuse_behind,
-    robust_values,
+    scaled_rope,
     wound_after,
 )
+from hyperflex.planning.feedback import Goal, features
+from hyperflex.planning.rollouts import MODEL, WindingScores
 from hyperflex.recording import Recording
 from hyperflex.sensors import lever_arms
 from hyperflex.status import Status
@@ -75,12 +78,15 @@ class CastLog:
         Measured arm angle at the recording's times, rad; NaN in gaps. Without it the motor's lag is not learned.
     wound : bool, optional
         Whether the rope wound; None if nobody knows, which does not count as a success.
+    turns : float, optional
+        Most turns that it made about the target at any time: the winding rope's friction is learned from them.
     """
 
     recording: Recording
     arc_lengths: npt.ArrayLike | None = None
     arm_angle: npt.ArrayLike | None = None
     wound: bool | None = None
+    turns: float | None = None
 
     def __post_init__(self) -> None:
         t = checks.instance("recording", self.recording, Recording).t
@@ -109,31 +115,33 @@ class LearningOptions:
         What is learned of the rope, in the words of :func:`hyperflex.identify` ("friction:factor", "length:factor",
         "drag:factor", ...), each with the standard deviation of its logarithm before the first cast; a rope without
         drag, or friction, has none to learn. The motor's lag is learned wherever the arm's angle is measured.
-    newest : float
-        Weight of the newest cast in the repeated error of the model: 1 forgets all others.
+    span : float
+        Time that the model is flown from a measured state to fit the parameters, s.
     model_error : float
-        Error of the model's positions, m, that no parameter explains. It is correlated over a cast, so that each
+        Error of the model's positions, m, that no parameter explains. It is correlated over a flight, so that each
         coordinate of a marker counts as one measurement of this standard deviation and the noise. A rope that comes
-        nearer to the target than this counts as striking it.
+        nearer to the target than this counts as striking it, and the target may be aside by so much.
+    between : float
+        Time between two measured states, s.
     strike_window : float
-        Time before the strike, s, from which the state at the strike is measured.
+        Time about such a state, s, from which it is measured.
     min_samples : int
         Samples in this window that a marker needs.
-    caution : tuple of float
-        Weights of changes of the motion, in its scales, against the distance from the state that winds: moves corrected
-        with each of them are tried.
-    tried, checked : int
-        Variations of the moves that are tried in the model after a miss; how many of the best are also tried with
-        shorter links, and with the target aside by `model_error` times the misses so far.
-    spread : (least, greatest)
-        Standard deviations of these variations, in scales. Nearer than the greatest to a cast that missed although it
-        winds by the model, the model is not believed.
-    change : float
-        What a change by one scale costs, as a part of the trials that must wind.
+    rests : int
+        The moves after each of so many last rests of the arm before the strike are corrected.
+    caution : float
+        Weight of changes of the motion, in its scales, against the distance from the state that winds.
+    tried, rounds, checked : int
+        Variations of the moves that are tried in contact after a miss; rounds in which the best are varied again; how
+        many of the best these are, and are also tried with shorter links, and with the target aside.
     sure : float
-        Part of these trials in which the rope must wind; below, a new plan is tried if parameters are learned.
-    replanning_time : float
-        Time for a new plan, s; 0 for none.
+        Part of these trials in which the rope must wind, less the costs of the change: no further rounds then.
+    spread : (least, greatest)
+        Standard deviations of these variations, in scales.
+    score : float
+        What a score of as many turns as are required counts, in casts that wind.
+    change, away : float
+        What a change by one scale costs, and one scale of distance from the state that winds, in casts that wind.
     correction : FollowOptions
         Scales of errors and changes, step of the differences, and the window about the strike.
     threads : int, optional
@@ -145,19 +153,23 @@ class LearningOptions:
     prior: Mapping[str, float] = field(
         default_factory=lambda: {"length:factor": 0.02, "friction:factor": 0.2, "drag:factor": 0.5}
     )
-    newest: float = option(0.7, "weight of the newest cast in the repeated error of the model", sign="positive")
+    span: float = option(1.0, "time flown from a measured state to fit the parameters", unit="s", sign="positive")
     model_error: float = option(
         0.02, "error of the model's positions that no parameter explains", unit="m", sign="positive"
     )
-    strike_window: float = option(0.12, "time before the strike in which it is measured", unit="s", sign="positive")
+    between: float = option(0.2, "time between two measured states", unit="s", sign="positive")
+    strike_window: float = option(0.12, "time about a state in which it is measured", unit="s", sign="positive")
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
-    caution: tuple[float, ...] = option((0.3, 1.0), "weights of changes of the motion", sign="nonnegative")
-    tried: int = option(48, "variations of the moves tried after a miss", sign="positive")
+    rests: int = option(5, "last rests of the arm after which the moves are corrected", sign="positive")
+    caution: float = option(0.3, "weight of changes of the motion", sign="nonnegative")
+    tried: int = option(48, "variations of the moves tried after a miss", sign="nonnegative")
+    rounds: int = option(3, "rounds in which the best are varied", sign="nonnegative")
     checked: int = option(8, "of these, tried with the target aside", sign="positive")
-    spread: tuple[float, float] = option((0.02, 0.3), "standard deviations of the variations", sign="positive")
-    change: float = option(0.1, "cost of a change by one scale", sign="nonnegative")
-    sure: float = option(0.6, "part of these trials in which the rope must wind", sign="nonnegative")
-    replanning_time: float = option(60.0, "time for a new plan where no correction winds", unit="s", sign="nonnegative")
+    sure: float = option(0.8, "part of these trials in which the rope must wind", sign="nonnegative")
+    spread: tuple[float, float] = option((0.02, 0.5), "standard deviations of the variations", sign="positive")
+    score: float = option(0.5, "what the score of a cast counts", sign="nonnegative")
+    change: float = option(0.03, "cost of a change by one scale", sign="nonnegative")
+    away: float = option(0.03, "cost of one scale of distance from the state that winds", sign="nonnegative")
     correction: FollowOptions = field(default_factory=FollowOptions)
     threads: int | None = None
 
@@ -167,8 +179,6 @@ class LearningOptions:
             checks.number(f"prior of {word}", std, sign="positive")
             if (label := parse_label(word)) is None or label.law != "factor":
                 raise InvalidInput("prior has an unknown word", got=word, allowed="factors, as 'friction:factor'")
-        if self.newest > 1.0:
-            raise InvalidInput("newest is a weight", got=self.newest, allowed="more than 0, up to 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +203,6 @@ class Attempt:
         Learned lag of the motor, s.
     residual : float
         Root mean square of what the model leaves of this cast's flight after learning, m.
-    replanned : bool
-        Whether a new plan was needed after this cast.
     problem : str
         Why nothing could be learned; empty if something was.
     """
@@ -208,7 +216,6 @@ class Attempt:
     factors: Mapping[str, float] = field(default_factory=dict)
     lag: float = 0.0
     residual: float = math.nan
-    replanned: bool = False
     problem: str = ""
 
     def __str__(self) -> str:
@@ -220,7 +227,7 @@ class Attempt:
         known.append(f"lag {1e3 * self.lag:.0f} ms")
         left = f"the model is off by {1e3 * self.residual:.0f} mm in flight"
         strike = f"{1e3 * self.position:.0f} mm and {self.speed:.2g} m/s from the strike aimed at"
-        return f"{head}, {strike}; {', '.join(known)}; {left}{'; planned again' if self.replanned else ''}"
+        return f"{head}, {strike}; {', '.join(known)}; {left}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,8 +331,8 @@ def learn_cast(
 
     Notes
     -----
-    The repeated error of the model is its mean over the casts, of which the newest has the weight `newest`; a cast that
-    winds leaves the motion as it is. Contact is not learned. Tested in simulation only.
+    A cast that winds leaves the motion as it is. Of contact it is only learned with how much friction the winding rope
+    makes as many turns as were seen. Tested in simulation only.
     """
     checks.instance("plan", plan, CastPlan)
     problem, moves = plan.problem, plan.required(plan.moves, "motion")
@@ -380,72 +387,33 @@ class _Flown(NamedTuple):
     noise: Array
     parts: Array
     strike: float
-    missed: bool = True
 
 
-@dataclass(frozen=True)
-class _Error:
-    """Error of the model's flights (T, K, 2), m, that repeats in casts, of which later ones count more."""
+class _Node(NamedTuple):
+    """A measured state of a cast, and how far, (n,), rad and rad/s, it is from the model's, from the node before."""
 
-    casts: Sequence[_Flown]
-    flights: Sequence[Array]
-    options: "LearningOptions"
-
-    def at(self, t: Array) -> tuple[Array, Array]:
-        """Return the error (T, K, 2), m, and its slope, m/s, at times t (T,), s.
-
-        That of a marker that was not seen is the one of the next marker towards the arm, or 0.
-        """
-        first, *others = (_lines(*each, t, self.options) for each in zip(self.casts, self.flights, strict=True))
-        both, near = functools.reduce(self._mean, others, first), np.zeros((2, t.size, 2))
-        for k in self._along():
-            both[:, :, k] = near = np.where(np.isnan(both[:, :, k]), near, both[:, :, k])
-        return both[0], both[1]
-
-    def _along(self) -> list[int]:
-        """Return the numbers of the markers from the arm to the tip."""
-        return [int(k) for k in np.argsort(self.casts[-1].parts)]
-
-    def _mean(self, before: Array, now: Array) -> Array:
-        """Return the mean of errors with one more; what one does not know is the other's."""
-        mean = (1.0 - self.options.newest) * before + self.options.newest * now
-        return np.where(np.isnan(before), now, np.where(np.isnan(now), before, mean))
-
-    def turned(self, rope: Rope, t: Array, q: Array, qd: Array) -> tuple[Array, Array]:
-        """Return what the error at times t (T,), s, adds to angles q, rad, and rates qd, rad/s, (M, T, n)."""
-        joints, order, parts = np.append(0.0, rope.link_ends) / rope.total_length, self._along(), self.casts[-1].parts
-        order = [k for k in order if parts[k] > 0.0]
-        known = np.append(0.0, parts[order])
-        share = np.stack([np.interp(joints, known, one) for one in np.eye(known.size)[1:]], axis=1)  # (n + 1, K)
-        value, slope = (np.diff(share @ each[:, order], axis=1) / rope.length[:, None] for each in self.at(t))
-        along, across = unit_along(q), unit_across(q)
-        turn = (value * across).sum(axis=-1)
-        return turn, (slope * across).sum(axis=-1) - qd * (value * along).sum(axis=-1)
+    state: RopeState
+    turn: Array
+    spin: Array
 
 
-class _Goal(NamedTuple):
-    """A state that winds: moves and their motion that reach it with a rope; its time, s, angles and rates (1, n).
+class _Start(NamedTuple):
+    """Where moves may begin to differ from those of a cast: after some that are made, from the first of some nodes."""
 
-    Other ropes are compared with it at the same distances from the arm: a longer one begins to wind in the same way.
-    """
+    made: int
+    nodes: Sequence[_Node]
+
+    @property
+    def state(self) -> RopeState:
+        """The state of the first node."""
+        return self.nodes[0].state
+
+
+class _Cast(NamedTuple):
+    """Moves, flown from a start of the last cast."""
 
     moves: Moves
-    motion: Motion
-    rope: Rope
-    t: float
-    q: Array
-    qd: Array
-
-    def state(self, arm: Arm, arcs: Array) -> tuple[Array, Array]:
-        """Return places, m, and speeds, m/s, (1, K, 2) at distances along the rope (K,), m, also beyond its tip."""
-        return _states(self.rope, arm, self.motion, np.array([self.t]), self.q, self.qd, arcs)
-
-
-class _Shot(NamedTuple):
-    """Where moves pass a goal: time, s, and residuals (4 K,)."""
-
-    t: float
-    residuals: Array
+    start: _Start
 
 
 class _Learner:
@@ -456,17 +424,16 @@ class _Learner:
         self.budget = Budget(threads=options.threads)
         self.model = _Model(plan.problem, plan.target)
         self.attempts: list[Attempt] = []
-        self._casts: list[_Flown] = []
-        self._since = 0  # casts before the present plan
         words = [(word, std, parse_label(word)) for word, std in options.prior.items()]
         self._prior = {
             word: std for word, std, label in words if label and np.any(getattr(plan.problem.rope, label.name))
         }
         self._logs = np.zeros(len(self._prior))  # logarithms of the factors
-        goal = self._strike(moves)
+        goal = Goal.of(plan.problem, plan.target, moves, options.correction)
         if goal is None:
             raise InvalidInput("the planned moves do not strike", fix="Plan again")
-        self._goal = goal  # that winds in the model it was planned with
+        self._planned = goal  # that winds in the model it was planned with
+        self._damping = 1.0  # of the rope as it winds, times its friction
         self._random = np.random.default_rng(0)
 
     @property
@@ -475,36 +442,42 @@ class _Learner:
         last = self.attempts[-self.options.wins :]
         return len(last) == self.options.wins and all(each.wound for each in last)
 
+    @property
+    def goal(self) -> Goal:
+        """The state that winds, of the rope as it is known now."""
+        return self._planned.at(self.plan.problem.rope, self.model.problem.rope)
+
     def learn(self, log: CastLog) -> None:
         """Learn from a cast with the present moves."""
-        made, number, parts = self.moves, len(self.attempts) + 1, self._parts(log)
+        made, number, parts, options = self.moves, len(self.attempts) + 1, self._parts(log), self.options
         try:
-            cast = self._flight(log, parts, self._goal.t)
+            cast = self._flight(log, parts, self._planned.t)
         except InvalidInput as error:
             known = self._known()
             self.attempts.append(
                 Attempt(number, made, log.wound, problem=error.what, factors=known, lag=self.model.lag)
             )
             return
-        self._casts.append(cast)
-        if self.options.parameters:
-            self._learn_parameters(log)
-        flights = self._predictions()
-        distance, position, speed = self._distance(made, _Error([cast], flights[-1:], self.options))
-        replanned = False if log.wound else self._improve(flights)
-        left = np.nan_to_num(cast.places - flights[-1])
+        if options.parameters:
+            self._learn_parameters(log, cast)
+        starts = self._starts(cast, self._follow(cast))
+        _, away = self._passed([_Cast(made, starts[-1])])
+        position, speed = (float(np.linalg.norm(each)) for each in np.split(away.reshape(-1, 4), 2, axis=1))
+        if not log.wound:
+            self._improve(starts if options.motion else [_Start(0, self._rest())], log.turns)
+        t = cast.t[cast.t > 0.0]
+        left = self._places(cast, self._rest()[0].state, t)[0] - cast.places[-t.size :]
         self.attempts.append(
             Attempt(
                 number,
                 made,
                 log.wound,
-                distance,
-                position,
-                speed,
+                math.hypot(position, speed),
+                options.correction.position_scale * position,
+                options.correction.speed_scale * speed,
                 factors=self._known(),
                 lag=self.model.lag,
-                residual=float(np.sqrt((left**2).sum(axis=2).mean())),
-                replanned=replanned,
+                residual=math.sqrt(2.0 * float(np.nanmean(left**2))),
             )
         )
 
@@ -547,7 +520,7 @@ class _Learner:
             raise InvalidInput(
                 f"no marker has {options.min_samples} samples in the {options.strike_window:g} s before the strike"
             )
-        return _Flown(self.moves, t[flown], places[flown], noise[flown], parts, strike, not log.wound)
+        return _Flown(self.moves, t[flown], places[flown], noise[flown], parts, strike)
 
     # ------------------------------------------------------------------ parameters
 
@@ -560,205 +533,254 @@ class _Learner:
         words = dict(zip(self._prior, np.eye(logs.size), strict=True))
         return perturbed(self.plan.problem.rope, words, logs)
 
-    def _learn_parameters(self, log: CastLog) -> None:
-        """Fit the lag to this cast, and the factors to all casts, with the prior."""
+    def _learn_parameters(self, log: CastLog, cast: _Flown) -> None:
+        """Fit lag and factors to a cast, with the prior; twice, since measured states depend on the rope a little."""
         from scipy.optimize import least_squares
 
         if log.arm_angle is not None:
             motion = self.moves.motion(self.model.problem.limits)
             self.model = replace(self.model, lag=_fitted_lag(motion, log.recording.t, np.asarray(log.arm_angle)))
-        if not self._logs.size:
-            return
-        spreads, now = np.array(list(self._prior.values())), self.model
+        spreads = np.array(list(self._prior.values()))
+        for _ in range(2 if spreads.size else 0):
+            starts = self._starts(cast, self._follow(cast))
 
-        def left(every: Array) -> Array:
-            models = [now.with_rope(self._rope(logs)) for logs in every]
-            parts = [self._residuals(cast, models) for cast in self._casts]
-            return np.concatenate([*parts, every / spreads], axis=1)
+            def left(every: Array, starts: Sequence[_Start] = starts) -> Array:
+                ropes = [self._rope(logs) for logs in every]
+                parts = [self._residuals(cast, each.state, ropes) for each in starts]
+                return np.concatenate([*parts, every / spreads], axis=1)
 
-        def slopes(logs: Array) -> Array:
-            steps = self.options.correction.difference * np.diag(spreads)
-            begin, *ends = left(np.vstack([logs, logs + steps]))
-            return np.asarray((np.array(ends) - begin).T / np.diag(steps))
+            def slopes(logs: Array, left: Callable[[Array], Array] = left) -> Array:
+                steps = self.options.correction.difference * np.diag(spreads)
+                begin, *ends = left(np.vstack([logs, logs + steps]))
+                return np.asarray((np.array(ends) - begin).T / np.diag(steps))
 
-        found = least_squares(lambda logs: left(logs[None])[0], self._logs, slopes, x_scale=spreads, xtol=1e-3)
-        self._logs = found.x
-        self.model = now.with_rope(self._rope(found.x))
+            self._logs = least_squares(
+                lambda logs, left=left: left(logs[None])[0], self._logs, slopes, x_scale=spreads, xtol=1e-3
+            ).x
+            self.model = self.model.with_rope(self._rope(self._logs))
 
-    def _residuals(self, cast: _Flown, models: Sequence[_Model]) -> Array:
-        """Return the errors of models in a cast, over their standard deviations (M, m)."""
-        places, _ = _fly(models, [cast.moves] * len(models), cast.t, cast.parts, self.budget)
-        over = np.hypot(self.options.model_error, cast.noise)
-        left = (places - cast.places) / over
-        known = np.isfinite(cast.places)
-        left = np.where(known, np.nan_to_num(left, nan=1e3), 0.0) / np.sqrt(np.maximum(known.sum(axis=0), 1))
-        return np.asarray(left.reshape(len(models), -1))
+    def _residuals(self, cast: _Flown, state: RopeState, ropes: Sequence[Rope]) -> Array:
+        """Return the errors of ropes from a state of a cast, over their standard deviations (M, m)."""
+        some = (cast.t > state.t) & (cast.t <= state.t + self.options.span)
+        places, _, _ = self._places(cast, state, cast.t[some], ropes)
+        known = np.isfinite(cast.places[some])
+        left = (places - cast.places[some]) / np.hypot(self.options.model_error, cast.noise[some])
+        left = np.where(known, np.nan_to_num(left, nan=1e3), 0.0)
+        return np.asarray((left / np.sqrt(np.maximum(known.sum(axis=0), 1))).reshape(len(ropes), -1))
 
-    # ------------------------------------------------------------------ aim
+    # ------------------------------------------------------------------ the flight
 
-    def _strike(self, moves: Moves) -> _Goal | None:
-        """Return the strike of moves in the model; None without one."""
-        model, problem, motion = self.model, self.model.problem, self.model.motion(moves)
-        one = RolloutBatch.from_start(problem, [problem.rope], [model.peg], [motion])
-        found = fly_to_strikes(problem, model.peg, one, self.budget, max(problem.time, float(motion.breaks[-1]) + 0.5))
-        if not np.isfinite(found.t[0]):
-            return None
-        return _Goal(moves, motion, problem.rope, float(found.t[0]), found.q, found.qd)
+    def _rest(self) -> list[_Node]:
+        """Return the rope at rest."""
+        q, qd = self.model.problem.start
+        return [_Node(RopeState(0.0, q, qd), np.zeros(q.size), np.zeros(q.size))]
 
-    def _improve(self, flights: Sequence[Array]) -> bool:
-        """Choose the next moves, by the model and its repeated error; return whether they were planned again.
+    def _run(
+        self,
+        motions: Sequence[Motion],
+        q: Array,
+        qd: Array,
+        since: float,
+        t: Array,
+        ropes: Sequence[Rope] | None = None,
+    ) -> tuple[Array, Array]:
+        """Simulate free flights from states (M, n) at a time, s; return q and qd (M, T, n) at times t (T,), s."""
+        problem, threads = self.model.problem, self.budget.threads
+        batch = RolloutBatch(
+            ropes or [problem.rope] * len(motions), [], [each.shifted(-since) for each in motions], q, qd
+        )
+        run = batch.run(
+            problem.arm, t - since, tol=MODEL.tol, keep=("q", "qd"), time_budget=self.budget, threads=threads
+        )
+        return run.q, run.qd
 
-        Moves corrected for the planned strike, and variations of them and of those so far, are tried in the model. If
-        none of them is `sure` to wind, a new plan is tried as well, if parameters are learned, and otherwise those
-        corrected are next.
-        """
-        options, since = self.options, self._since
-        error = _Error(self._casts[since:], flights[since:], options) if options.motion else None
-        goal = self._goal._replace(moves=self.moves)
-        corrected = [self._corrected(goal, error, weight) for weight in options.caution]
-        tried = [*corrected, *self._variations([self.moves, *corrected])]
-        moves, value = self._best(self.moves, tried, error)
-        self.moves = moves if value >= options.sure else corrected[0]
-        return value < options.sure and options.parameters and options.replanning_time > 0.0 and self._replan(value)
+    def _places(
+        self, cast: _Flown, state: RopeState, t: Array, ropes: Sequence[Rope] | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return places of the markers (M, T, K, 2), m, angles and rates (M, T, n) of ropes from a state of a cast."""
+        model = self.model
+        every, motion = ropes or [model.problem.rope], model.motion(cast.moves)
+        q, qd = (np.tile(each, (len(every), 1)) for each in (state.q, state.qd))
+        q, qd = self._run([motion] * len(every), q, qd, state.t, t, every)
+        base = model.problem.arm.tip(motion.angle(t))[:, None]
+        arms = [lever_arms(rope, cast.parts * rope.total_length)[1] for rope in every]
+        return np.stack([base + arm @ unit_along(each) for arm, each in zip(arms, q, strict=True)]), q, qd
 
-    def _replan(self, least: float) -> bool:
-        """Plan again in the model as it is now; return whether that winds more surely than the `least` value."""
-        options, problem = self.options, self.model.problem
-        search = SearchOptions(seed=len(self._casts), threads=options.threads, skip_feasibility=True)  # one was found
-        given: dict[str, Any] = {"time_budget": options.replanning_time, "options": search}
-        plan = plan_cast(problem.rope, problem.arm, self.model.peg, **given)
-        goal = None if plan.moves is None else self._strike(plan.moves)
-        if goal is None:
-            return False
-        moves, value = self._best(goal.moves, [goal.moves, *self._variations([goal.moves])], None)
-        if value <= least:
-            return False
-        self.moves, self._goal, self._since = moves, goal, len(self._casts)
-        return True
+    def _follow(self, cast: _Flown) -> list[_Node]:
+        """Return the states of a cast: the model from each one to the next, corrected by lines through its markers."""
+        options, rope, nodes = self.options, self.model.problem.rope, self._rest()
+        order = np.argsort(cast.parts)
+        order = order[cast.parts[order] > 0.0]
+        where, joints = np.append(0.0, cast.parts[order]), np.append(0.0, rope.link_ends) / rope.total_length
+        share = np.stack([np.interp(joints, where, one) for one in np.eye(where.size)], axis=1)  # (n + 1, K + 1)
+        half = 0.5 * options.strike_window
+        while (now := nodes[-1].state.t + options.between) <= cast.t[-1]:
+            near = np.abs(cast.t - min(now, cast.t[-1] - half)) <= half + 1e-9
+            near &= cast.t > nodes[-1].state.t
+            t = np.union1d(cast.t[near], now)
+            places, q, qd = (each[0] for each in self._places(cast, nodes[-1].state, t))
+            left = cast.places[near] - places[np.isin(t, cast.t[near])]
+            error = np.zeros((2, where.size, 2))  # of places, m, and speeds, m/s
+            for j, k in enumerate(order, 1):
+                seen = np.isfinite(left[:, k]).all(axis=1)
+                enough = seen.sum() >= options.min_samples
+                line = np.polyfit(cast.t[near][seen] - now, left[seen, k], 1)[::-1] if enough else error[:, j - 1]
+                error[:, j] = line  # what was not seen is as wrong as the next marker towards the arm
+            k = int(np.searchsorted(t, now))
+            turned, spun = _turned(rope, q[k], qd[k], *(share @ error))
+            nodes.append(_Node(RopeState(now, turned, spun), turned - q[k], spun - qd[k]))
+        return nodes
 
-    def _best(self, now: Moves, tried: Sequence[Moves], error: "_Error | None") -> tuple[Moves, float]:
-        """Return which of some moves winds most surely with the least change of those now, and its value.
+    def _starts(self, cast: _Flown, nodes: Sequence[_Node]) -> list[_Start]:
+        """Return where the moves of a cast may begin to differ: one for each that begins before its strike."""
+        limits, moves, t = self.model.problem.limits, cast.moves, np.array([each.state.t for each in nodes])
+        begins = moves.starts(limits)
+        stops = np.append(0.0, begins + moves.timing(limits)[1])  # of the move before
+        count = max(1, int((begins < min(cast.strike, self._planned.t)).sum()))
+        first = np.searchsorted(t, stops[:count] + 1e-9, side="right") - 1
+        return [_Start(k, nodes[j:]) for k, j in enumerate(first.tolist())]
 
-        All are flown in the model with its repeated error, and strike in contact; the best also with shorter links, and
-        with the target aside, by more after each miss. Near casts that missed the model is not believed, as far as it
-        says that they wind.
-        """
+    def _fly(self, casts: Sequence[Moves], start: _Start, t: Array) -> tuple[Array, Array]:
+        """Return flights of casts from a start at times t (T,), s: at each node, the model is as wrong as it was."""
+        motions, nodes = [self.model.motion(each) for each in casts], start.nodes
+        q, qd = (np.tile(each, (len(casts), 1)) for each in (start.state.q, start.state.qd))
+        found = list[tuple[Array, Array]]()
+        for node, after in zip(nodes, [*nodes[1:], None], strict=True):
+            since, until = node.state.t, float(t[-1]) if after is None else after.state.t
+            if min(until, t[-1]) <= since:
+                break
+            inside = t[(t > since) & (t <= until)]
+            grid = np.union1d(inside, until)
+            rows, rates = self._run(motions, q, qd, since, grid)
+            if after is not None:
+                rows[:, -1], rates[:, -1] = rows[:, -1] + after.turn, rates[:, -1] + after.spin
+            some = np.isin(grid, inside)
+            found.append((rows[:, some], rates[:, some]))
+            q, qd = np.nan_to_num(rows[:, -1]), np.nan_to_num(rates[:, -1])
+        rows, rates = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
+        return rows, rates
+
+    # ------------------------------------------------------------------ motion
+
+    def _improve(self, starts: Sequence[_Start], turns: float | None) -> None:
+        """Choose the next moves: the least change that winds most surely, from one of some starts."""
         options, peg = self.options, self.model.peg
-        missed = [each.moves for each in self._casts[self._since :] if each.missed and now is self.moves]
-        wound = self._values(missed, [peg] * len(missed), error, SearchOptions.pieces) if missed else np.zeros(0)
-        near = np.exp([[-self._apart(a, b) / options.spread[1] for b in missed] for a in tried])
-        costs = options.change * np.array([self._apart(now, each) for each in tried])
-        costs += (near * wound).max(axis=1, initial=0.0)
-        coarse = self._values(tried, [peg] * len(tried), error) - costs
-        best = np.argsort(-coarse, kind="stable")[: options.checked].tolist()
-        aside = options.model_error * max(1, len(missed))
-        pegs = [replace(peg, x=peg.x + a * aside, y=peg.y + b * aside) for a, b in ASIDE]
-        some = [tried[k] for k in best]
-        around = self._values([each for each in some for _ in pegs], pegs * len(some), error).reshape(len(some), -1)
-        fine = self._values(some, [peg] * len(some), error, SearchOptions.pieces)
-        values = np.minimum(fine, around.mean(axis=1)) - costs[best]
-        return some[values.argmax()], float(values.max())
+        if options.parameters and turns is not None:
+            self._learn_damping(_Cast(self.moves, starts[-1]), turns)
+        some = starts[-options.rests :]
+        corrected = [self._corrected(start) for start in some]
+        casts = corrected + self._variations([*corrected, *(_Cast(self.moves, start) for start in some)])
+        best, value = self._best(casts)
+        for _ in range(options.rounds):
+            if value >= options.sure:
+                break
+            best, value = self._best([*best, *self._variations(best)])
+        pegs = [replace(peg, x=peg.x + a * options.model_error, y=peg.y + b * options.model_error) for a, b in ASIDE]
+        around = self._values([each for each in best for _ in pegs], pegs * len(best)).reshape(len(best), -1)
+        fine = self._values(best, [peg] * len(best), SearchOptions.pieces)
+        self.moves = best[int(np.minimum(fine, around.mean(axis=1)).argmax())].moves
 
-    def _apart(self, one: Moves, other: Moves) -> float:
-        """Return how far parameters of moves are apart, in scales."""
-        return float(np.linalg.norm((one.parameters - other.parameters) / self._scale(one)))
+    def _learn_damping(self, cast: _Cast, turns: float) -> None:
+        """Choose how much more friction the winding rope has, so that the model makes as many turns as were seen."""
+        factors, made = np.geomspace(1.0, 256.0, 17), list[float]()
+        for self._damping in factors.tolist():
+            made.append(float(self._contacts([cast], [self.model.peg])[0].most[0]))
+        self._damping = float(factors[int(np.abs(np.array(made) - turns).argmin())])
+
+    def _best(self, casts: Sequence[_Cast]) -> tuple[list[_Cast], float]:
+        """Return the best of some casts in contact, and the value of the first."""
+        values = self._values(casts, [self.model.peg] * len(casts))
+        order = np.argsort(-values, kind="stable")[: self.options.checked]
+        return [casts[k] for k in order], float(values[order[0]])
 
     def _scale(self, moves: Moves) -> Array:
         """Return the scales of parameters (2 k,) of moves: strokes, rad, and rests, s."""
         options = self.options.correction
         return np.repeat([options.stroke_scale, options.rest_scale], moves.ends.size)
 
-    def _variations(self, some: Sequence[Moves]) -> list[Moves]:
-        """Return moves whose strokes and rests differ at random from some moves, by little and by more."""
-        count, found = self.options.tried // len(some), list[Moves]()
-        for moves in some:
+    def _variations(self, some: Sequence[_Cast]) -> list[_Cast]:
+        """Return casts whose strokes and rests differ at random from some, by little and by more."""
+        count, found = self.options.tried // len(some), list[_Cast]()
+        for moves, start in some:
             spreads: Array = np.geomspace(*self.options.spread, count)
-            scale = self._scale(moves)
+            scale = self._scale(moves) * (np.tile(np.arange(moves.ends.size), 2) >= start.made)
             changes = self._random.standard_normal((count, scale.size)) * spreads[:, None] * scale
-            found += [moves.varied(each) for each in changes]
+            found += [_Cast(moves.varied(each), start) for each in changes]
         return found
 
-    def _values(self, casts: Sequence[Moves], pegs: Sequence[Peg], error: "_Error | None", pieces: int = 1) -> Array:
-        """Return how surely casts (M,) wind, each round its peg, in the model with an error of its flights.
+    def _values(self, casts: Sequence[_Cast], pegs: Sequence[Peg], pieces: int = 1) -> Array:
+        """Return how surely casts (M,) wind, each round its peg, less what their change and distance cost."""
+        options, scale = self.options, self._scale(self.moves)
+        found, away = self._contacts(casts, pegs, pieces)
+        change = np.array([np.linalg.norm((each.parameters - self.moves.parameters) / scale) for each, _ in casts])
+        required = self.model.problem.criteria.turns
+        winds = (found.turns >= required) + options.score * np.clip(found.score / required, -1.0, 1.0)
+        return np.asarray(winds - options.change * change - options.away * away)
 
-        In contact each link is cut into so many pieces.
-        """
-        model, problem, budget = self.model, self.model.problem, self.budget
-        motions = [model.motion(moves) for moves in casts]
-        batch = RolloutBatch.from_start(problem, [problem.rope] * len(casts), pegs, motions)
-        span = max(problem.time, max(float(each.breaks[-1]) for each in motions) + 0.5)
-        t, q, qd = batch.fly(problem.arm, span, budget)
-        if error is not None:
-            change, rate = error.turned(problem.rope, t, q, qd)
-            q, qd = q + change, qd + rate
-        found = find_strikes(problem, model.peg, batch, t, q, qd)
-        cut = problem.cut(pieces)
-        found = replace(found, q=np.repeat(found.q, pieces, axis=1), qd=np.repeat(found.qd, pieces, axis=1))
-        return robust_values(wound_after(cut, replace(batch, ropes=[cut.rope] * len(casts)), found, budget), cut)
+    def _contacts(self, casts: Sequence[_Cast], pegs: Sequence[Peg], pieces: int = 1) -> tuple[WindingScores, Array]:
+        """Return what becomes of casts (M,) in contact, each link in so many pieces, and how far they pass the goal."""
+        model, problem = self.model, self.model.problem
+        cut = replace(problem, rope=scaled_rope(problem.rope, 1.0, 1.0, self._damping)).cut(pieces)
+        scores, away = WindingScores(*np.zeros((4, len(casts)))), np.zeros(len(casts))
+        for start in {id(each): each for _, each in casts}.values():
+            rows = [k for k, (_, each) in enumerate(casts) if each is start]
+            moves = [casts[k].moves for k in rows]
+            motions, since = [model.motion(each) for each in moves], start.state.t
+            end = max(problem.time, *(float(each.breaks[-1]) + 0.5 for each in motions))
+            t: Array = since + MODEL.step * np.arange(1.0, math.ceil((end - since) / MODEL.step))
+            q, qd = self._fly(moves, start, t)
+            away[rows] = [np.linalg.norm(self._pass(*each, t)[1]) for each in zip(moves, q, qd, strict=True)]
+            some = [pegs[k] for k in rows]
+            batch = RolloutBatch.from_state([problem.rope] * len(rows), some, motions, start.state)
+            found = find_strikes(problem, model.peg, batch, t - since, q, qd)
+            found = replace(found, q=np.repeat(found.q, pieces, axis=1), qd=np.repeat(found.qd, pieces, axis=1))
+            wound = wound_after(cut, replace(batch, ropes=[cut.rope] * len(rows)), found, self.budget)
+            for name, each in vars(wound).items():
+                getattr(scores, name)[rows] = each
+        return scores, away
 
-    # ------------------------------------------------------------------ motion
+    def _pass(self, moves: Moves, q: Array, qd: Array, t: Array) -> tuple[float, Array]:
+        """Return when a flight (T, n) passes the goal nearest, s, and how far, (4 n,), over scales."""
+        options, problem, goal = self.options.correction, self.model.problem, self.goal
+        near = np.abs(t - goal.t) <= options.window + 1e-9
+        motion = self.model.motion(moves)
+        return goal.passed(t[near], features(problem.rope, problem.arm, motion, t[near], q[near], qd[near], options))
 
-    def _predictions(self) -> list[Array]:
-        """Return the model's places (T, K, 2), m, for all casts so far."""
-        return [_fly([self.model], [each.moves], each.t, each.parts, self.budget)[0][0] for each in self._casts]
+    def _passed(self, casts: Sequence[_Cast]) -> tuple[Array, Array]:
+        """Return when casts (M,) from the same start pass the goal nearest, s, and how far, (M, 4 n), over scales."""
+        start, window = casts[0].start, self.options.correction.window
+        t: Array = np.linspace(-window, window, 2 * math.ceil(window / MODEL.step) + 1) + self._planned.t
+        t = t[t > start.state.t]
+        flights = self._fly([each.moves for each in casts], start, t)
+        found = [self._pass(each.moves, q, qd, t) for each, q, qd in zip(casts, *flights, strict=True)]
+        times, away = zip(*found, strict=True)
+        return np.array(times), np.stack(away)
 
-    def _features(self, places: Array, speeds: Array) -> Array:
-        """Return places, m, and speeds, m/s, (..., K, 2) over their scales and sqrt(K) (..., 4 K)."""
-        options, count = self.options.correction, places.shape[-2]
-        both = np.concatenate([places / options.position_scale, speeds / options.speed_scale], axis=-1)
-        return np.asarray(both.reshape(*places.shape[:-2], -1) / math.sqrt(count))
-
-    def _shots(self, casts: Sequence[Moves], goal: _Goal, error: _Error | None) -> list[_Shot]:
-        """Simulate casts, and compare them with the goal where they pass it nearest: residuals (4 K,) there."""
-        window, model, parts = self.options.correction.window, self.model, self._casts[-1].parts
-        t: Array = np.linspace(goal.t - window, goal.t + window, 2 * math.ceil(window / 0.01) + 1)
-        goal_rows = self._features(*goal.state(model.problem.arm, parts * model.problem.rope.total_length))[0]
-        places, speeds = _fly([model] * len(casts), casts, t, parts, self.budget)
-        if error is not None:
-            value, slope = error.at(t)
-            places, speeds = places + value, speeds + slope
-        found = []
-        for rows in np.nan_to_num(self._features(places, speeds), nan=1e3):
-            way, behind = np.diff(rows, axis=0), goal_rows - rows[:-1]
-            part = np.clip((behind * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-300), 0.0, 1.0)
-            away = behind - part[:, None] * way
-            k = int((away**2).sum(axis=1).argmin())
-            found.append(_Shot(float(t[k] + part[k] * (t[1] - t[0])), away[k]))
-        return found
-
-    def _distance(self, moves: Moves, error: _Error) -> tuple[float, float, float]:
-        """Return how far a cast passed the goal, over scales, in m, and in m/s."""
-        (shot,) = self._shots([moves], self._goal, error)
-        options, parts = self.options.correction, shot.residuals.reshape(-1, 4)
-        position, speed = (float(np.linalg.norm(each)) for each in (parts[:, :2], parts[:, 2:]))
-        return math.hypot(position, speed), options.position_scale * position, options.speed_scale * speed
-
-    def _corrected(self, goal: _Goal, error: _Error | None, caution: float) -> Moves:
-        """Return the goal's moves, corrected so that the model with an error meets the goal.
+    def _corrected(self, start: _Start) -> _Cast:
+        """Return the last moves, corrected so that the model meets the goal.
 
         Strokes and rests that begin before the strike are free; the first move after it keeps its time from it.
         """
         from scipy.optimize import least_squares
 
-        options, problem, moves = self.options.correction, self.model.problem, goal.moves
-        count, starts = moves.ends.size, moves.starts(problem.limits)
-        begun = int((starts < goal.t).sum())
-        free = np.concatenate([np.arange(begun), count + np.arange(begun)])
-        scale = np.repeat([options.stroke_scale, options.rest_scale], begun)
+        options, problem, moves, goal = self.options.correction, self.model.problem, self.moves, self._planned
+        count, begins = moves.ends.size, moves.starts(problem.limits)
+        begun = max(int((begins < goal.t).sum()), start.made + 1)
+        free = np.concatenate([each + np.arange(start.made, begun) for each in (0, count)])
+        scale = self._scale(moves)[free]
         least, most = np.repeat(
-            [[problem.limits.angles[0], MIN_REST], [problem.limits.angles[1], np.inf]], begun, axis=1
+            [[problem.limits.angles[0], MIN_REST], [problem.limits.angles[1], np.inf]], begun - start.made, axis=1
         )
         begin = np.clip(moves.parameters[free], least, most)
 
-        def changed(x: Array) -> Moves:
+        def changed(x: Array) -> _Cast:
             whole = np.zeros(2 * count)
             whole[free] = x - moves.parameters[free]
-            return moves.varied(whole)
+            return _Cast(moves.varied(whole), start)
 
         def left(every: Array) -> Array:
-            passed = self._shots([changed(x) for x in every], goal, error)
-            costs = caution * (every - begin) / scale
-            return np.concatenate([np.stack([each.residuals for each in passed]), costs], axis=1)
+            away = self._passed([changed(x) for x in every])[1]
+            return np.concatenate([away, self.options.caution * (every - begin) / scale], axis=1)
 
         def slopes(x: Array) -> Array:
             steps = options.difference * scale * np.where(x + options.difference * scale > most, -1.0, 1.0)
@@ -766,61 +788,24 @@ class _Learner:
             return np.asarray((np.array(ends) - here).T / steps)
 
         found = least_squares(
-            lambda x: left(x[None])[0], begin, slopes, bounds=(least, most), x_scale=scale, ftol=1e-3, max_nfev=10
+            lambda x: left(x[None])[0], begin, slopes, bounds=(least, most), x_scale=scale, ftol=1e-3, max_nfev=6
         )
         best = changed(found.x)
         if begun == count:
             return best
-        rests, now, (shot,) = best.rests.copy(), best.starts(problem.limits), self._shots([best], goal, error)
-        rests[begun] += (starts[begun] - goal.t) - (now[begun] - shot.t)
-        return replace(best, rests=rests)
+        (t,), _ = self._passed([best])
+        rests, now = best.moves.rests.copy(), best.moves.starts(problem.limits)
+        rests[begun] += (begins[begun] - goal.t) - (now[begun] - t)
+        return best._replace(moves=replace(best.moves, rests=rests))
 
 
-def _fly(
-    models: Sequence[_Model], casts: Sequence[Moves], t: Array, parts: Array, budget: Budget
-) -> tuple[Array, Array]:
-    """Simulate free flights from rest; return places, m, and speeds, m/s, (M, T, K, 2) at times t (T,), s."""
-    motions = [model.motion(moves) for model, moves in zip(models, casts, strict=True)]
-    ropes, problem = [each.problem.rope for each in models], models[0].problem
-    later = t[t > 0.0]
-    batch = RolloutBatch.from_start(problem, ropes, [], motions)
-    run = batch.run(problem.arm, later, tol=1e-4, keep=("q", "qd"), time_budget=budget, threads=budget.threads)
-    still = np.repeat(batch.q[:, None], t.size - later.size, axis=1)
-    q, qd = np.concatenate([still, run.q], axis=1), np.concatenate([0.0 * still, run.qd], axis=1)
-    every = [
-        _states(rope, problem.arm, motion, t, angles, rates, parts * rope.total_length)
-        for rope, motion, angles, rates in zip(ropes, motions, q, qd, strict=True)
-    ]
-    places, speeds = (np.stack(each) for each in zip(*every, strict=True))
-    return places, speeds
-
-
-def _states(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array, arcs: Array) -> tuple[Array, Array]:
-    """Return places, m, and speeds, m/s, (T, K, 2) of points at distances along the rope (K,), m."""
-    base, velocity = arm.tip_motion(motion, t)
-    arms = lever_arms(rope, arcs)[1]
-    return base[:, None] + arms @ unit_along(q), velocity[:, None] + arms @ (qd[..., None] * unit_across(q))
-
-
-def _lines(cast: _Flown, places: Array, t: Array, options: LearningOptions) -> Array:
-    """Return the error of predicted places (T', K, 2), m, and its slope, m/s, (2, T, K, 2) at times t (T,), s.
-
-    By lines through a window about each time, the last one of which ends at the strike; some time after that the error
-    stays as it is. NaN where too little was seen.
-    """
-    half, last = 0.5 * options.strike_window, cast.strike + options.correction.window
-    centre = np.clip(t, half, cast.strike - half)
-    since = cast.t - centre[:, None]
-    near, left = np.abs(since) <= half, cast.places - places
-    known = np.isfinite(left)
-    left = np.where(known, left, 0.0)
-    count, first, second = (np.tensordot(near * since**k, known, 1) for k in range(3))
-    whole, moment = (np.tensordot(near * since**k, left, 1) for k in range(2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slope = (count * moment - first * whole) / (count * second - first**2)
-        value = (whole - slope * first) / count + slope * (np.minimum(t, last) - centre)[:, None, None]
-    slope = np.where((t > last)[:, None, None], 0.0, slope)
-    return np.where(count >= options.min_samples, np.stack([value, slope]), np.nan)
+def _turned(rope: Rope, q: Array, qd: Array, error: Array, speed_error: Array) -> tuple[Array, Array]:
+    """Return angles, rad, and rates, rad/s, (n,) whose joints are elsewhere by (n + 1, 2), m, and m/s."""
+    error, speed_error = (np.diff(each, axis=0) / rope.length[:, None] for each in (error, speed_error))
+    along, across = unit_along(q), unit_across(q)
+    to, speed = along + error, qd[:, None] * across + speed_error
+    turned = q + np.arctan2((to * across).sum(axis=1), (to * along).sum(axis=1))
+    return turned, (speed * unit_across(turned)).sum(axis=1) / np.hypot(*to.T)
 
 
 def _fitted_lag(motion: Motion, t: Array, angle: Array) -> float:

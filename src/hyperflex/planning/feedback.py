@@ -276,6 +276,15 @@ class Goal:
         moved = (1.0 - part) * joints[k] + part * joints[np.minimum(k + 1, arcs.size - 1)]
         return Goal(self.t, moved.reshape(-1))
 
+    def passed(self, t: Array, rows: Array) -> tuple[float, Array]:
+        """Return when features (T, 4 n) at times t (T,), s, pass the goal nearest, and the residuals (4 n,) there."""
+        rows = np.nan_to_num(rows, nan=1e3)
+        way, behind = np.diff(rows, axis=0), self.features - rows[:-1]
+        part = np.clip((behind * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-300), 0.0, 1.0)
+        away = behind - part[:, None] * way
+        k = int((away**2).sum(axis=1).argmin())
+        return float(t[k] + part[k] * (t[1] - t[0])), away[k]
+
 
 def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array, options: FollowOptions) -> Array:
     """Positions and velocities of the joints (T, 4 n) at times t (T,), s, over their scales and sqrt(n).
@@ -421,12 +430,7 @@ class _Loop:
         near, found = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window), list[_Flight]()
         for m, (cast, motion) in enumerate(zip(casts, batch.motions, strict=True)):
             rows = features(problem.rope, problem.arm, motion, t[near], q[m, near], qd[m, near], options)
-            rows = np.nan_to_num(rows, nan=1e3)
-            way, behind = np.diff(rows, axis=0), goal.features - rows[:-1]
-            part = np.clip((behind * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-300), 0.0, 1.0)
-            away = behind - part[:, None] * way
-            k = int((away**2).sum(axis=1).argmin())
-            found.append(_Flight(cast, float(t[near][k] + part[k] * (t[1] - t[0])), away[k]))
+            found.append(_Flight(cast, *goal.passed(t[near], rows)))
         return found
 
 
