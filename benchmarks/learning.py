@@ -28,12 +28,11 @@ from benchmarks.casting import problem, target
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.execution import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
+from hyperflex.execution import CastLog, LearningOptions, LearningResult, learn_cast
 from hyperflex.model import divided
 from hyperflex.motion import Motion, lagged
 from hyperflex.planning import (
     CastPlan,
-    Moves,
     Problem,
     check_feasibility,
     plan_cast,
@@ -42,7 +41,8 @@ from hyperflex.planning import (
     verify_cast,
 )
 from hyperflex.recording import Recording
-from hyperflex.report import learning_figure, save_png
+from hyperflex.report import save_png
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
 from hyperflex.sensors import Markers
 from hyperflex.trajectory import interpolated
 from hyperflex.winding import turns as turns_of
@@ -140,7 +140,8 @@ def main() -> None:
     options = parser.parse_args()
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "learning.jsonl"
     rows = lines.read(log) if options.kept else learned(options, log)
-    rows = [row for row in rows if sum(alike(row, other) for other in rows) == len(options.ways)]
+    if not rows:
+        raise SystemExit("no rows are kept yet; run without --kept")
     text = f"{page(rows)}\n{machine.sentence(about)} {lines.made(rows)} {lines.made(rows, 'planner')}\n"
     print(text)
     if log is not None:
@@ -179,7 +180,8 @@ def page(rows: list[dict[str, Any]]) -> str:
     """The page of results."""
     ways = [way for way in WAYS if any(row["key"]["way"] == way for row in rows)]
     of = {way: [row for row in rows if row["key"]["way"] == way] for way in ways}
-    count = len(of[ways[0]])
+    targets = [row for k, row in enumerate(rows) if not any(alike(row, each) for each in rows[:k])]
+    count = len(targets)
     text = ["# Learning from each cast", ""]
     ropes = ", ".join(dict.fromkeys(row["key"]["rope"] for row in rows))
     about = (
@@ -200,7 +202,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         "",
     ]
     text += ["| rope | target | " + " | ".join(ways) + " |", "|---" * (len(ways) + 2) + "|"]
-    for row in of[ways[0]]:
+    for row in targets:
         same = {way: [each for each in of[way] if alike(each, row)] for way in ways}
         cells = [" ".join(shown(each) for found in same[way] for each in found["attempts"]) for way in ways]
         text.append(f"| {row['key']['rope']} | {row['key']['number']} | {' | '.join(cells)} |")
@@ -219,17 +221,19 @@ def shown(attempt: dict[str, Any]) -> str:
 
 
 def figure(rows: list[dict[str, Any]]) -> "Figure":
-    """The attempts at the target whose learning took most casts and succeeded in the end."""
-    both = [row for row in rows if row["key"]["way"] == "both" and won(row, CASTS)]
-    most = max(both or rows, key=lambda row: len(row["attempts"]))
-    ways = {}
-    for row in rows:
-        if alike(row, most):
-            names = ("wound", "position")
-            every = enumerate(row["attempts"], 1)
-            moves = Moves(1, np.ones(1), np.ones(1))
-            ways[row["key"]["way"]] = [Attempt(k, moves, **{name: one[name] for name in names}) for k, one in every]
-    return learning_figure(ways)
+    """Part of the targets that each way has won by each cast."""
+    with new_figure(6.4, 3.8, "Learning from each cast: targets won, simulated") as drawn:
+        axis = drawn.subplots()
+        for way, colour in zip(WAYS, (BLUE, RED, INK, GREEN), strict=True):
+            some = [row for row in rows if row["key"]["way"] == way]
+            if some:
+                part = [100.0 * float(np.mean([won(row, k) for row in some])) for k in range(1, CASTS + 1)]
+                axis.plot(range(1, CASTS + 1), part, color=colour, marker="o", label=f"{way} ({len(some)})")
+        axis.axhline(85.0, color=GREY, linestyle=":", label="asked")
+        axis.set(xlabel="casts made", ylabel="targets won, %", ylim=(0.0, 100.0))
+        axis.set_xticks(range(1, CASTS + 1))
+        legend(drawn, axis, place="lower center", columns=3)
+    return drawn
 
 
 if __name__ == "__main__":

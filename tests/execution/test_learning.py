@@ -9,7 +9,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import EstimatorLost, Interrupted, InvalidInput
 from hyperflex.execution import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
-from hyperflex.execution.learning import _Learner, _Start, _turned
+from hyperflex.execution.learning import _Cast, _Learner, _Start, _turned
 from hyperflex.model import divided
 from hyperflex.motion import Motion, lagged
 from hyperflex.planning import CastPlan, Moves, Problem, check_feasibility, scaled_rope
@@ -174,12 +174,15 @@ def test_links_are_turned_to_where_their_joints_were_seen():
     assert spun == pytest.approx(qd + spin)
 
 
-def test_after_a_miss_that_winds_in_the_model_more_turns_are_required(monkeypatch):
-    made = WindingScores(np.full(1, 1.5), np.full(1, 1.4), np.zeros(1), np.zeros(1))
-    learner = _Learner(PLAN, MOVES, replace(OPTIONS, tried=0, more=0.5))
-    monkeypatch.setattr(learner, "_contacts", lambda casts, *_: (made, np.zeros(len(casts))))
-    learner.learn(bent_arm()(MOVES.motion(PROBLEM.limits)))
-    assert learner._turns == pytest.approx(1.9)
+def test_the_friction_of_the_winding_rope_is_the_one_with_which_it_makes_the_turns_that_were_seen(monkeypatch):
+    learner = _Learner(PLAN, MOVES, replace(OPTIONS, tried=0))
+
+    def contacts(casts: list[_Cast], *_: object) -> tuple[WindingScores, np.ndarray]:
+        return WindingScores(*np.full((4, len(casts)), 3.0 / learner._damping)), np.zeros(len(casts))
+
+    monkeypatch.setattr(learner, "_contacts", contacts)
+    learner.learn(replace(bent_arm()(MOVES.motion(PROBLEM.limits)), turns=0.7))
+    assert learner._damping == pytest.approx(4.0)
 
 
 def test_angles_teach_as_markers_do():

@@ -31,7 +31,6 @@ from hyperflex.motion import Motion, lagged
 from hyperflex.options import check as check_options
 from hyperflex.options import option
 from hyperflex.planning import (
-    MIN_REST,
     CastPlan,
     FollowOptions,
     Moves,
@@ -46,6 +45,7 @@ from hyperflex.planning import (
 )
 from hyperflex.planning.feedback import Goal, features
 from hyperflex.planning.rollouts import MODEL, WindingScores
+from hyperflex.planning.shooting import shoot
 from hyperflex.recording import Recording
 from hyperflex.sensors import lever_arms
 from hyperflex.status import Status
@@ -127,8 +127,8 @@ class LearningOptions:
         Time about such a state, s, from which it is measured.
     min_samples : int
         Samples in this window that a marker needs.
-    rests : int
-        The moves after each of so many last rests of the arm before the strike are corrected.
+    speeds : tuple of float
+        Speeds at the strike at which is aimed, times those of the state that winds.
     caution : float
         Weight of changes of the motion, in its scales, against the distance from the state that winds.
     tried, rounds, checked : int
@@ -143,7 +143,7 @@ class LearningOptions:
     change, away : float
         What a change by one scale costs, and one scale of distance from the state that winds, in casts that wind.
     correction : FollowOptions
-        Scales of errors and changes, step of the differences, and the window about the strike.
+        Scales of errors and changes, Gauss-Newton steps, their differences, and the window about the strike.
     threads : int, optional
     """
 
@@ -160,17 +160,17 @@ class LearningOptions:
     between: float = option(0.2, "time between two measured states", unit="s", sign="positive")
     strike_window: float = option(0.12, "time about a state in which it is measured", unit="s", sign="positive")
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
-    rests: int = option(5, "last rests of the arm after which the moves are corrected", sign="positive")
+    speeds: tuple[float, ...] = option((1.0, 1.2), "speeds at the strike, times those that wind", sign="positive")
     caution: float = option(0.3, "weight of changes of the motion", sign="nonnegative")
     tried: int = option(48, "variations of the moves tried after a miss", sign="nonnegative")
-    rounds: int = option(3, "rounds in which the best are varied", sign="nonnegative")
+    rounds: int = option(5, "rounds in which the best are varied", sign="nonnegative")
     checked: int = option(8, "of these, tried with the target aside", sign="positive")
     sure: float = option(0.8, "part of these trials in which the rope must wind", sign="nonnegative")
     spread: tuple[float, float] = option((0.02, 0.5), "standard deviations of the variations", sign="positive")
     score: float = option(0.5, "what the score of a cast counts", sign="nonnegative")
     change: float = option(0.03, "cost of a change by one scale", sign="nonnegative")
     away: float = option(0.03, "cost of one scale of distance from the state that winds", sign="nonnegative")
-    correction: FollowOptions = field(default_factory=FollowOptions)
+    correction: FollowOptions = field(default_factory=lambda: FollowOptions(rounds=8))
     threads: int | None = None
 
     def __post_init__(self) -> None:
@@ -416,6 +416,14 @@ class _Cast(NamedTuple):
     start: _Start
 
 
+class _Shot(NamedTuple):
+    """Moves, the time at which they pass the goal nearest, s, and how far they and their change are, over scales."""
+
+    moves: Moves
+    t: float
+    residuals: Array
+
+
 class _Learner:
     """The moves to be made next, the model, and the casts so far."""
 
@@ -461,7 +469,7 @@ class _Learner:
         if options.parameters:
             self._learn_parameters(log, cast)
         starts = self._starts(cast, self._follow(cast))
-        _, away = self._passed([_Cast(made, starts[-1])])
+        _, away = self._passed([_Cast(made, starts[-1])], self.goal)
         position, speed = (float(np.linalg.norm(each)) for each in np.split(away.reshape(-1, 4), 2, axis=1))
         if not log.wound:
             self._improve(starts if options.motion else [_Start(0, self._rest())], log.turns)
@@ -667,8 +675,9 @@ class _Learner:
         options, peg = self.options, self.model.peg
         if options.parameters and turns is not None:
             self._learn_damping(_Cast(self.moves, starts[-1]), turns)
-        some = starts[-options.rests :]
-        corrected = [self._corrected(start) for start in some]
+        some = [starts[-(2**k)] for k in range(len(starts).bit_length())]
+        goals = [self.goal.faster(each) for each in options.speeds]
+        corrected = [self._corrected(start, goal) for start in some for goal in goals]
         casts = corrected + self._variations([*corrected, *(_Cast(self.moves, start) for start in some)])
         best, value = self._best(casts)
         for _ in range(options.rounds):
@@ -729,7 +738,7 @@ class _Learner:
             end = max(problem.time, *(float(each.breaks[-1]) + 0.5 for each in motions))
             t: Array = since + MODEL.step * np.arange(1.0, math.ceil((end - since) / MODEL.step))
             q, qd = self._fly(moves, start, t)
-            away[rows] = [np.linalg.norm(self._pass(*each, t)[1]) for each in zip(moves, q, qd, strict=True)]
+            away[rows] = [np.linalg.norm(self._pass(self.goal, *each, t)[1]) for each in zip(moves, q, qd, strict=True)]
             some = [pegs[k] for k in rows]
             batch = RolloutBatch.from_state([problem.rope] * len(rows), some, motions, start.state)
             found = find_strikes(problem, model.peg, batch, t - since, q, qd)
@@ -739,64 +748,53 @@ class _Learner:
                 getattr(scores, name)[rows] = each
         return scores, away
 
-    def _pass(self, moves: Moves, q: Array, qd: Array, t: Array) -> tuple[float, Array]:
-        """Return when a flight (T, n) passes the goal nearest, s, and how far, (4 n,), over scales."""
-        options, problem, goal = self.options.correction, self.model.problem, self.goal
+    def _pass(self, goal: Goal, moves: Moves, q: Array, qd: Array, t: Array) -> tuple[float, Array]:
+        """Return when a flight (T, n) passes a goal nearest, s, and how far, (4 n,), over scales."""
+        options, problem = self.options.correction, self.model.problem
         near = np.abs(t - goal.t) <= options.window + 1e-9
         motion = self.model.motion(moves)
         return goal.passed(t[near], features(problem.rope, problem.arm, motion, t[near], q[near], qd[near], options))
 
-    def _passed(self, casts: Sequence[_Cast]) -> tuple[Array, Array]:
-        """Return when casts (M,) from the same start pass the goal nearest, s, and how far, (M, 4 n), over scales."""
+    def _passed(self, casts: Sequence[_Cast], goal: Goal) -> tuple[Array, Array]:
+        """Return when casts (M,) from the same start pass a goal nearest, s, and how far, (M, 4 n), over scales."""
         start, window = casts[0].start, self.options.correction.window
-        t: Array = np.linspace(-window, window, 2 * math.ceil(window / MODEL.step) + 1) + self._planned.t
+        t: Array = np.linspace(-window, window, 2 * math.ceil(window / MODEL.step) + 1) + goal.t
         t = t[t > start.state.t]
         flights = self._fly([each.moves for each in casts], start, t)
-        found = [self._pass(each.moves, q, qd, t) for each, q, qd in zip(casts, *flights, strict=True)]
+        found = [self._pass(goal, each.moves, q, qd, t) for each, q, qd in zip(casts, *flights, strict=True)]
         times, away = zip(*found, strict=True)
         return np.array(times), np.stack(away)
 
-    def _corrected(self, start: _Start) -> _Cast:
-        """Return the last moves, corrected so that the model meets the goal.
+    def _corrected(self, start: _Start, goal: Goal) -> _Cast:
+        """Return the last moves, corrected so that the model meets a goal.
 
         Strokes and rests that begin before the strike are free; the first move after it keeps its time from it.
         """
-        from scipy.optimize import least_squares
-
-        options, problem, moves, goal = self.options.correction, self.model.problem, self.moves, self._planned
-        count, begins = moves.ends.size, moves.starts(problem.limits)
+        options, limits, moves = self.options, self.model.problem.limits, self.moves
+        count, begins = moves.ends.size, moves.starts(limits)
         begun = max(int((begins < goal.t).sum()), start.made + 1)
         free = np.concatenate([each + np.arange(start.made, begun) for each in (0, count)])
         scale = self._scale(moves)[free]
-        least, most = np.repeat(
-            [[problem.limits.angles[0], MIN_REST], [problem.limits.angles[1], np.inf]], begun - start.made, axis=1
-        )
-        begin = np.clip(moves.parameters[free], least, most)
 
-        def changed(x: Array) -> _Cast:
-            whole = np.zeros(2 * count)
-            whole[free] = x - moves.parameters[free]
-            return _Cast(moves.varied(whole), start)
+        def shots(some: Sequence[Moves]) -> list[_Shot | None]:
+            times, away = self._passed([_Cast(each, start) for each in some], goal)
+            costs = [(each.parameters - moves.parameters)[free] * (options.caution / scale) for each in some]
+            return [_Shot(*each) for each in zip(some, times, np.hstack([away, costs]), strict=True)]
 
-        def left(every: Array) -> Array:
-            away = self._passed([changed(x) for x in every])[1]
-            return np.concatenate([away, self.options.caution * (every - begin) / scale], axis=1)
+        def fly(shot: _Shot, changes: Sequence[Array], _: Sequence[float]) -> list[_Shot | None]:
+            some = np.zeros((len(changes), 2 * count))
+            some[:, free] = changes
+            found = [shot.moves.varied(each) for each in some]
+            return shots([replace(each, ends=np.clip(each.ends, *limits.angles)) for each in found])
 
-        def slopes(x: Array) -> Array:
-            steps = options.difference * scale * np.where(x + options.difference * scale > most, -1.0, 1.0)
-            here, *ends = left(np.vstack([x, x + np.diag(steps)]))
-            return np.asarray((np.array(ends) - here).T / steps)
-
-        found = least_squares(
-            lambda x: left(x[None])[0], begin, slopes, bounds=(least, most), x_scale=scale, ftol=1e-3, max_nfev=6
-        )
-        best = changed(found.x)
+        (first,) = shots([moves])
+        assert first is not None  # noqa: S101 all have residuals
+        best, _ = shoot(first, scale, fly, options.correction.rounds, options.correction.difference, self.budget)
         if begun == count:
-            return best
-        (t,), _ = self._passed([best])
-        rests, now = best.moves.rests.copy(), best.moves.starts(problem.limits)
-        rests[begun] += (begins[begun] - goal.t) - (now[begun] - t)
-        return best._replace(moves=replace(best.moves, rests=rests))
+            return _Cast(best.moves, start)
+        rests, now = best.moves.rests.copy(), best.moves.starts(limits)
+        rests[begun] += (begins[begun] - goal.t) - (now[begun] - best.t)
+        return _Cast(replace(best.moves, rests=rests), start)
 
 
 def _turned(rope: Rope, q: Array, qd: Array, error: Array, speed_error: Array) -> tuple[Array, Array]:

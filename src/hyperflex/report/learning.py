@@ -31,6 +31,7 @@ def learning_figure(ways: "Mapping[str, Sequence[Attempt]]") -> "Figure":
             axis.scatter([], [], s=46, facecolor=face, edgecolor=INK, label=label)
         axis.set(xlabel="cast", ylabel="distance from the strike aimed at, mm", yscale="log")
         axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("{x:g}")
         axis.set_xticks(range(1, 1 + max(len(attempts) for attempts in ways.values())))
         legend(figure, axis, place="lower center", columns=6)
     return figure
