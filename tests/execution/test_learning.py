@@ -27,7 +27,7 @@ PARTS = np.array([0.25, 0.5, 0.75, 1.0])  # of the rope, where its markers are
 ARCS = PARTS * ROPE.total_length
 STRIKE = 2.14  # s
 CLOSE = 0.012  # m, from the planned strike, in which a cast counts as wound here: a third of the peg's size
-OPTIONS = LearningOptions(wins=1, model_error=5e-3, tried=12, away=1.0, threads=1)  # here, near is wound
+OPTIONS = LearningOptions(wins=1, model_error=5e-3, tried=12, rounds=0, away=1.0, threads=1)  # here, near is wound
 
 
 class Twin:
