@@ -12,8 +12,7 @@ from hyperflex.execution import Attempt, CastLog, LearningOptions, LearningResul
 from hyperflex.execution.learning import _Cast, _Learner, _Start, _turned
 from hyperflex.model import divided
 from hyperflex.motion import Motion, lagged
-from hyperflex.planning import CastPlan, Moves, Problem, check_feasibility, scaled_rope
-from hyperflex.planning.rollouts import WindingScores
+from hyperflex.planning import CastPlan, Moves, Problem, WindingScores, check_feasibility, scaled_rope
 from hyperflex.recording import Recording
 from hyperflex.sensors import Markers
 from hyperflex.status import Status

@@ -31,21 +31,23 @@ from hyperflex.motion import Motion, lagged
 from hyperflex.options import check as check_options
 from hyperflex.options import option
 from hyperflex.planning import (
+    MODEL,
     CastPlan,
     FollowOptions,
+    Goal,
     Moves,
     Problem,
     RolloutBatch,
     SearchOptions,
+    WindingScores,
+    features,
     find_strikes,
     obstacle_gaps,
     refuse_behind,
     scaled_rope,
+    shoot,
     wound_after,
 )
-from hyperflex.planning.feedback import Goal, features
-from hyperflex.planning.rollouts import MODEL, WindingScores
-from hyperflex.planning.shooting import shoot
 from hyperflex.recording import Recording
 from hyperflex.sensors import lever_arms
 from hyperflex.status import Status

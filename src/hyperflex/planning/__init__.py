@@ -14,8 +14,10 @@ if TYPE_CHECKING:
         Decision,
         FollowOptions,
         FollowResult,
+        Goal,
         MotorStateSource,
         ScenarioStateSource,
+        features,
         follow_plan,
     )
     from hyperflex.planning.moves import MIN_REST, Moves
@@ -37,7 +39,8 @@ if TYPE_CHECKING:
     from hyperflex.planning.plan_files import AnyPlan, read_limits, read_plan
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
-    from hyperflex.planning.rollouts import RolloutBatch, find_strikes, fly_to_strikes, robust_values, wound_after
+    from hyperflex.planning.rollouts import MODEL, RolloutBatch, WindingScores, find_strikes, wound_after
+    from hyperflex.planning.shooting import shoot
     from hyperflex.planning.tasks.insert import (
         InsertOutcome,
         InsertPlan,
