@@ -101,6 +101,7 @@ def test_the_torque_limit_is_held_by_the_servo_where_it_measures_its_current():
         (1030, MotorLimits(), 4),
         (1060, MotorLimits(), 4),
         (1060, LIMITS, 4),
+        (1070, replace(LIMITS, torque=1.6), 4),
     ):
         device = servo(model=model)
         with Wire(device) as wire, link_to(wire) as link:
@@ -109,9 +110,9 @@ def test_the_torque_limit_is_held_by_the_servo_where_it_measures_its_current():
             if mode == 5:
                 most = int.from_bytes(device._table[102:104], "little") * 2.69e-3 * 3.0 / 2.3
                 assert most == pytest.approx(1.5, abs=4e-3)  # a count
-            assert math.isnan(link.read().torque) == (model == 1060)
+            assert math.isnan(link.read().torque) == (model != 1030)
             if model == 1060:
-                with pytest.raises(DriveError, match=r"XL430-W250.*keeps no limit.*stall torque, 1.5 N m, or more"):
+                with pytest.raises(DriveError, match=r"keeps no limit.*stall torque, 1.5 N m at 12 V, or more"):
                     link.enable(replace(LIMITS, torque=1.4))
 
 

@@ -95,16 +95,16 @@ SERVOS = {
     1040: Servo("XH430-V350", 1.34e-3, (3.3, 0.7)),
     1050: Servo("XH430-V210", 1.34e-3, (2.6, 0.7)),
     1060: Servo("XL430-W250", 0.0, (1.5, 1.4)),
-    1070: Servo("XC430-W150"),
-    1080: Servo("XC430-W240"),
-    1090: Servo("2XL430-W250"),
+    1070: Servo("XC430-W150", 0.0, (1.6, 1.4)),
+    1080: Servo("XC430-W240", 0.0, (1.9, 1.4)),
+    1090: Servo("2XL430-W250", 0.0, (1.5, 1.4)),
     1100: Servo("XH540-W270", 2.69e-3, (9.9, 4.9)),
     1110: Servo("XH540-W150", 2.69e-3, (7.1, 4.9)),
     1120: Servo("XM540-W270", 2.69e-3, (10.6, 4.4)),
     1130: Servo("XM540-W150", 2.69e-3, (7.3, 4.4)),
     1140: Servo("XH540-V270", 2.69e-3, (9.2, 2.4)),
     1150: Servo("XH540-V150", 2.69e-3, (6.4, 2.4)),
-    1160: Servo("2XC430-W250"),
+    1160: Servo("2XC430-W250", 0.0, (1.8, 1.4)),
     1170: Servo("XW540-T260", 2.69e-3, (9.5, 4.9)),
     1180: Servo("XW540-T140", 2.69e-3, (6.9, 4.9)),
     1190: Servo("XL330-M077", 1e-3, (0.215, 1.47), 208),
@@ -263,9 +263,9 @@ class DynamixelLink:
         """Arm watchdog and torque limit, and switch the torque on where the shaft is."""
         limited, stall = math.isfinite(limits.torque), self.servo.stall[0]
         if limited and not self.servo.current:
-            if not 0.0 < stall <= limits.torque:
-                allowed = f"Allowed: its stall torque, {stall:g} N m, or more" if stall else "Use another servo"
-                raise DriveError(f"{self.name} keeps no limit of torque: it does not measure its current. {allowed}.")
+            if limits.torque < stall:
+                why = f"{self.name} keeps no limit of torque: it does not measure its current"
+                raise DriveError(f"{why}. Allowed: its stall torque, {stall:g} N m at 12 V, or more.")
             limited = False
         self._set(Register.DELAY, b"\x00")
         direction = self._get(Register.DRIVE_MODE, 1)[0] & 1
