@@ -181,6 +181,7 @@ class _Guess:
     damping: tuple[float, float, float] = (1.0, 0.05, 20.0)
     feedforward: tuple[float, float, float] = (0.5, 0.0, 1.5)
     dry: tuple[float, float, float] = (1.0, 0.0, 1e4)
+    viscous: tuple[float, float, float] = (0.0, 0.0, 1e4)
     weight: tuple[float, float, float] = (1.0, -1e4, 1e4)
     backlash: tuple[float, float, float] = (2e-3, 0.0, 0.2)
     rate_limit: tuple[float, float, float] = (10.0, 0.1, 1e3)
@@ -189,7 +190,6 @@ class _Guess:
     current_lag: tuple[float, float, float] = (5e-4, 0.0, 1e-2)
     offset: tuple[float, float, float] = (0.0, -0.2, 0.2)
     inertia: tuple[float, float, float] = (1e-3, 1e-8, 1e3)
-    viscous: tuple[float, float, float] = (1.0, 0.0, 1e4)
 
 
 MODEL = tuple(each.name for each in fields(DriveModel) if each.name not in ("delay", "hold"))
@@ -231,6 +231,7 @@ def _identified(record: DriveRecord) -> DriveFit:
             each.solve(most)
         kinds = sorted(kinds, key=lambda each: each.cost)[:3]
     best = kinds[0]
+    best.step = 2.5e-4
     for _ in range(3):
         best.weigh()
         best.solve(30)
@@ -241,7 +242,7 @@ class _Fit:
     """Least squares of a record: `values` by name, of which those in `free` are fitted."""
 
     def __init__(self, record: DriveRecord, hold: float) -> None:
-        self.cost, self.hold = math.inf, hold
+        self.cost, self.hold, self.step = math.inf, hold, 1e-3  # s, of the model
         self.record, self.bounds = record, vars(_Guess())
         self.known = np.isfinite(record.angle)
         if np.ptp(record.angle[self.known]) < 0.05:
@@ -252,7 +253,7 @@ class _Fit:
         self.torques = record.torque[self.known]
         self.told = bool(np.isfinite(self.torques).all()) and float(np.ptp(self.torques)) > 0.0
         self.values = {name: bound[0] for name, bound in self.bounds.items()}
-        self.sigma, self.sigma_torque = np.full(self.times.size, 1e-3), np.ones(self.times.size)
+        self.sigma, self.sigma_torque, self.late = np.full(self.times.size, 1e-3), np.ones(self.times.size), 0.0
         goal_rate = record.goal_rate
         self.reached = (
             float(np.abs(goal_rate).max()),
@@ -285,15 +286,21 @@ class _Fit:
         return replace(fast, delay=values["lag"] - fast.lag)
 
     def predicted(self, values: Mapping[str, float]) -> tuple[Array, ...]:
-        """Return reported angle, rate, torque and its rate of change (M,) at the times of the replies."""
-        record = self.record
-        model = self.model(values)
-        grid, angle, rate, effort = model.respond(self.sent, record.goal, record.goal_rate)
-        pushed = values["inertia"] * (effort + values["viscous"] * rate)
-        steep = np.abs(np.gradient(pushed, grid))
-        middles = grid - 0.5 * (grid[1] - grid[0])
+        """Return reported angle, rate, torque and its change (M,) at the times of the replies.
+
+        The torque jumps with each goal that is held, and is the mean expected at times that are not exact: both those
+        of the reading and of the goal are off by `late`. Its change is that within the time over which it is the mean.
+        """
+        goals = self.sent, self.record.goal, self.record.goal_rate
+        grid, angle, rate, effort = self.model(values).respond(*goals, self.step)
+        wide = max(math.sqrt(6.0) * self.late, float(grid[1] - grid[0]))  # s: half of a uniform distribution
+        pushed = values["inertia"] * effort
+        area = np.append(0.0, np.cumsum(pushed[1:] * np.diff(grid)))
+        means, changes = (
+            np.subtract(*(np.interp(self.times + way, grid, each) for way in (wide, -wide))) for each in (area, pushed)
+        )
         seen, speed = (np.interp(self.times, grid, each) for each in (angle, rate))
-        return seen + values["offset"], speed, *(np.interp(self.times, middles, each) for each in (pushed, steep))
+        return seen + values["offset"], speed, means / (2.0 * wide), changes
 
     def residuals(self, values: Mapping[str, float]) -> Array:
         """Return measured less predicted angles, and torques where they are told, over their deviations."""
@@ -314,12 +321,10 @@ class _Fit:
         costs = [float(((self.predicted(each)[0] - self.angles) ** 2).sum()) for each in starts]
         self.values = starts[int(np.argmin(costs))]
         if self.told:
-            _, speed, torque, _ = self.predicted(self.values | {"inertia": 1.0, "viscous": 0.0})
-            pairs = np.stack([torque, speed], axis=1)
-            inertia, friction = np.linalg.lstsq(pairs, self.torques, rcond=None)[0]
-            self.values["inertia"] = max(float(inertia), 1e-7)
-            self.values["viscous"] = max(float(friction / self.values["inertia"]), 1e-3)
-            self.sigma_torque[:] = max(float(np.std(self.torques - pairs @ [inertia, friction])), 1e-9)
+            _, _, torque, _ = self.predicted(self.values | {"inertia": 1.0})
+            inertia = float(torque @ self.torques / (torque @ torque))
+            self.values["inertia"] = max(inertia, 1e-7)
+            self.sigma_torque[:] = max(float(np.std(self.torques - inertia * torque)), 1e-9)
 
     def jacobian(self, values: Mapping[str, float], names: list[str]) -> Array:
         """Return derivatives of the residuals by the named values (rows, len(names)), by differences."""
@@ -334,9 +339,11 @@ class _Fit:
         """Fit what shows in the residuals, with at most so many evaluations."""
         from scipy.optimize import least_squares
 
-        names = ["lag", *MODEL, "offset", *(("inertia", "viscous") if self.told else ())]
+        names = ["lag", *MODEL, "offset", *(("inertia",) if self.told else ())]
         if not self.record.goal_rate.any():
             names.remove("feedforward")
+        if not self.told:
+            names.remove("viscous")  # hardly shows in the angles, beside the damping
         shown = np.abs(self.jacobian(self.values, names)).sum(axis=0) > 0.0
         self.free = [name for name, each in zip(names, shown, strict=True) if each]
 
@@ -358,19 +365,16 @@ class _Fit:
         self.values, self.cost = full(found.x), float(found.cost)
 
     def weigh(self) -> None:
-        """Estimate the deviation of each reading, which grows with how fast it changes: its time is not exact.
+        """Estimate the deviation of each reading, which grows with how fast it changes: its time is off by `late`, s.
 
-        Readings at rest do not count.
+        Readings at rest do not count: where in its friction, or in a step of the encoder, the arm rests is chance.
         """
-        angle, speed, torque, steep = self.predicted(self.values)
-        self.sigma = _deviations(self.angles - angle, speed)
-        if self.told:
-            self.sigma_torque = _deviations(self.torques - torque, steep)
-        resting = (
-            np.abs(speed) < 0.01 * np.abs(speed).max()
-        )  # where in its friction, or in a step of the encoder, is chance
+        angle, speed, torque, change = self.predicted(self.values)
+        resting = np.abs(speed) < 0.01 * np.abs(speed).max()
+        self.sigma, self.late = _deviations(self.angles - angle, speed)
         self.sigma[resting] = math.inf
         if self.told:
+            self.sigma_torque, _ = _deviations(self.torques - torque, change)
             self.sigma_torque[resting] = math.inf
 
     def result(self) -> DriveFit:
@@ -420,14 +424,15 @@ class _Fit:
         return {name: values[name] for name in UNITS if name in values}, gradients
 
 
-def _deviations(errors: Array, changes: Array) -> Array:
-    """Return the deviation (M,) of each error: var = a + b change^2 with a, b >= 0, by least squares."""
+def _deviations(errors: Array, changes: Array) -> tuple[Array, float]:
+    """Return the deviation (M,) of each error, and b: its square is a^2 + b^2 change^2, by least squares."""
     from scipy.optimize import nnls
 
     squares = np.minimum(errors**2, 20.0 * np.mean(errors**2))  # a gross error is no measure of the usual one
-    basis = np.stack([np.ones_like(changes), changes**2 / max(float(np.mean(changes**2)), 1e-300)], axis=1)
+    scale = max(float(np.mean(changes**2)), 1e-300)
+    basis = np.stack([np.ones_like(changes), changes**2 / scale], axis=1)
     parts, _ = nnls(basis, squares)
-    return np.asarray(np.sqrt(np.maximum(basis @ parts, 1e-4 * squares.mean() + 1e-16)))
+    return np.sqrt(np.maximum(basis @ parts, 1e-4 * squares.mean() + 1e-16)), math.sqrt(parts[1] / scale)
 
 
 _LIMITS = ("rate_limit", "acceleration_limit")

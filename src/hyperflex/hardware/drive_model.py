@@ -30,6 +30,8 @@ class DriveModel:
         Part f of the damping that acts on the rate of the goal instead of rest: 0 if the rate is not used.
     dry : float
         Coulomb friction, rad/s^2.
+    viscous : float
+        Viscous friction, 1/s: a part of the damping for which the motor's torque pays.
     weight : float
         Torque of the weight at a quarter turn from hanging, rad/s^2.
     backlash : float
@@ -47,10 +49,11 @@ class DriveModel:
 
     Notes
     -----
-    With goal u after the delay and angle y of the motor, the command is a = w^2 (u - y) + 2 z w (f u' - y'), limited to
-    ``acceleration_limit`` and to slope (rate_limit - y') + dry, and the same the other way. The effort e follows it by
-    e' = (a - e) / current_lag, and y'' = e - dry sign(y') - weight sin(y). The lag at constant speed is
-    delay + hold / 2 + 2 z (1 - f) / w. Integrated by the implicit midpoint rule with the mean of the goal in each step.
+    With goal u after the delay and angle y of the motor, the command is a = w^2 (u - y) + 2 z w (f u' - y') + c y' with
+    the viscous friction c, limited to ``acceleration_limit`` and to slope (rate_limit - y') + dry + c rate_limit, and
+    the same the other way. The effort e follows it by e' = (a - e) / current_lag, and
+    y'' = e - c y' - dry sign(y') - weight sin(y). The lag at constant speed is delay + hold / 2 + 2 z (1 - f) / w.
+    Integrated by the implicit midpoint rule.
     """
 
     delay: float
@@ -58,6 +61,7 @@ class DriveModel:
     damping: float
     feedforward: float = 0.0
     dry: float = 0.0
+    viscous: float = 0.0
     weight: float = 0.0
     backlash: float = 0.0
     rate_limit: float = math.inf
@@ -71,80 +75,75 @@ class DriveModel:
         """Time, s, by which the shaft is behind its goals at constant speed, without dry friction: all in all."""
         return self.delay + 0.5 * self.hold + 2.0 * self.damping * (1.0 - self.feedforward) / self.frequency
 
-    def respond(self, t: Array, angles: Array, rates: Array, step: float = 3.7e-4) -> tuple[Array, Array, Array, Array]:
+    def respond(self, t: Array, angles: Array, rates: Array, step: float = 2.5e-4) -> tuple[Array, Array, Array, Array]:
         """Return times, angle, rate of the motor and its effort, rad/s^2 (K,), from goals given at times t (N,).
 
         The effort is the mean of the step that ends then. Goals are `angles` and `rates` (N,). It starts at rest at the
-        first one. The `step`, s, is no part of usual periods, so that the result depends smoothly on the delay.
+        first one. Steps are of about `step`, s; each goal arrives at the beginning of one.
         """
-        grid = t[0] + step * np.arange(math.floor((t[-1] - t[0]) / step) + 1)
-        edges = np.maximum(grid - self.delay, t[0])
-        goal, rate = _means(edges, t, angles, rates, 0.0 if self.hold > 0.0 else 1.0)
-        w, d = self.frequency, 2.0 * self.damping * self.frequency
+        counts = np.maximum(np.rint(np.diff(t) / step), 1.0)
+        steps = np.repeat(np.diff(t) / counts, counts.astype(np.intp))
+        grid = t[0] + self.delay + np.append(0.0, np.cumsum(steps))
+        loop = self.frequency, self.damping, self.feedforward, self.dry, self.viscous, self.weight, 0.5 * self.backlash
         limits = self.rate_limit, self.slope, self.acceleration_limit
-        kept = math.exp(-step / self.current_lag) if self.current_lag > 0.0 else 0.0
-        torque = self.current_lag / step * (1.0 - kept), kept
-        loop = w * w, d, self.feedforward * d, self.dry, self.weight, 0.5 * self.backlash
-        return grid, *_compiled()(step, float(angles[0]), goal, rate, *loop, *limits, *torque)
-
-
-def _means(edges: Array, t: Array, angles: Array, rates: Array, advance: float) -> tuple[Array, Array]:
-    """Return mean goal and rate (K,) between edges (K + 1,) of goals at t (N,) that are held, or `advance` (1.0)."""
-    spans, k = np.diff(t), np.searchsorted(t, edges, side="right") - 1
-    since, widths = edges - t[k], np.diff(edges)
-    empty = widths <= 0.0  # before the first goal is there
-    found = []
-    for values, slopes in ((angles, advance * rates), (rates, 0.0 * rates)):
-        before = np.append(0.0, np.cumsum(values[:-1] * spans + 0.5 * slopes[:-1] * spans**2))
-        area = before[k] + (values[k] + 0.5 * slopes[k] * since) * since
-        found.append(np.where(empty, values[0], np.diff(area) / np.where(empty, 1.0, widths)))
-    return found[0], found[1]
+        goals = t, counts, angles, rates, 0.0 if self.hold > 0.0 else 1.0
+        return grid, *_compiled()(grid.size, *goals, *loop, *limits, self.current_lag)
 
 
 def _respond(
-    h: float,
-    start: float,
-    goals: Array,
+    size: int,
+    times: Array,
+    counts: Array,
+    angles: Array,
     rates: Array,
-    w2: float,
-    d: float,
-    p: float,
+    advance: float,
+    w: float,
+    z: float,
+    f: float,
     dry: float,
+    viscous: float,
     weight: float,
     gap: float,
     fastest: float,
     slope: float,
     most: float,
-    part: float,
-    kept: float,
+    current_lag: float,
 ) -> tuple[Array, Array, Array]:
-    """Return encoder angle, rate and effort of the motor (K + 1,) under mean goals and rates (K,) in each step.
+    """Return encoder angle, rate and effort of the motor (size,) under goals (N,) of so many steps each (N - 1,).
 
-    Of the difference between effort and command the mean in a step is a `part`, and so much is `kept` at its end.
+    Goals are held, or advanced with their rates (1.0).
     """
-    y, v, seen, before = start, 0.0, start, 0.0
-    angle, speed, effort = np.empty(goals.size + 1), np.empty(goals.size + 1), np.zeros(goals.size + 1)
+    y, v, seen, before = angles[0], 0.0, angles[0], 0.0
+    angle, speed, effort = np.empty(size), np.empty(size), np.zeros(size)
     angle[0], speed[0] = y, v
-    for k in range(goals.size):
-        pull = weight * math.sin(y)
-        aim = w2 * (goals[k] - y) + p * rates[k]
-        drag = pull + (dry * np.sign(v) if v != 0.0 else 0.0)
-        mean = (v + 0.5 * h * (aim - drag)) / (1.0 + 0.5 * h * (0.5 * h * w2 + d))
-        wanted = aim - (0.5 * h * w2 + d) * mean
-        wanted = max(-most, min(most, wanted))
-        if fastest < math.inf:
-            up = (v + 0.5 * h * (slope * fastest - pull)) / (1.0 + 0.5 * h * slope)
-            down = (v - 0.5 * h * (slope * fastest + pull)) / (1.0 + 0.5 * h * slope)
-            wanted = max(-slope * (fastest + down) - dry, min(slope * (fastest - up) + dry, wanted))
-        behind = before - wanted
-        push = wanted + part * behind
-        before = wanted + kept * behind
-        free = v + h * (push - pull)
-        after = np.sign(free) * max(0.0, abs(free) - h * dry)
-        y += 0.5 * h * (v + after)
-        v = after
-        seen = min(y + gap, max(y - gap, seen))
-        angle[k + 1], speed[k + 1], effort[k + 1] = seen, v, push
+    w2, d = w * w, 2.0 * z * w
+    steep, still = slope + viscous, dry + viscous * fastest
+    k = 0
+    for i in range(counts.size):
+        h = (times[i + 1] - times[i]) / counts[i]
+        kept = math.exp(-h / current_lag) if current_lag > 0.0 else 0.0  # of effort less command, at the end of a step
+        part = current_lag / h * (1.0 - kept)  # of it, in the mean of a step
+        for j in range(int(counts[i])):
+            pull = weight * math.sin(y)
+            aim = w2 * (angles[i] + advance * rates[i] * (j + 0.5) * h - y) + f * d * rates[i]
+            drag = pull + (dry * np.sign(v) if v != 0.0 else 0.0)
+            mean = (v + 0.5 * h * (aim - drag)) / (1.0 + 0.5 * h * (0.5 * h * w2 + d))
+            wanted = aim - (0.5 * h * w2 + d - viscous) * mean
+            wanted = max(-most, min(most, wanted))
+            if fastest < math.inf:
+                up = (v + 0.5 * h * (steep * fastest - pull)) / (1.0 + 0.5 * h * steep)
+                down = (v - 0.5 * h * (steep * fastest + pull)) / (1.0 + 0.5 * h * steep)
+                wanted = max(-slope * (fastest + down) - still, min(slope * (fastest - up) + still, wanted))
+            behind = before - wanted
+            push = wanted + part * behind
+            before = wanted + kept * behind
+            free = v * (1.0 - 0.5 * h * viscous) + h * (push - pull)
+            after = np.sign(free) * max(0.0, abs(free) - h * dry) / (1.0 + 0.5 * h * viscous)
+            y += 0.5 * h * (v + after)
+            v = after
+            seen = min(y + gap, max(y - gap, seen))
+            k += 1
+            angle[k], speed[k], effort[k] = seen, v, push
     return angle, speed, effort
 
 
@@ -197,9 +196,9 @@ def plan_test_motion(limits: MotorLimits, angle: float, *, size: float = 0.3, st
     for slow in (0.2, 0.6, 2.0):  # speed, rad/s
         duration = max(size / slow, 3.0 * quickest)
         moves += [(size, duration, 0.05, 0.3), (-size, duration, 0.05, 0.0)]
-    for slower in (8.0, 5.0, 3.0, 2.0, 1.4, 1.0):
-        duration = slower * quickest
-        moves += [(size, duration, 0.5, 0.1 if slower == 8.0 else 0.0), (-size, duration, 0.5, 0.0)]
+    for slower in np.geomspace(8.0, 0.25, 11):  # shorter ones are smaller, and as steep: they tell delay from bandwidth
+        way, duration, twice = size * min(1.0, slower**2), slower * quickest, 2 if slower < 1.0 else 1
+        moves += [(way, duration, 0.5, 0.0), (-way, duration, 0.5, 0.0)] * twice
     for part in (1.0, 0.5):
         quick, ramp = used.fastest_moves([part * far])
         moves += [(way, float(quick[0]), float(ramp[0]), 0.3) for way in (part * far, -part * far)]
