@@ -155,7 +155,7 @@ def _compiled() -> Callable[..., Any]:
 
 
 def plan_test_motion(limits: MotorLimits, angle: float, *, size: float = 0.3, stroke: float | None = None) -> Motion:
-    """Return a motion that shows what a drive does: slow ramps, faster and faster moves, and one fast stroke.
+    """Return a motion that shows what a drive does: slow ramps, faster and shorter moves, fast strokes.
 
     It begins and ends at the arm's present angle, and keeps to 95 % of the limits.
 
