@@ -161,7 +161,8 @@ def test_an_off_that_is_not_confirmed_keeps_the_log(tmp_path: Path) -> None:
     plan = short_plan()
     drive = partial(ideal_drive, tmp_path / "notes", stuck=True)
     run = run_plan(plan, drive, source=SeenRope(plan), options=QUICK)
-    assert "did not confirm that its torque is off" in run.message
+    assert "The drive did not confirm that its torque is off." in run.message
+    assert run.message.endswith("Cut its power.")
     assert (run.success, run.status) == (False, "failed")
     assert run.log.column("sent")[-1] > plan.required(plan.motion, "motion").breaks[-1]
     assert run.recording is not None
