@@ -62,10 +62,12 @@ def test_a_child_answers_writes_and_ends_by_itself(child: Child, records: Record
 
 
 def test_an_error_of_a_child_is_raised_in_the_parent(child: Child) -> None:
-    with pytest.raises(InvalidInput, match="the load is too large: got 3"):
-        child.ask("fail")
-    with pytest.raises(DriveError, match="The worker ended with code 0"):
-        child.ask("double", 1)
+    """In each thread that asks: a follower that received it is not the one that stops the run."""
+    with ThreadPoolExecutor(1) as pool, pytest.raises(InvalidInput, match="the load is too large: got 3"):
+        pool.submit(child.ask, "fail").result(20.0)
+    for ask in (lambda: child.ask("double", 1), child.raise_if_ended):
+        with pytest.raises(InvalidInput, match="the load is too large: got 3"):
+            ask()
 
 
 def test_the_error_that_a_child_has_left_is_returned_at_its_end(child: Child) -> None:

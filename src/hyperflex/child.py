@@ -40,6 +40,7 @@ class Child:
         self.name, self.error, self._call = name, error, (function, *arguments)
         self.code: int | None = 0  # with which the last process ended; None: it did not
         self._process: Any = None
+        self._cause: Exception | None = None  # the error that it has sent: of several threads one alone receives it
         self._number = 0
         self._reading, self._ending = threading.RLock(), threading.Lock()  # two threads that wait lose an exit code
 
@@ -49,7 +50,7 @@ class Child:
         self.link, theirs = context.Pipe()
         process: Any = context.Process(target=_run, args=(theirs, *self._call), name=self.name, daemon=True)
         process.start()
-        self._process, self.code = process, None
+        self._process, self.code, self._cause = process, None, None
         theirs.close()
         try:
             return self.receive(patience)
@@ -104,8 +105,9 @@ class Child:
         except (EOFError, OSError):
             code = self._wait(self._process, ANSWER)
             how = f"by signal {-code}" if code and code < 0 else f"with code {code}"
-            raise self.error(f"{self.name} ended {how}.") from None
+            raise (self._cause or self.error(f"{self.name} ended {how}.")) from None
         if isinstance(value, Exception):
+            self._cause = value
             raise value
         return number, value
 
