@@ -84,7 +84,7 @@ class DriveFit:
         dry_friction and weight_torque. What the test motion did not show is missing. So is the delay where only the
         lag is known, which is the sum of delay, hold and loop.
     intervals : dict of str to (float, float)
-        95 % intervals of the values.
+        95 % intervals of the values, if the drive obeys the model: cogging, for example, is not counted.
     reached : (float, float)
         Greatest speed, rad/s, and acceleration, rad/s^2, of the goals: limits that are missing lie above.
     residual : float
