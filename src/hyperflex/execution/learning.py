@@ -131,8 +131,6 @@ class LearningOptions:
         Samples in this window that a marker needs.
     speeds : tuple of float
         Speeds at the strike at which is aimed, times those of the state that winds.
-    less : float
-        Part of its distance from the state that winds that a Gauss-Newton step must leave at most for another one.
     caution : float
         Weight of changes of the motion, in its scales, against the distance from the state that winds.
     tried, rounds, checked : int
@@ -165,7 +163,6 @@ class LearningOptions:
     strike_window: float = option(0.12, "time about a state in which it is measured", unit="s", sign="positive")
     min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
     speeds: tuple[float, ...] = option((1.0, 1.2), "speeds at the strike, times those that wind", sign="positive")
-    less: float = option(0.98, "part of the distance that a step must leave for another one", sign="positive")
     caution: float = option(0.3, "weight of changes of the motion", sign="nonnegative")
     tried: int = option(48, "variations of the moves tried after a miss", sign="nonnegative")
     rounds: int = option(5, "rounds in which the best are varied", sign="nonnegative")
@@ -175,7 +172,7 @@ class LearningOptions:
     score: float = option(0.5, "what the score of a cast counts", sign="nonnegative")
     change: float = option(0.03, "cost of a change by one scale", sign="nonnegative")
     away: float = option(0.03, "cost of one scale of distance from the state that winds", sign="nonnegative")
-    correction: FollowOptions = field(default_factory=lambda: FollowOptions(rounds=16))
+    correction: FollowOptions = field(default_factory=lambda: FollowOptions(rounds=8))
     threads: int | None = None
 
     def __post_init__(self) -> None:
@@ -794,8 +791,7 @@ class _Learner:
 
         (first,) = shots([moves])
         assert first is not None  # noqa: S101 all have residuals
-        rounds, difference = options.correction.rounds, options.correction.difference
-        best, _ = shoot(first, scale, fly, rounds, difference, self.budget, less=options.less)
+        best, _ = shoot(first, scale, fly, options.correction.rounds, options.correction.difference, self.budget)
         if begun == count:
             return _Cast(best.moves, start)
         rests, now = best.moves.rests.copy(), best.moves.starts(limits)

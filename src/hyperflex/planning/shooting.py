@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 
 DAMPING = np.geomspace(1e-4, 2.5, 8)  # relative to the greatest singular value of the Jacobian
 LONGEST = 0.6  # change of a parameter in a step, in its scale
-LESS = 0.8  # of the residuals, that a step must leave at most for another one by default
+LESS = 0.8  # of the residuals, that a step must leave at most for another one
 
 
 class Shot(Protocol):
@@ -40,7 +40,6 @@ def shoot(
     difference: float,
     budget: Budget,
     close: float = 0.0,
-    less: float = LESS,
 ) -> tuple[ShotT, list[ShotT]]:
     """Reduce the residuals of a shot; return the best one, and those at its differences.
 
@@ -57,8 +56,6 @@ def shoot(
         Steps, at most.
     close : float
         Norm of the residuals at which the search ends.
-    less : float
-        Part of the residuals that a step must leave at most for another one.
     """
     stalled = False
     for left in range(rounds, -1, -1):
@@ -80,5 +77,5 @@ def shoot(
         before, after = (float(np.linalg.norm(each.residuals)) for each in (best, better))
         if after >= before:
             break
-        best, stalled = better, after > less * before
+        best, stalled = better, after > LESS * before
     return best, varied
