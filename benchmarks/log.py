@@ -12,19 +12,25 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import hyperflex.planning
+import hyperflex
 from hyperflex.core.cache import SOURCE_HASH
 
 Row = dict[str, Any]
 
 
-def planner() -> str:
-    """A hash of the sources that plan casts, as ``SOURCE_HASH`` is one of the kernels."""
+def sources(*packages: str) -> str:
+    """A hash of the sources of some packages, as ``SOURCE_HASH`` is one of the kernels."""
     digest = hashlib.sha256()
-    folder = Path(hyperflex.planning.__file__).parent
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    for package in packages:
+        folder = Path(hyperflex.__file__).parent / package
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def planner() -> str:
+    """A hash of the sources that plan casts."""
+    return sources("planning")
 
 
 def read(path: Path | None) -> list[Row]:

@@ -42,7 +42,8 @@ class Child:
         self._process: Any = None
         self._cause: Exception | None = None  # the error that it has sent: of several threads one alone receives it
         self._number = 0
-        self._reading, self._ending = threading.RLock(), threading.Lock()  # two threads that wait lose an exit code
+        self._reading, self._sending = threading.RLock(), threading.Lock()
+        self._ending = threading.Lock()  # two threads that wait lose an exit code
 
     def start(self, patience: float = START) -> Any:
         """Start the process, and return what it sends first within `patience`, s."""
@@ -68,9 +69,13 @@ class Child:
         with self._reading:
             self._running()
             self._number += 1
-            with suppress(OSError):  # why it has ended is received
-                self.link.send((self._number, *request))
+            self.send(*request, number=self._number)
             return self.receive(patience, self._number)
+
+    def send(self, *request: Any, number: int = 0) -> None:
+        """Send a request; nothing happens if the process has ended: why is received. For any thread."""
+        with self._sending, suppress(OSError):
+            self.link.send((number, *request))
 
     def receive(self, patience: float | None, number: int = 0) -> Any:
         """Return the next value with a request's number; answers to earlier requests, which came late, are dropped."""

@@ -254,6 +254,22 @@ def test_a_source_that_fails_in_any_way_stops_the_run_and_says_why(tmp_path: Pat
     assert "source of the rope's state failed: ValueError" in run.stopped
 
 
+class OtherRope(SeenRope):
+    """A source that knows no contact, and whose rope has a link less once the cast has begun."""
+
+    contact = False
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        found = super().state(t, motion)
+        return RopeState(found.t, found.q[1:], found.qd[1:]) if self.cast and t > 0.0 else found
+
+
+def test_a_source_of_another_rope_stops_the_run(tmp_path: Path) -> None:
+    plan = short_plan()
+    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=OtherRope(plan), options=QUICK)
+    assert run.stopped.startswith("q has the wrong shape: got (9,)")
+
+
 def test_the_motion_of_a_run_is_what_was_commanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = short_plan()
     made = plan.required(plan.motion, "motion")

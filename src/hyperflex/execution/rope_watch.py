@@ -70,12 +70,14 @@ class RopeWatch:
         self._thread = threading.Thread(target=self._record, name="rope recorder", daemon=True)
         self._failed: HyperflexError | None = None  # since the last state
         self._looks = 0  # since then, POLL, s, apart
+        self._watching = False
         self._seen = begin
 
     def start(self) -> None:
         """Begin to record."""
         if self.source is not None:
             self.source.start_clock(self.begin)
+            self._watching = True
             self._thread.start()
 
     def stop(self) -> None:
@@ -91,7 +93,7 @@ class RopeWatch:
 
     def raise_if_lost(self) -> None:
         """Raise why the rope has not been seen in looks of LOST, s: a busy machine pauses them like the source."""
-        if not self._thread.is_alive() or time.monotonic() < self.begin:  # nothing is looked for, or no longer
+        if not self._watching or time.monotonic() < self.begin:  # nothing is looked for, or no longer
             return
         self._looks += 1
         if self._looks * POLL > LOST:
@@ -128,6 +130,7 @@ class RopeWatch:
                 with self._lock:
                     assert self.source is not None  # noqa: S101 the thread runs with a source alone
                     state = self.source.state(t, self._motion)
+                touches = not self.source.contact and self._touches(state)
             except HyperflexError as error:
                 self._failed = error
                 continue
@@ -137,7 +140,8 @@ class RopeWatch:
             self._failed, self._looks, self._seen = None, 0, time.monotonic()
             if state.t >= 0.0 and (not self.states or state.t > self.states[-1].t):
                 self.states.append(state)
-            if not self.source.contact and self._touches(state):
+            if touches:
+                self._watching = False
                 return
 
     def _touches(self, state: RopeState) -> bool:

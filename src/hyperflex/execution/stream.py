@@ -141,8 +141,7 @@ class MotionStream:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError):
-            self._child.link.send((0, "end"))
+        self._child.send("end")
         error = self._child.end(ANSWER)
         if self._child.code != 0:
             why = "" if error is None else f" {error}"

@@ -242,7 +242,7 @@ class _Fit:
     """Least squares of a record: `values` by name, of which those in `free` are fitted."""
 
     def __init__(self, record: DriveRecord, hold: float) -> None:
-        self.cost, self.hold, self.step = math.inf, hold, 1e-3  # s, of the model
+        self.cost, self.hold, self.step, self.converged = math.inf, hold, 1e-3, False  # step of the model, s
         self.record, self.bounds = record, vars(_Guess())
         self.known = np.isfinite(record.angle)
         if np.ptp(record.angle[self.known]) < 0.05:
@@ -362,7 +362,12 @@ class _Fit:
             xtol=1e-6,
             max_nfev=most,
         )
-        self.values, self.cost = full(found.x), float(found.cost)
+        self.values, self.cost, self.converged = full(found.x), float(found.cost), found.status > 0
+
+    def _message(self, residual: float) -> str:
+        if residual > 0.05 * float(np.ptp(self.angles)):
+            return f"the model misses the measured angles by {residual:.3g} rad: is the record of this motion?"
+        return "" if self.converged else "the fit has not converged: record another test motion"
 
     def weigh(self) -> None:
         """Estimate the deviation of each reading, which grows with how fast it changes: its time is off by `late`, s.
@@ -401,7 +406,7 @@ class _Fit:
         model = self.model(self.values | unseen)
         angle = self.predicted(self.values)[0]
         residual = float(np.sqrt(np.mean((self.angles - angle) ** 2)))
-        return DriveFit(known, intervals, self.reached, residual, model, self.record, _judged(self.angles, residual))
+        return DriveFit(known, intervals, self.reached, residual, model, self.record, self._message(residual))
 
     def _derived(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Return what a user wants to know, and its derivatives by what was fitted."""
@@ -467,9 +472,3 @@ def _half_width(changes: Array) -> float:
         return 0.0
     freedom = 3.0 * squares.sum() ** 2 / (squares**2).sum() - 2.0  # 3: of a fourth power of normal numbers
     return float(stdtrit(freedom, 0.975) * math.sqrt(squares.sum()))
-
-
-def _judged(angles: Array, residual: float) -> str:
-    if residual > 0.05 * float(np.ptp(angles)):
-        return f"the model misses the measured angles by {residual:.3g} rad: is the record of this motion?"
-    return ""

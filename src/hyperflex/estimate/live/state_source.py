@@ -181,9 +181,11 @@ def work(link: Connection, source: int | str | Source, task: TrackingTask) -> No
         count, changes, spots = 0, deque[Change](maxlen=MOST_CHANGES), np.zeros((0, 2))
         for estimate in Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion):
             count += estimate.frame is not None
-            if estimate.frame is not None and estimate.tracked is not None:
-                changes.extend(estimate.tracked.changes)
-                spots = _spots(tracker, estimate.frame.image, estimate.tracked)
+            if estimate.frame is not None:
+                spots = np.zeros((0, 2))
+                if estimate.tracked is not None:
+                    changes.extend(estimate.tracked.changes)
+                    spots = _spots(tracker, estimate.frame.image, estimate.tracked)
             t, seen_at, found = estimate.t, -math.inf, estimate.found and estimator.t is not None
             if found and estimator.t is not None:
                 t, seen_at = estimator.t, estimator.t - estimator.age
