@@ -9,6 +9,7 @@ import hyperflex as hf
 from hyperflex.identification import FitOptions, Kind, RecordingSetup
 from hyperflex.identification.declarations.held import SCALES
 from hyperflex.identification.declarations.score_tests import ScoreTest, determined
+from hyperflex.identification.model import scales as parameter_scales
 from hyperflex.identification.pipeline import first_choice
 from hyperflex.identification.symptoms import score_findings
 
@@ -97,3 +98,9 @@ def test_two_links_always_in_line_are_no_crash_and_ask_nothing_of_the_user():
         warnings.simplefilter("error")  # such as "rope length is 164 m: is it meant in mm?"
         far = basis.plant.parameters.rope(basis.fit.x + 7.0)
     assert far.total_length > 100.0
+
+
+def test_a_friction_that_starts_from_zero_has_a_scale_where_the_mass_is_at_the_joint():
+    rope = TRUE.replace(com=[0.0], inertia=[1e-6], friction=[0.0])
+    for name in ("friction", "dry_friction", "stiffness"):
+        assert (parameter_scales(rope, name, np.zeros(1)) > 0.0).all()

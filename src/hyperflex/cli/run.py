@@ -279,7 +279,7 @@ def _carry_out(
         output.note(lines[-1])
 
     written: dict[str, Path] = {}
-    learned: Any = None
+    learned, hint = None, list[str]()
     if learn:
         learned, stopped = output.run(lambda: learn_cast(plan, cast, attempts=repeat, report=keep))
         good, message = learned.success, learned.message
@@ -287,7 +287,7 @@ def _carry_out(
             out.mkdir(parents=True, exist_ok=True)
             written["learned plan"] = out / "learned.toml"
             _learned_plan(plan, learned).to_toml(written["learned plan"])
-            lines.append(f"The learned plan is run with --lag {learned.lag:.4g}")
+            hint = [f"The learned plan is run with --lag {learned.lag:.4g}"]
     else:
 
         def several() -> None:
@@ -306,6 +306,7 @@ def _carry_out(
         *([Rows(title, _figures(runs[-1]))] if runs else []),
         message or "The rope is wound.",
         *lines,
+        *hint,
         Rows("Written", [(name, str(path)) for name, path in written.items()]),
         interrupted=f"Interrupted: {(message or 'the torque is off').removeprefix('interrupted: ')}" if stopped else "",
         code=0 if good else output.ExitCode.NO_PLAN,

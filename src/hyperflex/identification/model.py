@@ -340,7 +340,8 @@ def scales(guess: Rope, name: str, starts: Array) -> Array:
             raise InvalidInput(f"{name} is free but starts from 0", got=starts, allowed=f"a guess of {name} > 0")
         return starts
     (p, inertia), gravity = lumped(guess), float(np.hypot(*guess.gravity)) or 1.0
-    weight, mass, length = SHARE * np.abs(p) * gravity, SHARE * guess.total_mass, guess.total_length
+    p = np.maximum(np.abs(p), SHARE * guess.mass * guess.length)  # a mass at its joint has no moment
+    weight, mass, length = SHARE * p * gravity, SHARE * guess.total_mass, guess.total_length
     typical: dict[str, Array | float] = {
         "com": guess.length,
         "m": SMALL * length,
