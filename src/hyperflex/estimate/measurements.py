@@ -46,8 +46,7 @@ class MarkerMeasurement:
     frames in a row show nothing, the whole picture is searched, with the prediction that remains.
     """
 
-    BEGINS = 5  # frames in which a rope does not begin at its first joint, after which that is an error
-    PATIENCE = 30  # frames after which an ambiguous first order is accepted
+    PATIENCE = 30  # frames: then an ambiguous first order is accepted, and a rope that begins elsewhere is an error
     LOST = 8  # frames in a row without a marker, after which the whole picture is searched
     WIDEST = 0.25  # of the picture's height: a larger standard deviation of a place needs no gate
     DOUBT = 2.0  # px, standard deviation of a prediction in addition to what the filter states
@@ -117,7 +116,7 @@ class MarkerMeasurement:
         if accepted and not order.anchored and not BASE_KINDS.keys() <= set(tracker.estimator.parameters.names):
             self._elsewhere += 1
             first = int(np.argmax(found))
-            if self._elsewhere >= self.BEGINS and not self._begun:
+            if self._elsewhere >= self.PATIENCE and not self._begun:
                 away = float(np.linalg.norm(places[used[order.indices[first]]] - base))
                 raise BaseElsewhere(
                     "the rope does not begin at its first joint: a marker is farther from there than the rope reaches",
