@@ -8,7 +8,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli.app import run
-from hyperflex.errors import Interrupted
+from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.estimate import MarkerMeasurement, MovingHorizon, Observations, RopeFilter, RopeTracker, track_video
 from hyperflex.files import read_netcdf
 from hyperflex.vision import (
@@ -95,6 +95,22 @@ def test_markers_are_followed_through_clutter_and_a_blackout(video, tmp_path):
     assert np.isfinite(error[:, :, 0]).sum() > 0.95 * visible.sum()
     with VideoReader(tmp_path / "seen.mp4") as seen:
         assert sum(1 for _ in seen) == found.frames == stamps().size
+
+
+def test_a_rope_that_begins_elsewhere_is_an_error_after_a_second_of_frames(video):
+    """The motion of an arm may come later than the first frames: five of them were an error once."""
+    path, truth = video
+    wrong = tracker(path, truth)
+    estimator = RopeFilter(
+        rope(50), ARCS, camera=Camera.facing((640, 480), pixels_per_metre=200.0, origin=(620.0, 20.0))
+    )
+    wrong = RopeTracker(estimator, wrong.measurement)
+    with VideoReader(path) as reader:
+        frames = [frame for frame, _ in zip(reader, range(80), strict=False)]
+    for frame in frames[:40]:
+        assert wrong.look(frame).state is None
+    with pytest.raises(InvalidInput, match="does not begin at its first joint"):
+        [wrong.look(frame) for frame in frames[40:]]
 
 
 def test_a_tracker_on_a_moving_horizon(video):
