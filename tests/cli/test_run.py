@@ -113,7 +113,7 @@ def test_what_was_learned_is_a_plan(hyperflex_json, plan, tmp_path, monkeypatch)
     learned = read_plan(result["files"]["learned plan"])
     assert learned.problem.rope.total_length == pytest.approx(1.03 * planned().problem.rope.total_length)
     assert learned.motion == done.motion
-    assert result["learned"] == ["The learned plan is run with --lag 0.015"]
+    assert result["lag"] == 0.015
 
 
 def test_a_plan_of_a_whip_is_refused(refused, tmp_path):

@@ -300,6 +300,7 @@ def _carry_out(
             runs[-1].message if runs else "nothing was cast",
         )
     result = {"emulated": emulated, "casts": [each.summary() for each in runs], "learned": lines, "message": message}
+    result |= {} if learned is None else {"lag": learned.lag}
     title = "Last cast (emulated)" if emulated else "Last cast"
     output.show(
         {**result, "success": good, "files": {name: str(path) for name, path in written.items()}},
