@@ -26,8 +26,8 @@ def page(rows: Rows, options: dict[str, Any]) -> str:
         "the peg 10 %, motor lag 10 ms, timing 2 ms. Simulated throughout."
     )
     parts = [
-        f"# Casting a rope that is not known exactly: {options['rope']} rope, {len(rows)} targets",
-        spread,
+        f"# Casting a rope that is not known exactly: {options['rope']} rope",
+        f"{len(rows)} targets of seed {options['seed']}. {spread}",
         definition(),
         "\n".join(overall(rows)),
         " ".join(paired(rows)),
@@ -96,7 +96,7 @@ def effort(rows: Rows, options: dict[str, Any]) -> str:
         told.append(
             f"{plan} (time budget {time_budget:g} s) median {np.median(seconds):.0f} s, at most {max(seconds):.0f} s"
         )
-    return f"Planning, with what is stated or verified after it: {'; '.join(told)} a target."
+    return f"Planning, in processor time, with what is stated or verified after it: {'; '.join(told)} a target."
 
 
 def fine(rows: Rows) -> Iterator[str]:
