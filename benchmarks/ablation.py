@@ -2,7 +2,9 @@
 
 python -m benchmarks.ablation --seed 613              three targets of each rope of benchmarks.casting; hours
 python -m benchmarks.ablation --seed 613 --targets 1 --only as-is,no-variation --out -    a look; nothing is written
+python -m benchmarks.ablation --seed 31 --random 6    three targets of each of six ropes of benchmarks.random_ropes
 
+Of random ropes, which are hard, those targets alone are tried with the variants that are planned as it is.
 Each search ends with the first plan that succeeds, or after 40 s of processor time. Targets are those in reach; their
 seed is one on which no option was set. ``cem`` is a baseline without any of the options: the cross-entropy method over
 five parameters of a swing. Rows are kept in ablation.jsonl: the same command goes on where it stopped. All simulated.
@@ -12,11 +14,13 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks import casting, machine
+from benchmarks import casting, machine, random_ropes
 from benchmarks import log as lines
 
 import hyperflex as hf
@@ -45,6 +49,14 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "no-priority": ("near misses in turns wait for their turn", {"nearly": 100.0}),
     "small-batch": ("2 swings at once are tried in contact, not 8", {"batch": 2}),
 }
+VARIANTS["plain"] = (
+    "no variations, one speed, no limit of siblings, one last move at a time, coarse links, no priority",
+    {
+        name: value
+        for each in ("no-variation", "full-speed", "many-siblings", "one-finish", "coarse-contact", "no-priority")
+        for name, value in VARIANTS[each][1].items()
+    },
+)
 CEM = "the cross-entropy method over five parameters of a swing, in place of the search"
 
 
@@ -74,18 +86,30 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
     return False
 
 
-def tried(rope: str, number: int, seed: int, name: str, seconds: float) -> dict[str, Any]:
+def targets(options: argparse.Namespace) -> Iterator[tuple[str, int, hf.Rope, hf.Arm, hf.Peg]]:
+    """Return the targets in reach, with names of their ropes and numbers; an interrupted run has each rope's first."""
+    seed, drawn = options.seed, list[list[tuple[str, int, hf.Rope, hf.Arm, hf.Peg]]]()
+    for number in range(options.random):
+        rope, arm = random_ropes.rope_and_arm(seed, number)
+        pegs = random_ropes.targets(seed, number, rope, arm, options.targets)
+        drawn.append([(f"random {number}", k, rope, arm, peg) for k, peg in enumerate(pegs)])
+    for name in () if options.random else casting.ROPES:
+        known, numbers = casting.problem(name), casting.targets(name, options.targets, seed=seed)
+        drawn.append([(name, k, known.rope, known.arm, casting.target(k, name, seed)) for k in numbers])
+    for some in zip_longest(*drawn):
+        yield from filter(None, some)
+
+
+def tried(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, name: str, seconds: float) -> dict[str, Any]:
     """Plan for a target with a variant, until a plan succeeds."""
-    known, peg = casting.problem(rope), casting.target(number, rope, seed)
     budget = Budget(seconds, threads=1, clock=time.process_time)
     if name == "cem":
-        success = cem(known.rope, known.arm, peg, budget)
+        success = cem(rope, arm, peg, budget)
     else:
         search = hf.SearchOptions(threads=1, **VARIANTS[name][1])
-        plan = hf.plan_cast(known.rope, known.arm, peg, time_budget=budget, options=search, on_plan=lambda _: True)
+        plan = hf.plan_cast(rope, arm, peg, time_budget=budget, options=search, on_plan=lambda _: True)
         success = plan.success
-    about = {"rope": rope, "target": number, "seed": seed, "limit": seconds, "variant": name}
-    return about | {"success": success, "seconds": budget.elapsed, "planner": lines.planner()}
+    return {"success": success, "seconds": budget.elapsed, "planner": lines.planner()}
 
 
 def page(rows: list[dict[str, Any]], seconds: float) -> str:
@@ -121,6 +145,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=613, help="of the targets (613)")
     parser.add_argument("--targets", type=int, default=3, help="of each rope (3)")
+    parser.add_argument(
+        "--random", type=int, default=0, metavar="N", help="ropes drawn at random, in place of the five"
+    )
     parser.add_argument("--seconds", type=float, default=40.0, help="of processor time for each plan (40)")
     parser.add_argument("--only", default=",".join([*VARIANTS, "cem"]), help="variants, separated by commas")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
@@ -128,19 +155,18 @@ def main() -> None:
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "ablation.jsonl"
     known, rows = lines.read(log), list[dict[str, Any]]()
     lines.told(known, planned=True)
-    numbers = {rope: casting.targets(rope, options.targets, seed=options.seed) for rope in casting.ROPES}
-    for k in range(options.targets):  # an interrupted run has all variants of the first targets
-        for rope in casting.ROPES:
-            for name in options.only.split(","):
-                marks = {"rope": rope, "target": numbers[rope][k], "seed": options.seed}
-                marks |= {"limit": options.seconds, "variant": name}
-                row = next((one for one in known if marks.items() <= one.items()), None)
-                if row is None:
-                    row = tried(rope, numbers[rope][k], options.seed, name, options.seconds)
-                    print(json.dumps(row), flush=True)
-                    if log is not None:
-                        lines.append(log, row)
-                rows.append(row)
+    for rope, number, *about_it in targets(options):
+        for name in options.only.split(","):
+            marks = {"rope": rope, "target": number, "seed": options.seed, "limit": options.seconds, "variant": name}
+            row = next((one for one in known if marks.items() <= one.items()), None)
+            if row is None:
+                row = marks | tried(*about_it, name, options.seconds)
+                print(json.dumps(row), flush=True)
+                if log is not None:
+                    lines.append(log, row)
+            rows.append(row)
+            if options.random and name == "as-is" and not row["success"]:
+                break
     made = f"{machine.sentence(about)} {lines.made(rows, 'planner')}"
     text = (
         page(rows, options.seconds)
