@@ -16,18 +16,16 @@ from hyperflex.identification.declarations.channels import channel_faults
 from hyperflex.identification.declarations.evidence import evidence
 from hyperflex.identification.declarations.faults import faults
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES, as_free
+from hyperflex.identification.declarations.link_test import link_test
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
 from hyperflex.identification.declarations.score_tests import (
     TESTING,
-    Scatter,
     Scores,
     ScoreTest,
-    drift_test,
     hidden_tests,
-    link_test,
-    scatter_test,
     score_tests,
 )
+from hyperflex.identification.declarations.window_tests import Scatter, drift_test, scatter_test
 from hyperflex.identification.findings import Finding, Kind, Severity, ordered, text
 from hyperflex.identification.fit import POOR, Loss, Report, part_left, residuals_of
 from hyperflex.identification.measurements import (
@@ -45,8 +43,8 @@ from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
 from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms, without_unexplained
+from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
-    Basis,
     Information,
     Interval,
     estimate_covariance,

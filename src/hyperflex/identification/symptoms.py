@@ -9,16 +9,17 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.evidence import hangs_upwards, unlike_lengths
 from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, SCALES, as_free
-from hyperflex.identification.declarations.score_tests import TESTING, Scatter, ScoreTest, determined
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, determined
+from hyperflex.identification.declarations.window_tests import Scatter
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, extended, lumped
 from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
     MASSES,
     TOUCHED,
-    Basis,
     quantile,
     ratio_gradients,
     ratio_spread,

@@ -15,10 +15,9 @@ from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import Window
 from hyperflex.identification.model import Mask
+from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
     MASSES,
-    Basis,
-    pieces_of,
     ratio_gradients,
     ratio_spread,
     ratios,
@@ -94,7 +93,7 @@ def channel_faults(
     """
     from scipy.special import fdtrc
 
-    own, pieces = 2 * basis.plant.parameters.guess.n_links, pieces_of(basis, budget)
+    own, pieces = 2 * basis.plant.parameters.guess.n_links, basis.pieces(budget)
     pieces, patterns = _orthogonal(pieces, own), list(_patterns(basis, recording))
     found = [each for pattern in patterns if (each := _explained(pieces, pattern, own)).possible]
     total = sum(float((piece.residual**2).sum()) for piece in pieces)

@@ -1,22 +1,15 @@
-"""Tests of what a fit has held and of what was declared: scores, their drift and scatter over the windows, links."""
+"""Tests of what a fit has held and of what was declared: scores of its windows, and refits of what explains much."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.held import (
     CLOCK,
-    DRIFT,
-    FEW_LINKS,
     LAWS,
-    LINKS,
     MASSES,
     QUANTITIES,
     SCALES,
@@ -26,20 +19,17 @@ from hyperflex.identification.declarations.held import (
     words_for_tests,
 )
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.fit import Fit, Window, averaged, fit, linearise
+from hyperflex.identification.fit import Window, linearise
 from hyperflex.identification.model import Mask, Parameter, Plant, extended, scale_words
+from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
-    Basis,
-    estimate_covariance,
     quantile,
-    ratio_gradients,
     ratio_spread,
     ratios,
 )
 from hyperflex.identification.uncertainty.noise import CHANCE
-from hyperflex.model import RESISTANCES, Rope
-from hyperflex.sensors import Angles
+from hyperflex.model import RESISTANCES
 
 
 @dataclass(frozen=True)
@@ -50,12 +40,8 @@ class ScoreTestOptions:
     suspect: float = 0.3
     # the same of a resistance, whose derivative at 0 shows less: that of drag grows from there
     law: float = 0.15
-    # refits at most, rounds of each, and windows, spread over the recording: for time
+    # refits at most: for time
     refits: int = 3
-    rounds: int = 40
-    windows: int = 12
-    # gain of a round, as a part of the cost, that ends a refit: far less than gains that differ
-    enough: float = 1e-3
     # part of a gain, 1 - 1 / chi^2: chi^2 = 14, one in 6000 right fits
     sure: float = 0.93
     # part of the sum of squares: what takes away most of it is believed whatever the noise
@@ -327,7 +313,7 @@ def hidden_tests(
     budget, every, freed, seen, now = budget or Budget(), {each.name: each for each in tests}, list[str](), tests, basis
     for _ in range(TESTING.hiding):
         hiding = _hiding(seen, coloured=now.information.whiteness < CHANCE)
-        richer = fit_with(now, hiding)
+        richer = now.refit(hiding, covariance=True) if hiding else None
         if richer is None:
             break
         now = richer
@@ -468,52 +454,9 @@ def _resisting(found: Scores, size: int, own: list[int], slope: Array) -> tuple[
     return shift, step[count:], max(0.0, -float(step @ (2.0 * score + matrix @ step)) / found.total)
 
 
-def part_of(basis: Basis) -> Basis:
-    """Return a fit in some of its windows, spread over the recording."""
-    every, found = -(-len(basis.windows) // TESTING.windows), basis.fit
-    some = Fit(found.x, found.states[::every], found.residuals[::every], found.loss)
-    return replace(basis, windows=basis.windows[::every], fit=some)
-
-
-def _fit_with(basis: Basis, name: str = "") -> Basis | None:
-    """Return a fit of some windows with `name` free as well, without its covariance; None where none converges."""
-    if not name and basis.fit.converged and len(basis.windows) <= TESTING.windows:
-        return basis
-    if name not in basis.richer:
-        some = _fit_with(basis) if name else part_of(basis)
-        basis.richer[name] = None
-        if some is not None:
-            plant, x, _ = extended(some.plant, some.fit.x, [name] * bool(name))
-            with suppress(InvalidInput):
-                again = partial(fit, plant, some.windows, x, some.fit.states, loss=some.fit.loss)
-                found = again(rounds=TESTING.rounds, enough=TESTING.enough)
-                basis.richer[name] = replace(some, plant=plant, fit=found)
-    return basis.richer[name]
-
-
-def _refit_gain(before: Basis, name: str) -> float:
-    """Return the part of a fit's cost that `name`, free as well, takes away; 0 where no fit converges."""
-    after = _fit_with(before, name)
-    return 0.0 if after is None or before.fit.cost <= 0.0 else 1.0 - after.fit.cost / before.fit.cost
-
-
-def fit_with(basis: Basis, name: str) -> Basis | None:
-    """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
-    found = _fit_with(basis, name) if name else None
-    return None if found is None else _estimated(basis, name, found)
-
-
-def _estimated(basis: Basis, name: str, found: Basis) -> Basis:
-    """Return a fit of some windows with `name` free as well, with its own covariance."""
-    if found.information is basis.information:
-        found = replace(found, information=estimate_covariance(found.plant, found.windows, found.fit))
-        basis.richer[name] = found
-    return found
-
-
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     """Return a test with what a fit finds, compared with one without it, of the same windows."""
-    before, after = _fit_with(basis), _fit_with(basis, test.name)
+    before, after = basis.refit(), basis.refit(test.name)
     if before is None or after is None:
         return replace(test, gain=0.0, excess_gain=0.0)
     parameters = after.plant.parameters
@@ -530,7 +473,7 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
     noise, sure = before.information, before.information.whiteness >= CHANCE
     if not sure and (excess_gain > TESTING.sure or gain > TESTING.suspect):  # it may be all that colours the residuals
-        mended = _estimated(basis, test.name, after).information
+        mended = (basis.refit(test.name, covariance=True) or after).information
         sure = mended.whiteness >= CHANCE
         if sure:  # then what it leaves is the noise
             share = mended.variance * mended.correlation / max(noise.variance * noise.correlation, 1e-300)
@@ -548,229 +491,3 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
         excess_gain=excess_gain,
         sure=sure,
     )
-
-
-@dataclass(frozen=True)
-class WindowTestLimits:
-    """Thresholds of the tests of drift and scatter."""
-
-    # windows: a trend takes two degrees of freedom, and its scatter needs two more
-    least: int = 4
-    # probability, by Student's t of the windows' own scatter, of such a drift where there is none
-    rare: float = 0.01
-    # standard deviations of the noise that a drift exceeds as well: few windows may scatter little by chance
-    beyond: float = 4.0
-
-
-WINDOWED = WindowTestLimits()
-
-
-def drift_test(basis: Basis, found: Scores | None, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
-    """Return the score test of a gravity that seems to grow with time, as a clock that drifts makes it; or nothing.
-
-    Notes
-    -----
-    The derivative of the residuals by the drift is that by gravity's scale times the window's place in the recording,
-    -1/2 to 1/2; what is free and the mean scale are eliminated. Its standard deviation is that of the windows' scores
-    about the trend (cluster-robust), and that of the noise at least. `values` is the change of gravity from the first
-    window to the last, `moved` what ratios of inertia move by to either side of the middle; NaN where it may be
-    chance and explains little. Quantities that mask others are freed first: the windows' scores are those at the linear
-    model's optimum with these.
-    """
-    if found is None or CLOCK not in found.groups or len(found.score) < WINDOWED.least:
-        return ()
-    from scipy.special import stdtrit
-
-    (gravity,), count = found.groups[CLOCK], basis.fit.x.size
-    place = (found.middle - found.middle.mean()) / np.ptp(found.middle)
-    others = [k for each in tests if each.masks and not each.law for k in found.groups.get(each.name, [])]
-    mixed = place[:, None] * found.information[:, gravity]
-    inverse = found.inverse(sorted({*found.free, gravity, *others}))
-    across = inverse @ mixed.sum(axis=0)
-    own = place**2 * found.information[:, gravity, gravity] - 2.0 * mixed @ across
-    own += np.einsum("i,wij,j->w", across, found.information, across)
-    score, total, information = found.score, found.total, float(own.sum())
-    if information <= TESTING.tiny * float(mixed[:, gravity] @ place):
-        return ()
-    if others:
-        step = -inverse @ score.sum(axis=0)
-        total += float(score.sum(axis=0) @ step)
-        score = score + found.information @ step
-    each = place * score[:, gravity] - score @ across
-    drift = -float(each.sum()) / information
-    gain = min(drift**2 * information / total, 1.0)
-    scatter = float(np.sum((each + own * drift) ** 2)) * place.size / (place.size - 2.0)
-    noise = float(np.sqrt(basis.information.variance * total / found.total * (1.0 - gain) / information))
-    std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * WINDOWED.rare))
-    sure = abs(drift) > max(least * std, WINDOWED.beyond * noise)
-    by_gravity = found.inverse(found.free) @ found.information.sum(axis=0)[:, gravity]
-    std, unit = max(std, noise), float(found.scale[gravity])
-    test = ScoreTest(
-        DRIFT,
-        gain,
-        np.array([drift / unit]),
-        moved=0.5 * abs(drift) / unit if sure or gain > TESTING.explains else np.nan,
-        std=std / unit,
-        shift=-0.5 * drift * (by_gravity / found.scale)[:count],
-        excess_gain=max(0.0, 1.0 - (std / drift) ** 2) if drift else 0.0,
-        sure=sure,
-    )
-    return (test,)
-
-
-class Scatter(NamedTuple):
-    """A ratio whose windows disagree: its label, and the standard deviation that they show, over that of noise.
-
-    part: that standard deviation as a part of the ratio.
-    """
-
-    label: str
-    times: float
-    part: float
-
-
-def scatter_test(basis: Basis, found: Scores | None) -> tuple[tuple[Scatter, ...], Array]:
-    """Return the ratios that scatter more between windows than by noise, most first, and x's covariance by that (P, P).
-
-    `basis` is without errors of the model.
-
-    Notes
-    -----
-    Each window moves the estimate by its score through the inverse of all information; the sum of squares of these
-    moves is the cluster-robust covariance (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). If windows differ by
-    noise alone, that sum is about chi-squared, see :meth:`Scores.moves`. Told is what is rarer than CHANCE, shared by
-    all ratios.
-    """
-    count = basis.fit.x.size
-    if found is None or len(found.score) < WINDOWED.least:
-        return (), np.zeros((count, count))
-    from scipy.special import gammaincc
-
-    windows = len(found.score)
-    inverse = found.inverse(found.free)
-    moves = found.score @ inverse[:, :count] / found.scale[:count]
-    covariance = moves.T @ moves * windows / (windows - 1.0)
-    parameters, information = basis.plant.parameters, basis.information
-    stated, known = ratio_spread(parameters, information), ratios(parameters.rope(information.x), parameters.names)
-    scattered, tested = [], sum(int((np.isfinite(each) & (each > 0.0)).sum()) for each in stated.values())
-    for name, slopes in ratio_gradients(parameters, information.x).items():
-        for k in np.flatnonzero(np.isfinite(stated[name]) & (stated[name] > 0.0) & (known[name] != 0.0)):
-            each, expected, freedom = found.moves(slopes[k], inverse)
-            if expected <= TESTING.tiny:  # one window determines it alone
-                continue
-            shown = float(np.sqrt(each @ each / expected))
-            times = shown / float(stated[name][k])
-            if gammaincc(0.5 * freedom, 0.5 * freedom * times**2) < CHANCE / tested:
-                scattered.append(Scatter(f"{name}[{k}]", times, shown / float(abs(known[name][k]))))
-    return tuple(sorted(scattered, key=lambda each: -each.times)), covariance
-
-
-UNSURE, ELSE = 0.25, 2.0  # of the pattern's amplitude (1: finer links): its least deviation, and that of other causes
-PIECES = 4  # that each link is cut into: errors go with a link's length squared, so that a 16th of them is left
-
-
-def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest, ...]:
-    """Return the test of a rope's links, or nothing where they cannot be cut, or where few leave no more than noise.
-
-    Links of a rope of many have to be alike; few may each have values of their own, with their mass in their middle. If
-    one of the `others` explains much that longer links do not, what it leaves is tested: a fit with it free as well.
-
-    Notes
-    -----
-    Indirect inference: the rope as fitted, its links cut into PIECES, is simulated, and the fit repeated on what the
-    same sensor would see of that. The parameters' change is the error that too long links make; the residuals are its
-    pattern. How much of it the residuals hold is 1 of the finer rope and 0 of a chain that has just these links; see
-    :func:`_probability`. Of the `others` those are explained by the links that a fit to the finer rope shows as well,
-    with half of their gain at least.
-    """
-    if basis.plant.parameters.guess.n_links == 1:
-        return ()
-    found = _link_test(basis, others)
-    explained = {name for each in found for name in each.explains}
-    masking = next((each.name for each in others if each.masks and each.name not in explained), "")
-    richer = fit_with(basis, masking)
-    if richer is None:
-        return found
-    return tuple(within(each, basis.fit.x.size, [masking]) for each in _link_test(richer))
-
-
-def _link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest, ...]:
-    """Return the test of a rope's links, with what it explains of the `others`."""
-    plant, x, some = basis.plant, basis.fit.x, part_of(basis)
-    n, parameters, loss, states = plant.parameters.guess.n_links, plant.parameters.all, some.fit.loss, some.fit.states
-    own = any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
-    if plant.constants is not None or (basis.information.whiteness >= CHANCE if n <= FEW_LINKS else own):
-        return ()
-    try:
-        finer = plant.cut(x, PIECES)
-        seen = [_seen(plant.parameters.rope(x), finer, *each) for each in zip(some.windows, states, strict=True)]
-        again = fit(plant, seen, x, states, loss=loss, rounds=TESTING.rounds)
-    except InvalidInput:  # links that are not uniform, or that cannot be simulated
-        return ()
-    pairs = list(zip(some.fit.residuals, again.residuals, strict=True))
-    before, after = (sum(map(loss.cost, each)) for each in (some.fit.residuals, [r - pattern for r, pattern in pairs]))
-    shift, std = again.x - x, np.sqrt(np.diag(basis.information.covariance))
-    now, then = map(plant.parameters.values, (x, again.x))
-    parts = np.abs(np.divide(then - now, now, out=np.zeros(x.size), where=now > 0.0))
-    probability, of_finer = _probability(basis, pairs), replace(some, windows=seen, fit=again)
-    shown = [each for each in others if each.refitted and probability > TESTING.likely]
-    test = ScoreTest(
-        LINKS,
-        max(before - after, 0.0) / before if before > 0.0 else 0.0,
-        np.array([float(n * PIECES)]),
-        shift=shift,
-        excess_gain=probability,
-        ratio_sensitivity=float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0)),
-        explains=tuple(each.name for each in shown if _refit_gain(of_finer, each.name) > TESTING.seeming * each.gain),
-    )
-    return (test,)
-
-
-def _probability(basis: Basis, pairs: list[tuple[Array, Array]]) -> float:
-    """Return the probability of the finer rope, by windows' residuals and patterns [((m C,), (m C,)), ..].
-
-    The amplitude of the pattern is fitted to the residuals; its standard deviation follows from the noise, and from how
-    the windows scatter. Where residuals are not white it is UNSURE at least, and the amplitude may come from anything
-    else that the model omits, which makes it as large as ELSE.
-    """
-    dots, sizes = np.array([(pattern @ residual, pattern @ pattern) for residual, pattern in pairs]).T
-    total = float(sizes.sum())
-    if total <= 0.0:
-        return 0.0
-    amplitude, count = float(dots.sum()) / total, len(pairs)
-    variance = basis.information.variance * basis.information.correlation / total
-    if count > 1:
-        scatter = float(((dots - amplitude * sizes) ** 2).sum()) / total**2 * count / (count - 1.0)
-        variance = max(variance, scatter)
-    from scipy.special import softmax
-
-    white = basis.information.whiteness >= CHANCE
-    std = max(float(np.sqrt(variance + UNSURE**2 * (not white))), 1e-12)
-    # of the pattern's amplitude if the rope has finer links, has just these, or the model omits something else
-    means, stds = np.array([1.0, 0.0, 0.0]), np.array([std, std, ELSE])
-    logs = -0.5 * ((amplitude - means) / stds) ** 2 - np.log(stds)
-    return float(softmax(logs[: 2 if white else 3])[0])
-
-
-def _seen(rope: Rope, finer: Plant, window: Window, state: Array) -> Window:
-    """Return a window with what the sensor sees of the finer rope from a smooth shape like `state` (2n,)."""
-    from scipy.interpolate import make_interp_spline
-
-    n, fine = rope.n_links, finer.parameters.guess
-    places, old = fine.link_middles, rope.link_middles
-    # along the rope, straight lines continue beyond the ends
-    start = make_interp_spline(old, state.reshape(2, n).T, k=1)(places).T.ravel()
-    y = finer.predict(np.zeros(0), window.t, start)
-    if y is None:
-        raise InvalidInput("the finer rope cannot be simulated")
-    if isinstance(finer.sensor, Angles):
-        y = _chords(y.reshape(y.shape[0], n, PIECES), fine.length.reshape(n, PIECES))
-    return replace(window, y=np.where(window.weight > 0.0, averaged(y, window.t, window.spread), 0.0))
-
-
-def _chords(q: Array, length: Array) -> Array:
-    """Return the directions (m, n) of the chords of links cut into pieces (m, n, p), rad."""
-    mean = np.mean(q, axis=2)
-    off = q - mean[:, :, None]
-    across, along = (length * np.sin(off)).sum(axis=2), (length * np.cos(off)).sum(axis=2)
-    return np.asarray(mean + np.arctan2(across, along))

@@ -134,22 +134,6 @@ def _variances(gradient: Array, covariance: Array | float) -> Array:
     return np.asarray(np.maximum(found, 0.0))  # but for rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Basis:
-    """A fit, its model and windows, and their information about the parameters.
-
-    usual: time, s, over which windows and parts of longer ones are compared with each other. richer: fits of some
-    windows with one thing more free, by its name, as tests make them.
-    """
-
-    plant: Plant
-    windows: list[Window]
-    fit: Fit
-    information: Information
-    usual: float = np.inf
-    richer: dict[str, "Basis | None"] = field(default_factory=dict, init=False)
-
-
 def not_estimated(plant: Plant, fit: Fit) -> Information:
     """Return the information of a fit that ended before deviations were computed: all is unknown."""
     widths, total = plant.parameters.widths, len(plant.parameters)
@@ -185,8 +169,8 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     Model errors are not covered.
     """
     widths, total = plant.parameters.widths, len(plant.parameters)
-    slopes, mean = _sensitivities(windows, fit)
-    models = _models(plant, windows, fit, mean, budget or Budget())
+    slopes, mean = sensitivities(windows, fit)
+    models = window_models(plant, windows, fit, mean, budget or Budget())
     prior = fit.noise * plant.parameters.prior  # rows of the least-squares problem, as those of windows
     rows = [*(model.shared * widths for model in models), prior * widths]
     singular, known, unknown = known_directions([*rows, np.zeros((total, total))])
@@ -221,22 +205,15 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     )
 
 
-def _sensitivities(windows: Sequence[Window], fit: Fit) -> tuple[Array, float]:
+def sensitivities(windows: Sequence[Window], fit: Fit) -> tuple[Array, float]:
     """Return psi' of all residuals, gaps omitted, and its mean."""
     psi = zip(windows, map(fit.loss.sensitivity, fit.residuals), strict=True)
     slopes = np.concatenate([each[window.weight.ravel() > 0.0] for window, each in psi])
     return slopes, max(float(slopes.mean()), LEAST_SENSITIVITY)
 
 
-def pieces_of(basis: Basis, budget: Budget | None = None) -> list[Piece]:
-    """Return the residuals of a fit's windows, with all directions that it absorbs: 2n of the state, then others."""
-    mean = _sensitivities(basis.windows, basis.fit)[1]
-    models = _models(basis.plant, basis.windows, basis.fit, mean, budget or Budget())
-    return [each.piece(basis.information.root) for each in models]
-
-
 @dataclass(frozen=True)
-class _Model:
+class WindowModel:
     """A window at the optimum: derivatives less what its state absorbs (M, P), and what that is.
 
     own (M, 2n): orthonormal directions of the state. follow (2n, P): derivative of the state by the parameters.
@@ -263,7 +240,7 @@ class _Model:
         return np.asarray(self.shared[:size].T @ coloured.reshape(size, -1) + prior.T @ prior)
 
 
-def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budget: Budget) -> list[_Model]:
+def window_models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budget: Budget) -> list[WindowModel]:
     """Return all windows' derivatives, those of values times the root of the mean of psi'."""
     models = []
     for window, state, residual in zip(windows, fit.states, fit.residuals, strict=True):
@@ -275,7 +252,7 @@ def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budg
         own = np.linalg.qr(by_state)[0] if linear.known else np.zeros_like(by_state)
         left = shared - own @ (own.T @ shared)
         influence, seen = fit.loss.influence(residual), (window.weight > 0.0).astype(np.float64)
-        models.append(_Model(left, own, -least_squares(by_state, shared), influence.reshape(seen.shape), seen))
+        models.append(WindowModel(left, own, -least_squares(by_state, shared), influence.reshape(seen.shape), seen))
     return models
 
 
@@ -353,15 +330,6 @@ def interval(
     half = std * float(np.sqrt(quantile(level, freedom)))
     ends: tuple[End, End] = ("bound" if at - half < least else "crossed", "crossed")
     return Interval(value(max(at - half, least)), value(at + half), "covariance", ends, level)
-
-
-def of_parameters(basis: Basis, level: float = LEVEL) -> dict[str, Interval]:
-    """Return intervals of all free parameters by label, from their standard deviations, within bounds."""
-    information = basis.information
-    stds = information.deviations(np.ones(information.x.size))
-    freedom = freedom_with(information.freedom, stds, information.declared.model_spread(np.eye(information.x.size)))
-    each = zip(basis.plant.parameters.all, information.x, stds, freedom, strict=True)
-    return {p.label: interval(float(x), std, more, p.least, level, p.value) for p, x, std, more in each}
 
 
 def of_ratios(

@@ -17,16 +17,15 @@ from hyperflex.identification.fit import Fit, Loss, Report, Target, fit, with_en
 from hyperflex.identification.model import Mask
 from hyperflex.identification.options import How
 from hyperflex.identification.result import Identification
+from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
     SIGNED,
-    Basis,
     End,
     Interval,
     checked_level,
     freedom_with,
     interval,
-    of_parameters,
     quantile,
     ratio_gradients,
     ratios,
@@ -429,7 +428,7 @@ def all_intervals(
     and ``phase="profile"``. Ctrl-C raises Interrupted; in its ``partial``, and out of time, what was not profiled yet
     has intervals from the covariance.
     """
-    result = of_parameters(basis, level)
+    result = basis.intervals(level)
     if how == "covariance":
         return result
     with stoppable() as stop:
