@@ -5,8 +5,9 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
+from hyperflex.core.contact.joints import ANY
+from hyperflex.core.contact.memory import new_contact_memory, save_memory
 from hyperflex.core.contact.run import ContactWorkspace, new_contact_workspace, try_step
-from hyperflex.core.contact.solver import ANY, new_contact_memory, save_memory
 from tests.core.helpers import scene_of
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after

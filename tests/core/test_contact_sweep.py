@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hyperflex.core.contact import gaps
-from hyperflex.core.contact import solver as sweeps
-from hyperflex.core.contact.solver import TOUCH
+from hyperflex.core.contact import sweep as sweeps
+from hyperflex.core.contact.arrays import TOUCH
 from tests.core.helpers import chain_of
 from tests.reference import dense
 from tests.reference.cases import random_links, random_state

@@ -10,6 +10,8 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.chain.torque_peaks import COLUMNS, WINDOWS
 from hyperflex.core.contact import run as at
+from hyperflex.core.contact.arrays import OPEN
+from hyperflex.core.contact.memory import ContactMemory, new_contact_memory, save_memory
 from hyperflex.core.contact.run import (
     ContactWorkspace,
     Scene,
@@ -20,20 +22,7 @@ from hyperflex.core.contact.run import (
     new_contact_workspace,
     try_step,
 )
-from hyperflex.core.contact.solver import (
-    ALL,
-    EVEN,
-    LOOSEST,
-    NONE,
-    OPEN,
-    STIFF,
-    USUAL_TOL,
-    ContactMemory,
-    looseness,
-    new_contact_memory,
-    save_memory,
-    update_modes,
-)
+from hyperflex.core.contact.solver import ALL, EVEN, LOOSEST, NONE, STIFF, USUAL_TOL, looseness, update_modes
 from tests.core.helpers import scene_of
 from tests.reference.wrapping import laid
 

@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
+from hyperflex.core.contact.memory import new_contact_memory
 from hyperflex.core.contact.run import new_contact_workspace, try_step
-from hyperflex.core.contact.solver import new_contact_memory
 from hyperflex.winding import measure_winding, rope_slip
 from tests.core.helpers import scene_of
 from tests.reference.wrapping import ARM, laid

@@ -15,9 +15,10 @@ from hyperflex.core.chain.articulated_body import energies
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.chain.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.contact import run as at
+from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.gaps import Pegs
+from hyperflex.core.contact.memory import new_contact_memory
 from hyperflex.core.contact.run import Scene
-from hyperflex.core.contact.solver import STICK, new_contact_memory
 from hyperflex.core.integrate.rollout import INDEX, MARK, Limits, T
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import deferred, raise_if_cancelled
@@ -102,7 +103,7 @@ def depths(pegs: Pegs, joints: Array) -> Array:
 
 SHOWN = ("peg_angle", "peg_rate")  # of a State, and of a Trajectory
 STEP = "contact_step"
-# in a state's checkpoint, in the order of ``contact.solver.ContactMemory``
+# in a state's checkpoint, in the order of ``contact.memory.ContactMemory``
 KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_penalty", "joint_torque", "joint_mode")
 
 

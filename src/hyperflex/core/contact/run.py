@@ -15,42 +15,30 @@ from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import Array, Chain, energies, relative, sines
 from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.chain.torque_peaks import watch_torque
+from hyperflex.core.contact.arrays import OPEN, UNHELD, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Pegs, find, joint_positions, nearest, new_contacts, speeds
-from hyperflex.core.contact.solver import (
+from hyperflex.core.contact.joints import (
     LIMIT_PASSED,
-    OPEN,
-    STEADY,
-    TX,
-    TY,
-    UNHELD,
-    USUAL_TOL,
-    ContactMemory,
-    Impulses,
-    Joints,
-    Motion,
-    Spin,
     bend_clearance,
     bound_joint_rates,
-    clear_memory,
     friction_impulse,
     joint_impulses,
     joint_losses,
+)
+from hyperflex.core.contact.memory import (
+    STEADY,
+    ContactMemory,
+    clear_memory,
     keeps_modes,
-    looseness,
-    lost_in_bearings,
     new_contact_memory,
-    new_impulses,
-    new_joints,
-    new_motion,
-    new_spin,
-    prepare_spin,
-    resolved,
     save_memory,
     save_trend,
-    solve,
     trend_factor,
     warm_start,
 )
+from hyperflex.core.contact.solver import USUAL_TOL, looseness, solve
+from hyperflex.core.contact.spin import Spin, lost_in_bearings, new_spin, prepare_spin
+from hyperflex.core.contact.sweep import TX, TY, resolved
 from hyperflex.core.integrate.step_size import allowed, fitted, lasting
 from hyperflex.core.jit import absorbed, kernel, non_allocating, zeros
 

@@ -1,0 +1,254 @@
+"""Joints in a step in contact: dry friction with stiction, inelastic bend limits, viscous friction and springs.
+
+Dry friction with stiction and inelastic bend limits of a joint are one law between the relative rate of a joint after
+the step and its angular impulse L, a staircase that only falls (a maximal monotone graph): at the lower limit any L
+above that of friction, then the friction of a joint that turns back, at rest any L within friction, the friction of one
+that turns ahead, at the upper limit any L below it. A mode is a step of the staircase. Where the rate is given, L = L0
+- M rate by the proximal method, as for contacts: no more than a change of the joint's (T, kappa) in the sweep.
+"""
+
+import math
+
+from hyperflex.core import joint_law
+from hyperflex.core.chain.articulated_body import joint_of, relative
+from hyperflex.core.contact.arrays import (
+    AFTER,
+    AHEAD,
+    BACK,
+    BEFORE,
+    BOUND,
+    FREE,
+    HIGHEST,
+    IMPULSE,
+    LEVER,
+    LOWER,
+    LOWEST,
+    OPEN,
+    RELAXED,
+    START,
+    STICK,
+    UPPER,
+)
+from hyperflex.core.integrate.events import limit_gap
+from hyperflex.core.jit import non_allocating
+
+# Numbers of joints with dry friction or limits in a contact step.
+#
+# rad, gap at which a limit is reached
+LIMIT_REACHED = 1e-5
+# rad, past a limit at which a step is tried again at half its length
+LIMIT_PASSED = 2e-4
+# rad/s, by which a rate must pass its bound to be held
+JOINT_CLOSING = 1e-9
+# rad/s, below which a joint with dry friction sticks at first
+JOINT_SLOW = 1e-8
+# s, over which the present rate is extrapolated to a gap
+SOON = 0.01
+
+ANY = 1e9  # rad/s, bound of a rate that nothing holds
+
+
+@non_allocating
+def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untyped-def]
+    """Angular impulse of a joint in a mode, N m s, and the mode that it should have; start is L0, mass is M, kg m^2.
+
+    `bound` is that of dry friction, N m s; `lower`, `upper` are bounds of the `rate`, rad/s.
+    """
+    if mode in (UPPER, LOWER):
+        side, limit = (1.0, upper) if mode == UPPER else (-1.0, lower)
+        impulse, beyond_rest = start - mass * (rate - limit), side * limit > 0.0
+        if side * impulse > (-bound if beyond_rest else bound):
+            return impulse, OPEN if bound == 0.0 else AHEAD if beyond_rest == (mode == UPPER) else BACK
+        return impulse, mode
+    impulse = start - mass * rate
+    if mode == STICK:
+        return impulse, AHEAD if impulse < -bound else BACK if impulse > bound else mode
+    sense = 1.0 if mode == AHEAD else -1.0 if mode == BACK else 0.0
+    new_mode = mode
+    if rate > upper + JOINT_CLOSING:
+        new_mode = UPPER
+    elif rate < lower - JOINT_CLOSING:
+        new_mode = LOWER
+    elif lower < 0.0 < upper and -sense * impulse < bound:
+        new_mode = STICK
+    return -sense * bound, new_mode
+
+
+@non_allocating
+def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-untyped-def]
+    """Say what each joint may do in a step `h`, s, and begin with the modes and torques of the last step.
+
+    A gap to a limit may be closed, not more. As for contacts (``run.find_contacts``), a joint that closes faster than
+    ``workspace.brisk`` is left free, and ``workspace.touch`` is the time until it is there; in an impact (h = 0.0)
+    those that are there are held.
+    """
+    motion, joints, of = workspace.motion, workspace.joints, workspace.joints.of
+    for i in joints.which:
+        bend = relative(motion.q, i, workspace.base[1, 4]) - chain.rest[i]
+        rate = relative(motion.w, i, workspace.base[0, 3])
+        of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
+        of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
+        of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
+        of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
+        of[START, i] = RELAXED * h * memory.torque[i]
+        joints.mode[i] = initial_joint_mode(memory.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
+
+
+@non_allocating
+def allowed_rate(workspace, gap, closing, h, struck):  # type: ignore[no-untyped-def]
+    """Greatest rate, rad/s, at which a gap, rad in the middle of a step, may close that closes at `closing` before."""
+    if h == 0.0:
+        return 0.0 if gap <= 2.0 * LIMIT_REACHED else ANY
+    if gap >= ANY:
+        return ANY
+    away = gap + 0.5 * h * closing  # at the beginning of the step
+    if closing > workspace.brisk and (away > LIMIT_REACHED or not struck):
+        workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= LIMIT_REACHED else away / closing)
+        return ANY
+    return max(gap, 0.0) / h
+
+
+@non_allocating
+def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
+    """Mode of a joint to begin the search with, from that of the last step."""
+    mode = last
+    if bound == 0.0:
+        mode = last if last >= UPPER else OPEN
+    elif last == OPEN:
+        mode = STICK if abs(rate) <= JOINT_SLOW else AHEAD if rate > 0.0 else BACK
+    if mode in (STICK, AHEAD) and upper <= 0.0:
+        return UPPER
+    if mode in (STICK, BACK) and lower >= 0.0:
+        return LOWER
+    return mode
+
+
+@non_allocating
+def write_joints(motion, joints, penalty):  # type: ignore[no-untyped-def]
+    """Write the joints, with their present modes, to ``motion.joint``; `penalty` is M of the contacts, kg."""
+    of, joint = joints.of, motion.joint
+    for i in joints.which:
+        mode, torque, slope = joints.mode[i], 0.0, 0.0
+        if mode in (AHEAD, BACK):
+            torque = -of[BOUND, i] if mode == AHEAD else of[BOUND, i]
+        elif mode != OPEN:
+            slope = penalty * of[LEVER, i] * of[LEVER, i]
+            at = of[HIGHEST, i] if mode == UPPER else of[LOWEST, i] if mode == LOWER else 0.0
+            torque = of[START, i] - slope * (of[BEFORE, i] - at)
+        joint[i, 0], joint[i, 1] = of[FREE, i] + torque, of[FREE + 1, i] + slope
+
+
+@non_allocating
+def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-untyped-def]
+    """Read rates and impulses off the changes of the rates; with `change`, change the modes that break the law.
+
+    Returns how many broke it.
+    """
+    of, violations = joints.of, 0
+    for i in joints.which:
+        rate = of[BEFORE, i] + relative(motion.change, i, motion.base[2])
+        mass = penalty * of[LEVER, i] * of[LEVER, i]
+        of[AFTER, i] = rate
+        of[IMPULSE, i], new_mode = joint_mode(
+            joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i], of[START, i], mass
+        )
+        if new_mode != joints.mode[i]:
+            violations += 1
+            if change:
+                joints.mode[i] = new_mode
+    return violations
+
+
+@non_allocating
+def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
+    """As ``update_multipliers`` for the joints: residual velocity, m/s, and its energy, J."""
+    of = joints.of
+    worst = given = 0.0
+    for i in joints.which:
+        mode, lever, impulse = joints.mode[i], of[LEVER, i], of[IMPULSE, i]
+        if mode in (AHEAD, BACK):
+            left = max(0.0, -of[AFTER, i] if mode == AHEAD else of[AFTER, i]) * lever
+        elif mode == OPEN:
+            left = 0.0
+        else:
+            left = abs(impulse - of[START, i]) / (penalty * lever)
+        worst, given = max(worst, left), given + left / lever * abs(impulse)
+        of[START, i] = impulse
+    return worst, given
+
+
+@non_allocating
+def release_joints(joints):  # type: ignore[no-untyped-def]
+    """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
+    of = joints.of
+    for i in joints.which:
+        joints.mode[i] = OPEN if of[BOUND, i] == 0.0 else AHEAD if of[BEFORE, i] > 0.0 else BACK
+
+
+@non_allocating
+def joint_losses(joints):  # type: ignore[no-untyped-def]
+    """Energy that dry friction and limits took in a step, J: impulses times mean rates."""
+    of, friction, limits = joints.of, 0.0, 0.0
+    for i in joints.which:
+        taken = -0.5 * of[IMPULSE, i] * (of[BEFORE, i] + of[AFTER, i])
+        if joints.mode[i] >= UPPER:
+            limits += taken
+        elif joints.mode[i] != OPEN:
+            friction += taken
+    return friction, limits
+
+
+@non_allocating
+def bend_clearance(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
+    """Smallest gap of a joint to its limit, rad, now and ``SOON`` later; infinite where no joint has limits.
+
+    `q`, `w` (n or more,) are angles, rad, and rates, rad/s, of the links, `angle` and `rate` those of the parent of the
+    first one.
+    """
+    least = left = math.inf
+    for i in range(chain.length.size):
+        if chain.max_bend[i] < math.inf:
+            gap, opening = limit_gap(chain, i, q[i] - angle, w[i] - rate)
+            least, left = min(least, gap), min(left, gap + SOON * min(opening, 0.0))
+        angle, rate = q[i], w[i]
+    return least, left
+
+
+@non_allocating
+def implicitness(motion, i, h):  # type: ignore[no-untyped-def]
+    """Part of the change of its rate with which friction at joint i acts in a step: one half, of second order.
+
+    More where links turn against each other by friction alone within the step: so much that this dies out.
+    """
+    fastest = 2.0 * h * motion.damping[i]
+    return 0.5 if fastest <= 2.0 else 1.0 - 1.0 / fastest
+
+
+@non_allocating
+def friction_impulse(chain, motion, trend, steady, base, h, i):  # type: ignore[no-untyped-def]
+    """Angular impulse of viscous friction at joint i, N m s, less its slope times the change of the rate; that slope.
+
+    What is more than one half of the change acts on its difference from h times the accelerations before, ``trend``,
+    where modes were `steady`, 1.0, and from nothing else, 0.0.
+    """
+    theta = implicitness(motion, i, h)
+    rate = relative(motion.w, i, base[0, 3])
+    predicted = steady * h * relative(trend[0], i, base[0, 2])
+    slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)
+    return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * predicted, 0.0), slope
+
+
+@non_allocating
+def joint_impulses(chain, motion, trend, steady, base, h, torque):  # type: ignore[no-untyped-def]
+    """Angular impulses of the joints, to ``motion.joint``: implicit friction, springs at the mean of the angles.
+
+    `trend`, `steady` as in ``friction_impulse``; `base` (3, 9).
+    """
+    joint, q = motion.joint, motion.q
+    for i in range(q.size):
+        angle = relative(q, i, base[1, 4])
+        law = joint_of(chain, i)
+        impulse, slope = friction_impulse(chain, motion, trend, steady, base, h, i)
+        stiff, _ = joint_law.jacobian(law, 1.0, 0.0, 0.25 * h * h)
+        joint[i, 0], joint[i, 1] = impulse + h * joint_law.spring(law, angle), slope + stiff
+    joint[0, 0] += h * torque
