@@ -78,9 +78,7 @@ class _Explained(NamedTuple):
         return float(np.sqrt(np.mean(values**2)))
 
 
-def channel_faults(
-    basis: Basis, recording: Recording, tests: Sequence[ScoreTest], budget: Budget | None = None
-) -> list[Finding]:
+def channel_faults(basis: Basis, recording: Recording, tests: Sequence[ScoreTest], budget: Budget) -> list[Finding]:
     """Return the fault of one channel, or the smoothing of all, that explains the residuals of a fit, or nothing.
 
     Notes
