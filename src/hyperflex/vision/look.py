@@ -1,0 +1,263 @@
+"""The look of a rope without markers: its colour against what is behind it, its width, and the light as it changes."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.vision.video import Image
+
+SHARPNESS = 0.6  # px, standard deviation of the picture of a point: lens, pixel and compression
+_NOISE = 1.5  # levels, least noise of a channel
+_SPARSE = 16  # px between the pixels by which the light of two pictures is compared
+_CLEAR = 3.0  # least contrast of a rope, standard deviations of the wall
+_TILES, _TEXTURE = 4, 4.0  # each way, of a picture; least standard deviation of one by which movement is seen, levels
+_STILL = 0.5  # px that the picture of a camera that stands still may move
+
+
+class Shares(NamedTuple):
+    """Which part of M places on each of K lines across the rope shows the rope.
+
+    Attributes
+    ----------
+    values : (K, M) float64
+        0 on the wall and 1 on the rope, apart from noise; NaN outside of the picture.
+    std : (K, M) float64
+        Standard deviation of a value on the wall, by noise and by the wall's own texture.
+    """
+
+    values: Array
+    std: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RopeLook:
+    """How a rope looks against any wall.
+
+    Parameters
+    ----------
+    bgr : (3,) array_like
+        Mean colour over the rope's width, blue, green, red, 0 to 255.
+    width : float
+        Of the rope at rest, px.
+    background : (height, width, 3) uint8, optional
+        The picture without the rope, of a camera that stands still; see :func:`still_background`.
+    light : (h, w, 3) uint8, optional
+        Some pixels of the picture whose light `bgr` and `background` have; see :meth:`in_light_of`.
+
+    Notes
+    -----
+    A pixel that the rope covers in part is a mixture of rope and wall. The share is Fisher's linear discriminant
+    between the rope's colour and the wall's beside it (or the background's behind it), with the covariance of the wall
+    there. So one rule serves bright ropes on dark walls, dark ones on bright walls, and coloured ones on textures: what
+    varies over the wall (grain, shadow, shade) counts little.
+    """
+
+    bgr: Array
+    width: float
+    background: Image | None = None
+    light: Image | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bgr", checks.array("bgr", self.bgr, (3,), sign="nonnegative"))
+        object.__setattr__(self, "width", checks.number("width", self.width, sign="positive", unit="px"))
+
+    @classmethod
+    def from_curve(cls, image: Image, curve: npt.ArrayLike, width: float | None = None) -> "RopeLook":
+        """Return the look of the rope that lies along a curve in a picture.
+
+        Parameters
+        ----------
+        image : (height, width, 3) uint8
+        curve : (P, 2) array_like
+            Middle of the rope, px.
+        width : float, optional
+            If it is known, px; else it is found. A rope thinner than two pixels has about the same picture as a thinner
+            one of more contrast, so there the calibrated width is better.
+
+        Raises
+        ------
+        InvalidInput
+            If the rope does not stand out against the wall.
+        """
+        line = checks.array("curve", curve, (-1, 2), unit="px")
+        reach = 8.0 + 3.0 * (6.0 if width is None else width)
+        across = np.arange(-reach, reach + 0.25, 0.5)
+        outside = np.broadcast_to(np.abs(across) > 0.5 * reach, (len(line), across.size))
+        samples = sample(image, places_across(line, across))
+        inside = np.isfinite(samples).all(axis=(1, 2))
+        if not inside.any():
+            raise InvalidInput("the curve is not in the picture", got=line[[0, -1]].tolist(), allowed="a rope in sight")
+        samples, outside = samples[inside], outside[inside]
+        wall = _wall(samples, outside, across)
+        off = _covariance(samples - wall, outside)
+        fits = []
+        for each in np.geomspace(1.0, reach, 40) if width is None else (width,):
+            share = profile(across, each)[:, None]
+            colours = (share * (samples - (1.0 - share) * wall)).sum(axis=1) / (share**2).sum()
+            bgr = np.median(colours, axis=0)
+            misfit = np.square(samples - wall - share * (bgr - wall)).sum(axis=(1, 2))
+            beyond = np.abs(bgr - np.clip(bgr, 0.0, 255.0)).sum()  # thinner than it can be
+            fits.append((float(np.median(misfit) + len(across) * beyond**2), each, bgr))
+        _, found, bgr = min(fits, key=lambda fit: fit[0])
+        contrast = bgr - wall.mean(axis=1)
+        clear = float(np.median(np.einsum("ki,kij,kj->k", contrast, np.linalg.inv(off), contrast) ** 0.5))
+        if clear < _CLEAR:
+            raise InvalidInput(
+                "the rope does not stand out against the wall: contrast in standard deviations of the wall",
+                got=round(clear, 1),
+                allowed=f"at least {_CLEAR:g}",
+                fix="Take another wall or more light, or put markers on the rope",
+            )
+        return cls(np.clip(bgr, 0.0, 255.0), float(found), light=image[::_SPARSE, ::_SPARSE].copy())
+
+    def shares(self, image: Image, places: Array, outside: npt.NDArray[np.bool_], across: Array) -> Shares:
+        """Return which part of places on lines across the rope shows the rope.
+
+        Parameters
+        ----------
+        image : (height, width, 3) uint8
+        places : (K, M, 2) float64
+            px, of M places on each of K lines; see :func:`places_across`.
+        outside : (M,) or (K, M) bool
+            Which of them are expected to show the wall, on both sides of the rope.
+        across : (M,) float64
+            Of the places along the lines, px.
+        """
+        samples, outside = sample(image, places), np.broadcast_to(outside, places.shape[:2])
+        background = self.background
+        wall = _wall(samples, outside, across) if background is None else sample(background, places)
+        contrast = self.bgr - wall
+        weights = contrast @ np.linalg.inv(_covariance(samples - wall, outside))
+        power = np.maximum((contrast * weights).sum(axis=2), 1e-9)
+        return Shares(((samples - wall) * weights).sum(axis=2) / power, 1.0 / np.sqrt(power))
+
+    def in_light_of(self, image: Image) -> "RopeLook":
+        """Return this look in the light of another picture by the same camera: exposure, white balance, dusk."""
+        now = image[::_SPARSE, ::_SPARSE]
+        if self.light is None or self.light.shape != now.shape:
+            return replace(self, light=now.copy())
+        gain = _gain_between(self.light, now)
+        background = self.background
+        if background is not None:
+            background = np.clip(np.rint(background * gain), 0, 255).astype(np.uint8)
+        return replace(self, bgr=np.clip(self.bgr * gain, 0.0, 255.0), background=background, light=now.copy())
+
+    def learned(self, image: Image, curve: Array, rate: float = 0.1) -> "RopeLook":
+        """Return this look, its colour moved by a share `rate` towards that of the rope along a curve (P, 2), px."""
+        seen = RopeLook.from_curve(image, curve, self.width)
+        return replace(self, bgr=self.bgr + rate * (seen.bgr - self.bgr))
+
+
+def still_background(frames: Iterable[Image]) -> Image:
+    """Return the picture without what moves, the median over time of frames of a camera that stands still.
+
+    Parameters
+    ----------
+    frames : iterable of (height, width, 3) uint8
+        Some ten of them, over a time in which the rope moves from everywhere.
+
+    Raises
+    ------
+    InvalidInput
+        With fewer than three frames, or if the camera moves: a large part of the picture changes.
+    """
+    pictures = list(frames)
+    if len(pictures) < 3:
+        raise InvalidInput("too few frames for a background", got=len(pictures), allowed="3 or more")
+    moved = max(_movement(pictures[0], each) for each in pictures[1:])
+    if moved > _STILL:
+        raise InvalidInput(
+            "the camera moves: movement of the picture in px",
+            got=round(moved, 1),
+            allowed=f"at most {_STILL:g}",
+            fix="Put the camera on a stand, or track without a background",
+        )
+    light = np.stack(
+        [_gain_between(pictures[0][::_SPARSE, ::_SPARSE], each[::_SPARSE, ::_SPARSE]) for each in pictures]
+    )
+    stack = np.stack(pictures)
+    result = np.empty_like(pictures[0])
+    for row, part in enumerate(stack.transpose(1, 0, 2, 3)):  # a row at a time: little memory
+        result[row] = np.clip(np.rint(np.median(part / light[:, None], axis=0)), 0, 255)
+    return result
+
+
+def places_across(curve: Array, across: Array) -> Array:
+    """Return places (P, M, 2) at distances (M,), px, to the left of a curve (P, 2), px, whose sense is its order's."""
+    along = np.gradient(curve, axis=0)
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    return np.asarray(curve[:, None] + across[:, None] * normal[:, None])
+
+
+def sample(image: Image, places: Array) -> Array:
+    """Return the colours (K, M, 3) of a picture at places (K, M, 2), px, interpolated; NaN outside of it."""
+    import cv2
+
+    where = places.astype(np.float32)
+    seen = cv2.remap(image, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
+    last = np.array(image.shape[1::-1]) - 0.5
+    seen[((places < -0.5) | (places > last)).any(axis=2)] = np.nan
+    return np.asarray(seen)
+
+
+def profile(across: Array, width: float, blur: float = SHARPNESS) -> Array:
+    """Return which share of points (M,) across a rope, px from its middle, it covers, with a blur (std), px."""
+    from scipy.special import erf
+
+    edges = (across[:, None] + 0.5 * width * np.array([1.0, -1.0])) / (np.sqrt(2.0) * blur)
+    return np.asarray(0.5 * (erf(edges[:, 0]) - erf(edges[:, 1])))
+
+
+def _wall(samples: Array, outside: npt.NDArray[np.bool_], across: Array) -> Array:
+    """Return the wall (K, M, 3) behind places on lines across a rope: medians of both sides, linear between them."""
+    left, right = (_median(samples, outside & side) for side in (across < 0.0, across > 0.0))
+    left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
+    middle = np.abs(across[outside.any(axis=0)]).mean()
+    share = np.clip(0.5 + 0.5 * across / middle, 0.0, 1.0)[:, None]
+    return np.asarray((1.0 - share) * left[:, None] + share * right[:, None])
+
+
+def _median(samples: Array, used: npt.NDArray[np.bool_]) -> Array:
+    """Return the (lower) median (K, 3) of those of M samples (K, M, 3) that are used (K, M); NaN if there are none."""
+    used = used & np.isfinite(samples).all(axis=2)
+    ordered = np.sort(np.where(used[:, :, None], samples, np.inf), axis=1)
+    middle = np.maximum(used.sum(axis=1) - 1, 0) // 2
+    found = np.take_along_axis(ordered, middle[:, None, None], axis=1)[:, 0]
+    return np.where(used.any(axis=1)[:, None], found, np.nan)
+
+
+def _covariance(off: Array, outside: npt.NDArray[np.bool_]) -> Array:
+    """Return the covariances (K, 3, 3) of samples (K, M, 3) less the wall, without the few that are no wall."""
+    size = np.where(outside, np.abs(off).sum(axis=2), np.nan)
+    used = np.less_equal(size, 4.0 * _median(size[:, :, None], outside))
+    off = np.where(used[:, :, None], off, 0.0)
+    total = np.einsum("kmi,kmj->kij", off, off) / np.maximum(used.sum(axis=1), 1)[:, None, None]
+    return np.asarray(total + _NOISE**2 * np.eye(3))
+
+
+def _movement(before: Image, after: Image) -> float:
+    """Return by how much most of a picture moves, px; tiles without texture count as still."""
+    import cv2
+
+    grey = [cv2.cvtColor(each, cv2.COLOR_BGR2GRAY).astype(np.float32) for each in (before, after)]
+    height, width = (side // _TILES for side in grey[0].shape)
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    corners = [(v * height, u * width) for v in range(_TILES) for u in range(_TILES)]
+    tiles = [[each[v : v + height, u : u + width] for each in grey] for v, u in corners]
+    textured = [cv2.GaussianBlur(one, (0, 0), 2.0).std() > _TEXTURE for one, _ in tiles]
+    found = [np.hypot(*cv2.phaseCorrelate(one, other, window)[0]) for one, other in tiles]
+    return float(np.median(np.where(textured, found, 0.0)))
+
+
+def _gain_between(before: Image, after: Image) -> Array:
+    """Return by which factors (3,) a picture became brighter, from some pixels of it."""
+    exposed = ((before > 10) & (before < 240) & (after < 240)).all(axis=2)  # levels
+    if not exposed.any():
+        return np.ones(3)
+    return np.asarray(np.median(after[exposed] / before[exposed].astype(np.float64), axis=0))

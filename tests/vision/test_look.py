@@ -1,0 +1,88 @@
+"""The look of a plain rope: its colour and width from a curve, shares across it, light that changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hyperflex import InvalidInput
+from hyperflex.vision import Renderer, RopeLook, Scene, still_background
+from hyperflex.vision.look import places_across
+from tests.vision.ropes import camera, swinging
+
+ARCS = np.linspace(0.0, 2.0, 200)
+LOOKS = {
+    "dark on bright": {"rope_colour": (50.0, 45.0, 40.0), "background": (200.0, 205.0, 210.0)},
+    "bright on dark": {"rope_colour": (220.0, 225.0, 230.0), "background": (40.0, 42.0, 45.0)},
+    "coloured on textured": {
+        "rope_colour": (40.0, 60.0, 200.0),
+        "background": (120.0, 130.0, 120.0),
+        "wall_texture": 12,
+    },
+}
+
+
+def filmed(times=(0.5,), **scene):
+    """Return pictures of a rope 12 mm, 3.6 px, wide, and its curve in the first."""
+    motion = swinging(speed=2.0)
+    renderer = Renderer(camera(), motion, Scene([], rope_width=0.012, **scene))
+    return [renderer.image(t) for t in times], camera().project(motion.places(times[:1], ARCS)[0])
+
+
+@pytest.mark.parametrize("name", LOOKS)
+def test_colour_and_width_are_found(name):
+    """Width within 15 %, 0.5 px; the light is at most 14 % less away from the picture's left top corner."""
+    images, curve = filmed(**LOOKS[name])
+    look = RopeLook.from_curve(images[0], curve)
+    assert look.width == pytest.approx(3.6, rel=0.15)
+    assert look.bgr == pytest.approx(LOOKS[name]["rope_colour"], abs=15.0)
+
+
+@pytest.mark.parametrize("still", [False, True])
+@pytest.mark.parametrize("name", LOOKS)
+def test_shares_are_one_on_the_rope_and_zero_beside_it(name, still):
+    images, curve = filmed([0.5, *np.linspace(0.1, 1.9, 7)], **LOOKS[name])
+    look = RopeLook.from_curve(images[0], curve)
+    if still:
+        look = replace(look, background=still_background(images[1:]))
+    across = np.linspace(-15.0, 15.0, 61)
+    outside = np.abs(across) > 6.0
+    found = look.shares(images[0], places_across(curve, across), outside, across)
+    assert np.median(found.values[:, 30]) == pytest.approx(1.0, abs=0.1)
+    wall = found.values[:, outside]
+    assert np.median(wall) == pytest.approx(0.0, abs=0.05)
+    assert 0.5 < (wall / found.std[:, outside]).std() < 1.2  # noise is averaged where it is interpolated
+
+
+def test_a_look_follows_the_light():
+    """After a step of the exposure by 0.7 colour and background are 0.7 times as bright."""
+    steps = {**LOOKS["dark on bright"], "exposure_steps": ((1.0, 0.7),)}
+    images, curve = filmed([0.5, 0.1, 0.3, 0.9, 1.2], **steps)
+    look = RopeLook.from_curve(images[0], curve)
+    look = replace(look, background=still_background(images[1:4]))
+    later = look.in_light_of(images[4])
+    assert later.bgr / look.bgr == pytest.approx(0.7, abs=0.01)
+    assert later.background.mean() / look.background.mean() == pytest.approx(0.7, abs=0.01)
+    assert look.in_light_of(images[1]).bgr == pytest.approx(look.bgr, rel=0.01)
+
+
+def test_a_camera_that_moves_has_no_background():
+    images, _ = filmed([0.1, 0.3, 0.5, 0.7], **LOOKS["coloured on textured"])
+    moved = [np.roll(image, 5 * k, axis=1) for k, image in enumerate(images)]
+    with pytest.raises(InvalidInput, match="camera moves"):
+        still_background(moved)
+
+
+@pytest.mark.parametrize("name", LOOKS)
+def test_a_curve_without_a_rope_has_no_look(name):
+    images, curve = filmed(**LOOKS[name])
+    with pytest.raises(InvalidInput, match="stand out"):
+        RopeLook.from_curve(images[0], curve + np.array([60.0, 0.0]))
+
+
+def test_a_calibrated_width_is_kept_and_its_colour_learned():
+    images, curve = filmed(**LOOKS["dark on bright"])
+    look = RopeLook.from_curve(images[0], curve, width=3.6)
+    assert look.width == 3.6
+    wrong = replace(look, bgr=look.bgr + 40.0)
+    assert np.abs(wrong.learned(images[0], curve, 0.25).bgr - look.bgr).max() == pytest.approx(30.0, abs=0.5)
