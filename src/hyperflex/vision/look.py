@@ -235,7 +235,7 @@ def _median(samples: Array, used: npt.NDArray[np.bool_]) -> Array:
 def _covariance(off: Array, outside: npt.NDArray[np.bool_]) -> Array:
     """Return the covariances (K, 3, 3) of samples (K, M, 3) less the wall, without the few that are no wall."""
     size = np.where(outside, np.abs(off).sum(axis=2), np.nan)
-    used = np.less_equal(size, 4.0 * _median(size[:, :, None], outside))
+    used: npt.NDArray[np.bool_] = np.asarray(size <= 4.0 * _median(size[:, :, None], outside), np.bool_)
     off = np.where(used[:, :, None], off, 0.0)
     total = np.einsum("kmi,kmj->kij", off, off) / np.maximum(used.sum(axis=1), 1)[:, None, None]
     return np.asarray(total + _NOISE**2 * np.eye(3))
