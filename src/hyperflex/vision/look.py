@@ -229,15 +229,15 @@ def _median(samples: Array, used: npt.NDArray[np.bool_]) -> Array:
     ordered = np.sort(np.where(used[:, :, None], samples, np.inf), axis=1)
     middle = np.maximum(used.sum(axis=1) - 1, 0) // 2
     found = np.take_along_axis(ordered, middle[:, None, None], axis=1)[:, 0]
-    return np.where(used.any(axis=1)[:, None], found, np.nan)
+    return np.where(used.sum(axis=1, keepdims=True) > 0, found, np.nan)
 
 
 def _covariance(off: Array, outside: npt.NDArray[np.bool_]) -> Array:
     """Return the covariances (K, 3, 3) of samples (K, M, 3) less the wall, without the few that are no wall."""
-    size = np.where(outside, np.abs(off).sum(axis=2), np.nan)
-    used: npt.NDArray[np.bool_] = np.asarray(size <= 4.0 * _median(size[:, :, None], outside), np.bool_)
-    off = np.where(used[:, :, None], off, 0.0)
-    total = np.einsum("kmi,kmj->kij", off, off) / np.maximum(used.sum(axis=1), 1)[:, None, None]
+    size = np.where(outside, np.abs(off).sum(axis=2), np.nan)[:, :, None]
+    used = size <= 4.0 * _median(size, outside)[:, None]
+    off = np.where(used, off, 0.0)
+    total = np.einsum("kmi,kmj->kij", off, off) / np.maximum(used.sum(axis=1), 1)[:, :, None]
     return np.asarray(total + _NOISE**2 * np.eye(3))
 
 
