@@ -54,9 +54,10 @@ class SeenRope:
         seen: float = 1e9,
         *,
         away: float = 0.0,
+        rate: float = 0.0,
         lost: Callable[[], object] = lambda: None,
     ) -> None:
-        self.plan, self.swings, self.seen, self.away, self.lost = plan, swings, seen, away, lost
+        self.plan, self.swings, self.seen, self.away, self.rate, self.lost = plan, swings, seen, away, rate, lost
         self.told: list[Motion] = []
         self.rope, self.cast = ROPE, False
         self.given: list[RopeState] = []
@@ -73,7 +74,8 @@ class SeenRope:
             raise EstimatorLost("No marker has been seen for 0.30 s.")
         if not self.cast:
             turns = 2.0 * np.pi * np.arange(n)  # which a picture does not show
-            return RopeState(t, self.away + turns, np.full(n, self.swings))
+            swung = self.swings * math.sin(6.0 * t)
+            return RopeState(t, self.away + swung + turns, np.full(n, self.rate))
         self.given.append(self.true.state(max(t, 0.0), self.plan.required(self.plan.motion, "motion")))
         return self.given[-1]
 
@@ -105,9 +107,16 @@ def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(tmp_path: Path
 
 def test_a_rope_that_swings_is_not_cast(tmp_path: Path) -> None:
     plan = short_plan()
+    waits = replace(QUICK, wait=0.6)
     with pytest.raises(InvalidInput, match="still swings"):
-        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, swings=1.0), options=QUICK)
+        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, swings=0.1), options=waits)
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+
+
+def test_estimated_rates_alone_do_not_make_a_rope_swing(tmp_path: Path) -> None:
+    plan = short_plan()
+    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, rate=0.3), options=QUICK)
+    assert len(run.log.rows) > 0
 
 
 def test_a_rope_that_is_still_wound_is_not_pulled(tmp_path: Path) -> None:
