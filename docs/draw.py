@@ -58,6 +58,14 @@ def growth() -> Figure:
     return figure
 
 
+def vibration() -> Figure:
+    """Tilt at which a vibrating arm holds a rod."""
+    rod = hf.Rope(length=[0.3], mass=[0.05], friction=[1e-4])
+    ways, rates = np.linspace(0.002, 0.03, 160), np.linspace(15.0, 90.0, 120)
+    found = hf.vibration_map(rod, ways, rates, np.radians(135.0), arm=hf.Arm(length=0.3))
+    return found.plot(hf.MotorLimits(speed=15.0, acceleration=4000.0))
+
+
 def identified() -> Figure:
     """Prediction of the held-out part of the recording in how-to/identify.md."""
     truth = hf.Rope(
@@ -124,6 +132,7 @@ def main() -> None:
     items = identification.PART.items | estimation.PART.items | casting.PART.items
     for name in ("fig3", "fig5", "fig6", "fig8", "fig10", "fig11", "fig12"):
         save_png(items[name].draw(), IMAGES / f"{name}.png", dpi=DPI)
+    save_png(vibration(), IMAGES / "vibration.png", dpi=DPI)
     save_png(identified(), IMAGES / "identified.png", dpi=DPI)
     with tempfile.TemporaryDirectory() as folder:
         tutorial(Path(folder))

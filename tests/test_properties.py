@@ -20,7 +20,7 @@ from hyperflex.model.properties import (
     RESISTANCES,
     parse_label,
 )
-from hyperflex.model.refine import recut
+from hyperflex.model.refine import with_links
 from hyperflex.report.identification.tables import numbers, parameters_table, rope_table
 from hyperflex.report.units import readable_unit
 from tests.refusals import refuses
@@ -136,7 +136,7 @@ def test_it_goes_with_the_common_factor(each):
 def test_pieces_of_a_link_are_the_same_rope():
     """Each way to cut: what is shared out keeps its sum, what is alike its mean, joints what they are per length."""
     rope = ROPE.replace(com=0.5 * ROPE.length)
-    for fine in (divided(rope, 4), recut(rope, 15)):
+    for fine in (divided(rope, 4), with_links(rope, 15)):
         fine_ends, ends = np.cumsum(fine.length), np.cumsum(rope.length)
         for each in LINK_PROPERTIES:
             old, new = getattr(rope, each.name), getattr(fine, each.name)

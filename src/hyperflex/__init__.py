@@ -8,6 +8,14 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.control import (
+        VibrationMap,
+        VibrationPlan,
+        VibrationPosture,
+        plan_vibration,
+        vibration_map,
+        vibration_posture,
+    )
     from hyperflex.dynamics import forward_kinematics, linearize, mass_matrix
     from hyperflex.errors import (
         EstimatorLost,
@@ -33,7 +41,7 @@ if TYPE_CHECKING:
         identify,
     )
     from hyperflex.interfaces import Motor, RopeState, StateSource
-    from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refine_rope
+    from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refine_rope, with_links
     from hyperflex.motion import (
         Motion,
         arm_moves,
@@ -45,6 +53,8 @@ if TYPE_CHECKING:
         read_motion,
         sampled_motion,
         torque_profile,
+        vibrate_arm,
+        vibrating_pivot,
     )
     from hyperflex.paper import IterativeRevision, estimate_initial_state, fit_regression, iterative_revision
     from hyperflex.planning import (

@@ -49,6 +49,8 @@ OPTIONAL: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact_loss": ((), "J", "energy lost to contact since the start of the run, part of dissipated_energy"),
     "peg_angle": (("peg",), "rad", "angle by which a round peg has turned, positive counterclockwise"),
     "peg_rate": (("peg",), "rad/s", "rate of a round peg"),
+    "limit": (("joint", "axis"), "m", "positions of the joints in the limit of many links, the tip last"),
+    "limit_error": ((), "m", "greatest distance by which a joint may be off the limit"),
 }
 DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
     "joints": (("joint", "axis"), "m", "positions of the joints, the tip last"),
@@ -159,6 +161,10 @@ class Trajectory:
     peg_angle, peg_rate : (T, P) float64 or None
         Angle, rad, and rate, rad/s, of each round peg of the set-up, in order, positive counterclockwise; 0 of fixed
         ones. None if no peg turns.
+    limit : (T, n + 1, 2) float64 or None
+        Where the joints, the tip last, are in the limit of many short links, m; only with ``extrapolate=True``.
+    limit_error : (T,) float64 or None
+        Distance, m, by which the worst joint may be off that limit.
     """
 
     t: Array
@@ -185,9 +191,16 @@ class Trajectory:
     contact_loss: Array | None = None
     peg_angle: Array | None = None
     peg_rate: Array | None = None
+    limit: Array | None = None
+    limit_error: Array | None = None
 
     def __post_init__(self) -> None:
-        sizes = {"link": self.setup.rope.n_links, "axis": 2, "peg": len(self.setup.round_pegs)}
+        sizes = {
+            "link": self.setup.rope.n_links,
+            "joint": self.setup.rope.n_links + 1,
+            "axis": 2,
+            "peg": len(self.setup.round_pegs),
+        }
         for name, (dims, *_) in {"t": ((), "", ""), **VARIABLES, **self.optional()}.items():
             view = np.asarray(getattr(self, name), dtype=np.float64).view()
             shape = (self.t.size, *(sizes[dim] for dim in dims))

@@ -66,6 +66,12 @@ CALLS: dict[str, Callable[[], partial[Any]]] = {
     "arm_strokes": lambda: partial(hf.arm_strokes, starts=[0.1, 1.5], t_move=0.7, profile="ramp"),
     "arm_swings": lambda: partial(hf.arm_swings, profile="ramp"),
     "moving_pivot": lambda: partial(hf.moving_pivot, **SAMPLES, x=[0.0, 0.1, 0.2], y=[0.0, 0.1, 0.2]),
+    "vibrate_arm": lambda: partial(hf.vibrate_arm, amplitude=0.1, frequency=20.0, mean=0.5),
+    "vibrating_pivot": lambda: partial(hf.vibrating_pivot, amplitude=0.01, frequency=20.0, direction=0.5),
+    "with_links": lambda: partial(hf.with_links, rope=CABLE, n_links=4),
+    "vibration_posture": lambda: partial(
+        hf.vibration_posture, rope=ROPE, amplitude=0.005, frequency=90.0, direction=2.4, arm=hf.Arm(0.1)
+    ),
     "sampled_motion": lambda: partial(hf.sampled_motion, **SAMPLES, angle=[0.0, 0.1, 0.2]),
     "torque_profile": lambda: partial(hf.torque_profile, **SAMPLES, torque=[0.0, 0.1, 0.2]),
     "Motion": lambda: partial(hf.Motion, breaks=HOLD.breaks, coef=HOLD.coef, switch=HOLD.switch, loop=-1, spec={}),

@@ -18,7 +18,7 @@ from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty import covariance
 from hyperflex.identification.uncertainty.noise import Piece, whiteness
-from hyperflex.model import Rope, recut
+from hyperflex.model import Rope, with_links
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from tests.faults.interrupting import left_by
@@ -303,15 +303,15 @@ def test_default_candidates_are_the_ones_that_resist():
 
 def test_cutting_a_rope_anew_keeps_what_it_weighs_and_how_it_hangs():
     rope = Rope(length=[0.2, 0.3, 0.1], mass=[0.02, 0.06, 0.05], friction=[1e-3, 2e-4, 4e-4], tip_mass=0.01)
-    fine = recut(rope, 6)  # its cuts hold the old joints, so a straight rope is the same body
-    for one in (lumped(fine), lumped(recut(rope, 4))):
+    fine = with_links(rope, 6)  # its cuts hold the old joints, so a straight rope is the same body
+    for one in (lumped(fine), lumped(with_links(rope, 4))):
         moment = one[0][0] + float((one[0][1:]).sum())
         assert moment == pytest.approx(float(lumped(rope)[0].sum()), rel=1e-12)  # first moment of the straight rope
     assert fine.total_mass == pytest.approx(rope.total_mass)
     straight = [_about_the_joint(each) for each in (rope, fine)]
     assert straight[1] == pytest.approx(straight[0], rel=1e-12)
     assert fine.friction[0] == rope.friction[0]
-    same = recut(Rope.uniform(1.0, 0.1, 5, friction=2e-4), 10)
+    same = with_links(Rope.uniform(1.0, 0.1, 5, friction=2e-4), 10)
     np.testing.assert_allclose(same.friction[1:], 4e-4)  # twice as many joints in series, each twice as stiff
     np.testing.assert_allclose(same.mass, 0.01)
     np.testing.assert_allclose(same.inertia, Rope.uniform(1.0, 0.1, 10, friction=0.0).inertia)

@@ -14,7 +14,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.errors import Interrupted, InvalidInput
-from hyperflex.model import recut
+from hyperflex.model import with_links
 from hyperflex.planning import (
     CastPlan,
     Conditions,
@@ -62,7 +62,7 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     assert not cast.message
     assert cast.margin >= 0.0
     assert cast.runs > 0
-    finer = Problem(recut(CORD, 38), ARM)
+    finer = Problem(with_links(CORD, 38), ARM)
     assert verify_cast(finer, PEG, cast.motion, contact_step=1e-4).success
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
 

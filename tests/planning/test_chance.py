@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
-from hyperflex.model import recut
+from hyperflex.model import with_links
 from hyperflex.planning import Problem, SearchOptions, SuccessProbability, Uncertainty, estimate_success_probability
 from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_scores
 from tests.planning.known import PEG, WINDS, planned, problem, simulated_strikes
@@ -69,7 +69,7 @@ def test_without_samples_nothing_is_known():
 
 def test_links_that_are_long_for_the_peg_are_cut_in_scenarios():
     """Links of 0.1 m, three of which meet round a peg of 42.5 mm: as they are, they do not wind."""
-    long = replace(CAST_SETUP, rope=recut(CAST_SETUP.rope, 20))
+    long = replace(CAST_SETUP, rope=with_links(CAST_SETUP.rope, 20))
     assert estimate_success_probability(long, PEG, WINDS, NONE, samples=1).successes == 1
 
 

@@ -39,6 +39,7 @@ COMMANDS = {  # by name: the module with the function of this name, and an examp
     "cast": ("plan", "--rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     "whip": ("plan", "--rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
     "insert": ("plan", "--rope rope.toml --slot 0.56 -1.9 --direction -0.78 --width 0.02 -o inserted"),
+    "vibrate": ("vibrate", "--rope rope.toml --tilt 1.9 --arm-length 0.1 -o map.png"),
     "reach-map": ("plan", "--rope rope.toml --radius 0.04 --workers 2 -o reach"),
     "run": ("run", "planned/cast.toml --motor emulator:moteus -o done"),
     "calibrate": ("calibrate", "board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),

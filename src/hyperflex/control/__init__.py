@@ -1,4 +1,4 @@
-"""Control of a swing: pseudo-energy, the paper's timing rule, receding-horizon rules, and their closed loop."""
+"""Control: pseudo-energy, the paper's timing rule, receding-horizon rules, their closed loop; postures by vibration."""
 
 from typing import TYPE_CHECKING
 
@@ -25,5 +25,14 @@ if TYPE_CHECKING:
     )
     from hyperflex.control.state_source import SimulatedCamera, TrueState, hanging_state
     from hyperflex.control.swing_model import SwingModel, arrival_time, swing_period
+    from hyperflex.control.vibration import (
+        MotorDemand,
+        VibrationMap,
+        VibrationPlan,
+        VibrationPosture,
+        plan_vibration,
+        vibration_map,
+        vibration_posture,
+    )
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

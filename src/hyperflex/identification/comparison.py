@@ -22,7 +22,7 @@ from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import DAMPING, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
+from hyperflex.model import DAMPING, MOST_LINKS, RESISTANCES, Rope, parse_label, with_links
 from hyperflex.recording import Recording
 from hyperflex.status import Status
 
@@ -376,7 +376,7 @@ def candidates(
     for count in links:
         n = checks.count("links", count, most=MOST_LINKS)
         if n != guess.n_links:
-            result.append(FittedModel(f"{n} links", recut(simplest.guess, n), simplest.free))
+            result.append(FittedModel(f"{n} links", with_links(simplest.guess, n), simplest.free))
     names = [each.name for each in result]
     if len(set(names)) < len(names):
         raise InvalidInput("two candidates have one name", got=names, allowed="each name once")

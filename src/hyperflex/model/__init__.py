@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         Property,
         parse_label,
     )
-    from hyperflex.model.refine import cuts, divided, recut, refine_rope, stretched
+    from hyperflex.model.refine import cuts, divided, refine_rope, stretched, with_links
     from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, MOST_LINKS, Rope, unit_across, unit_along, warn_of_grade
     from hyperflex.model.setup import (
         DEFAULT_CONTACT_STEP,

@@ -12,7 +12,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, Peg, checked_obstacles
 from hyperflex.model.properties import LINK_PROPERTIES
-from hyperflex.model.rope import Rope, bend_limits, bend_ratios
+from hyperflex.model.rope import MOST_LINKS, Rope, bend_limits, bend_ratios
 
 MIDDLE = 1e-9  # part of its length by which a uniform link's centre of mass may be off its middle
 
@@ -136,12 +136,36 @@ def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
     return rope.replace(**links, **_joints(rope, links["length"]))
 
 
-def recut(rope: Rope, n_links: int) -> Rope:
-    """Cut a rope into `n_links` equal links; its joints become those of :func:`refine_rope`.
+def with_links(rope: Rope, n_links: int) -> Rope:
+    """Cut a rope into equal links, more or fewer; the new chain belongs to the same continuous rope.
 
-    Mass is spread evenly along each old link, so that new links have their part of it, their centre and inertia from
-    there.
+    Parameters
+    ----------
+    rope : Rope
+    n_links : int
+        Number of links, at least 1.
+
+    Returns
+    -------
+    Rope
+        Its joints resist bending as in :func:`refine_rope`: in inverse proportion to the length of a link, but for the
+        first one, a hinge, which stays as it is. Mass is spread evenly along each old link.
+
+    Notes
+    -----
+    Friction in the joints of links of length l stands for the bending viscosity B = l eta of a continuous rope, and the
+    paper's cable for B = 2e-5 N m^2 s (docs/theory/continuum.md).
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> fine = hf.with_links(cable, 200)
+    >>> fine.n_links, round(float(fine.friction[1] / cable.friction[1]), 9)
+    (200, 4.0)
     """
+    checks.instance("rope", rope, Rope)
+    checks.count("n_links", n_links, most=MOST_LINKS)
     ends = np.append(0.0, rope.link_ends)
     cuts = np.linspace(0.0, ends[-1], n_links + 1)
     low, high = np.maximum(cuts[:-1, None], ends[:-1]), np.minimum(cuts[1:, None], ends[1:])

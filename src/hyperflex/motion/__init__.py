@@ -27,6 +27,8 @@ if TYPE_CHECKING:
         sampled_motion,
         to_spec,
         torque_profile,
+        vibrate_arm,
+        vibrating_pivot,
     )
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

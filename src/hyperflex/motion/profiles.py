@@ -21,6 +21,7 @@ Profile = Literal["bang-bang", "ramp", "minimum-jerk"]
 PROFILES = ("bang-bang", "ramp", "minimum-jerk")
 PATHS = ("under", "over")
 MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
+PERIODS = 8  # of a vibration that are written out before they repeat, where the integration restarts
 BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
 
 
@@ -302,6 +303,70 @@ def moving_pivot(t: ArrayLike, x: ArrayLike, y: ArrayLike) -> Motion:
     return _spline(t, {X: ("x", x), Y: ("y", y)}, "moving point")
 
 
+def vibrating_pivot(amplitude: float, frequency: float, direction: float = 0.0) -> Motion:
+    """Return a sinusoidal vibration of the pivot along a line, for ever; it starts at one end of its way, at rest.
+
+    Parameters
+    ----------
+    amplitude : float
+        Half of the way, m.
+    frequency : float
+        Hz.
+    direction : float
+        Of the line, rad, as the angle of a link that lies along it: 0 is vertical, pi/2 horizontal.
+    """
+    angle = checks.number("direction", direction, unit="rad")
+    spec = {"kind": "vibrating point", **_vibration(amplitude, frequency, "m"), "direction": angle}
+    return _sinusoid(spec, {X: math.sin(angle), Y: -math.cos(angle)}, 0.0)
+
+
+def vibrate_arm(amplitude: float, frequency: float, mean: float = 0.0) -> Motion:
+    """Return a sinusoidal vibration of the arm about an angle, for ever; it starts at one end of its way, at rest.
+
+    Parameters
+    ----------
+    amplitude : float
+        Half of the way, rad.
+    frequency : float
+        Hz.
+    mean : float
+        Angle about which the arm vibrates, rad.
+    """
+    angle = checks.number("mean", mean, unit="rad")
+    checks.meant("arm angle", angle, "rad")
+    return _sinusoid(
+        {"kind": "vibration", **_vibration(amplitude, frequency, "rad"), "mean": angle}, {ANGLE: 1.0}, angle
+    )
+
+
+def _vibration(amplitude: float, frequency: float, unit: str) -> dict[str, float]:
+    """Return the checked arguments of a vibration by name."""
+    return {
+        "amplitude": checks.number("amplitude", amplitude, sign="nonnegative", unit=unit),
+        "frequency": checks.number("frequency", frequency, sign="positive", unit="Hz"),
+    }
+
+
+def _sinusoid(spec: dict[str, Any], channels: dict[int, float], mean: float) -> Motion:
+    """Return the vibration that `spec` describes, in channels in proportion, as quintics through its derivatives.
+
+    A piece of a twelfth of a period is right to 5e-7 of the amplitude, its acceleration to 4e-5 of its own.
+    """
+    from scipy.interpolate import BPoly, PPoly
+
+    phase = np.linspace(0.0, math.tau * PERIODS, 12 * PERIODS + 1)
+    wave = np.stack([np.cos(phase), -np.sin(phase), -np.cos(phase)], axis=1)
+    pieces = PPoly.from_bernstein_basis(BPoly.from_derivatives(phase, wave)).c[::-1].T
+    rate = math.tau * spec["frequency"]
+    coef = np.zeros((len(pieces), CHANNELS, POWERS))
+    for channel, part in channels.items():
+        coef[:, channel] = part * spec["amplitude"] * pieces * rate ** np.arange(POWERS)
+    coef[:, ANGLE, 0] += mean
+    switch = np.zeros(phase.size, dtype=np.bool_)
+    switch[0] = True  # it begins with its greatest acceleration
+    return Motion(phase / rate, coef, switch, 0, spec)
+
+
 def torque_profile(t: ArrayLike, torque: ArrayLike) -> Motion:
     """Return the torque of a motor, or of several, that runs straight between its samples and is 0 outside.
 
@@ -432,6 +497,8 @@ MOTIONS = {
     "moves": Kind(arm_moves, ("angles", "rests", "durations", "ramps"), move_rows),
     "sampled": Kind(sampled_motion, ("angle",)),
     "moving point": Kind(moving_pivot, ("x", "y")),
+    "vibrating point": Kind(vibrating_pivot),
+    "vibration": Kind(vibrate_arm),
     "torque": Kind(torque_profile, ("torque",)),
     "pieces": Kind(_from_pieces),
     "file": Kind(read_motion),

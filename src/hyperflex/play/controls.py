@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Peg, Rope, recut
+from hyperflex.model import Arm, Peg, Rope, with_links
 from hyperflex.planning import MotorLimits
 
 
@@ -77,7 +77,7 @@ class Settings:
 
     def rope(self, like: Rope) -> Rope:
         """Return a rope with what is set, and all else as of another, which is scaled along, in mass, or cut anew."""
-        made = like if self.links == like.n_links else recut(like, int(self.links))
+        made = like if self.links == like.n_links else with_links(like, int(self.links))
         long, heavy = self.length / made.total_length, self.mass / made.total_mass if made.total_mass else 1.0
         if long != 1.0 or heavy != 1.0:
             lengths = {"length": long * made.length, "com": long * made.com}

@@ -34,5 +34,6 @@ if TYPE_CHECKING:
     from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png, save_png
     from hyperflex.report.tip import InsertReport, WhipReport
     from hyperflex.report.units import readable_unit
+    from hyperflex.report.vibration import vibration_figure
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         rollout_limits,
         runge_kutta_limit,
     )
-    from hyperflex.simulation.runs import SAMPLE_TIME, angles, file_size, simulate, tighter_run
+    from hyperflex.simulation.runs import SAMPLE_TIME, RunFields, angles, file_size, simulate, tighter_run
     from hyperflex.simulation.sensitivity import (
         AngleJacobian,
         ParameterChange,

@@ -20,7 +20,17 @@ from hyperflex.core.integrate.events import NEVER
 from hyperflex.core.integrate.rollout import restart
 from hyperflex.errors import Interrupted, InvalidInput, SimulationError
 from hyperflex.interruption import interruptible, raise_if_cancelled, stoppable
-from hyperflex.model import DEFAULT_TOL, Rope, Setup, SetupFields, checked_obstacles, cuts, refine_rope, unit_along
+from hyperflex.model import (
+    DEFAULT_TOL,
+    Rope,
+    Setup,
+    SetupFields,
+    checked_obstacles,
+    cuts,
+    divided,
+    refine_rope,
+    unit_along,
+)
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact import ContactRollout
@@ -228,6 +238,12 @@ def conclude(
 STARTS = ("q0", "qd0", "arm_angle0", "arm_rate0")
 
 
+class RunFields(SetupFields, total=False):
+    """Fields of a set-up by name, and whether the limit of many links is wanted as well."""
+
+    extrapolate: bool
+
+
 @interruptible(Trajectory)
 def simulate(
     rope: Rope | Setup,
@@ -240,7 +256,7 @@ def simulate(
     throw: bool = True,
     time_budget: float | Budget | None = None,
     progress: bool = False,
-    **setup: Unpack[SetupFields],
+    **setup: Unpack[RunFields],
 ) -> Trajectory:
     """Simulate a rope on a moving arm, on a torque-driven arm, or hanging from a point.
 
@@ -276,7 +292,10 @@ def simulate(
         Show a progress bar on standard error.
     **setup
         Fields of :class:`hyperflex.Setup`: ``duration``, ``arm``, ``q0``, ``qd0``, ``torque``, ``pegs``, ``tol`` and
-        others. Of a whole set-up, they replace its own. With a rope, ``duration`` is required.
+        others. Of a whole set-up, they replace its own. With a rope, ``duration`` is required. ``extrapolate=True``
+        also simulates the rope with links of half and of a quarter of the length, from q0 and qd0 as samples of a
+        smooth shape, and gives the trajectory its ``limit`` of ever shorter links with its ``limit_error``
+        (docs/theory/continuum.md). Free flight only.
 
     Returns
     -------
@@ -308,6 +327,7 @@ def simulate(
     >>> bool(abs(cast.tip[:, 0]).max() > 1.5)
     True
     """
+    extrapolate = checks.flag("extrapolate", setup.pop("extrapolate", False))
     given = {**setup, "motion": motion}
     if state is not None and (names := [name for name in STARTS if setup.get(name) is not None]):
         fix = "dataclasses.replace(state, q=...) changes a state"
@@ -317,6 +337,7 @@ def simulate(
         state = replace(state, q=per_piece(state.q, pieces), qd=per_piece(state.qd, pieces), checkpoint={})
     begin = 0.0 if state is None else checks.number("state t", checks.instance("state", state, State).t, unit="s")
     end = begin + full.duration
+    finer = _finer(full, state, until) if extrapolate else []
     t = output_times(t_eval, begin, end)
     check_memory(full, t.size)
     skip = int(t[0] > begin)  # the energy account starts with the run, even if that sample is not required
@@ -345,7 +366,47 @@ def simulate(
     if code == status.REACHED and until is not None:
         code, reached = status.OK, (until.name, run.time)
         run.end_at_event()
-    return conclude(run, code, stop.status or Status.INTERRUPTED, throw=throw, skip=skip, event=reached)
+    found = conclude(run, code, stop.status or Status.INTERRUPTED, throw=throw, skip=skip, event=reached)
+    if not finer or not found.success:
+        return found
+    return _limit(found, finer, {"t_eval": t, "time_budget": watch.budget, "progress": progress})
+
+
+def _limit(run: Trajectory, finer: list[Setup], how: dict[str, Any]) -> Trajectory:
+    """Return a run with the limit of ever shorter links, from runs with links of half and of a quarter of the length.
+
+    The limit supposes errors of second order. How wrong it may be is the last change, and how far the limit is that
+    supposes errors of first order as well; no less than it was before, since errors may cancel for a while
+    (docs/theory/continuum.md).
+    """
+    half, quarter = (simulate(each, **how).joints[:, :: 2 ** (k + 1)] for k, each in enumerate(finer))
+    first, last = half - run.joints, quarter - half
+    error = sum(np.linalg.norm(each, axis=2).max(axis=1) for each in (last, (4.0 * last - first) / 3.0))
+    return replace(run, limit=quarter + last / 3.0, limit_error=np.maximum.accumulate(error + run.setup.tol))
+
+
+def _finer(setup: Setup, state: State | None, until: Event | None) -> list[Setup]:
+    """Return set-ups whose ropes have links of half and of a quarter of the length, and starts as smooth as the old."""
+    several = setup.torque is not None and setup.torque.joints > 1
+    given = {"state": state, "until": until, "control": setup.control}
+    found = [name for name, value in given.items() if value is not None]
+    found += ["pegs or max_bend"] * setup.touches + ["torques of inner joints"] * several
+    if found:
+        raise InvalidInput("the limit of many links is that of a free run from its start", got=found, fix="Omit them")
+    old, result = setup.rope.link_middles, []
+    starts = {name: value for name in ("q0", "qd0") if (value := getattr(setup, name)) is not None}
+    for pieces in (2, 4):
+        rope = divided(setup.rope, pieces)
+        smooth = {name: _smooth(old, value, rope.link_middles) for name, value in starts.items()}
+        result.append(setup.replace(rope=rope, **smooth))
+    return result
+
+
+def _smooth(s: Array, values: Array, at: Array) -> Array:
+    """Return values at places (m,) along a rope of a smooth curve through those (n,) at places s, m."""
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(s, values)(at) if s.size > 1 else np.full(at.size, values[0])
 
 
 def _finished(run: Rollout, watch: Watch, applied: list[tuple[float, float]]) -> int:

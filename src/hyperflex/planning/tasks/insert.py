@@ -12,7 +12,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, MotorLimits, Peg, Rope, Wall, recut
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, MotorLimits, Peg, Rope, Wall, with_links
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -406,7 +406,7 @@ def with_more(moves: Moves, count: int, t: float, limits: MotorLimits, short: fl
 
 def finer_rope(rope: Rope, times: float = 2.5) -> Rope:
     """Return a rope cut into `times` as many links."""
-    return recut(rope, round(times * rope.n_links))
+    return with_links(rope, round(times * rope.n_links))
 
 
 def verify_insert(

@@ -1,0 +1,114 @@
+"""``hyperflex vibrate``: the posture that a vibration holds, or the vibration and motor that a posture takes."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from hyperflex.cli import output
+from hyperflex.cli.command import Given, check_destination, positive
+from hyperflex.cli.output import Rows
+from hyperflex.control import VibrationPosture
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, MotorLimits, Rope
+
+
+def vibrate(
+    rope: Annotated[Path, typer.Option(help="TOML file with the rope.")],
+    *,
+    tilt: Annotated[
+        float | None, typer.Option(help="Tilt to be held, rad: 0 hangs, 1.57 is horizontal, 3.14 stands upright.")
+    ] = None,
+    stiffness: Annotated[
+        float | None, typer.Option(callback=positive("N/m"), help="Required stiffness of the tip, N/m.")
+    ] = None,
+    push: Annotated[
+        float | None,
+        typer.Option(help="Direction of the stiffness, rad, as a link's angle. [default: across the tilt]"),
+    ] = None,
+    amplitude: Annotated[
+        float | None, typer.Option(callback=positive("m"), help="Half of the way of the rope's first joint, m.")
+    ] = None,
+    frequency: Annotated[
+        float | None, typer.Option(callback=positive("Hz"), help="Frequency of the vibration, Hz.")
+    ] = None,
+    direction: Annotated[
+        float | None, typer.Option(help="Line of the vibration, rad: 0 is vertical, 1.57 horizontal.")
+    ] = None,
+    arm_length: Annotated[
+        float | None, typer.Option(callback=positive("m"), help="Length of the arm that vibrates, m. [default: 0.105]")
+    ] = None,
+    limits: Annotated[Given, MotorLimits],
+    out: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Picture of tilt over amplitude and frequency, .png.")
+    ] = None,
+) -> None:
+    """Hold a rope at a tilt against gravity by vibrating the arm, or see what a vibration holds.
+
+    With --tilt the command finds the weakest vibration that holds it, and compares the motor that it takes with the
+    limits; the exit code is 4 if the motor cannot. With --amplitude, --frequency and --direction it lists the postures.
+    """
+    from hyperflex.control import plan_vibration, vibration_map, vibration_posture
+    from hyperflex.report import save_png
+
+    if out is not None:
+        check_destination(out, ".png", [rope])
+    cord, arm, motor = (
+        Rope.from_toml(rope),
+        Arm() if arm_length is None else Arm(length=arm_length),
+        MotorLimits(**limits),
+    )
+    if tilt is None:
+        if amplitude is None or frequency is None or direction is None:
+            fix = "Give --tilt, or --amplitude, --frequency and --direction"
+            raise InvalidInput("it is not said what to hold", fix=fix)
+        found = vibration_posture(cord, amplitude, frequency, direction, arm=arm)
+        result: dict[str, Any] = {"postures": [_posture(each, push) for each in found]}
+        shown, code = Rows("Postures", [_row(each) for each in found]), 0
+    else:
+        how: dict[str, Any] = {"stiffness": stiffness, "push": push, "frequency": frequency, "direction": direction}
+        plan = plan_vibration(cord, tilt, motor, arm=arm, **how)
+        found = [] if plan.posture is None else [plan.posture]
+        result = {"posture": _posture(found[0], push) if found else None, "message": plan.message}
+        result |= {"motor": plan.motor and plan.motor._asdict(), "missing": plan.missing}
+        rows = [_row(each) for each in found]
+        if plan.motor is not None:
+            m = plan.motor
+            rows.append(("motor", f"{m.speed:.3g} rad/s, {m.acceleration:.3g} rad/s^2, {m.torque:.3g} N m"))
+        rows += [("NOT possible", plan.message)] if plan.message else []
+        shown, code = Rows("Vibration", rows), 0 if plan.success else output.ExitCode.NO_PLAN
+    if out is not None and found:
+        first = found[0]
+        parts = np.linspace(0.05, 2.5, 50)
+        save_png(
+            vibration_map(cord, parts * first.amplitude, parts * first.frequency, first.direction, arm=arm).plot(motor),
+            out,
+        )
+        result["picture"] = out
+    output.show(result, shown, code=code)
+
+
+def _posture(found: VibrationPosture, push: float | None) -> dict[str, Any]:
+    """Return the numbers of a posture."""
+    across = found.tilt + 0.5 * np.pi if push is None else push
+    return {
+        "tilt_rad": found.tilt,
+        "q_rad": found.q,
+        "stable": found.stable,
+        "amplitude_m": found.amplitude,
+        "frequency_Hz": found.frequency,
+        "direction_rad": found.direction,
+        "averaging_holds": found.holds,
+        "least_frequency_Hz": found.least_frequency,
+        "slow_frequencies_Hz": found.frequencies,
+        "ripple_rad": np.abs(found.ripple),
+        "tip_stiffness_N_m": found.stiffness(across),
+    }
+
+
+def _row(found: VibrationPosture) -> tuple[str, str]:
+    """Return the line of a posture."""
+    each = f"{1e3 * found.amplitude:.3g} mm at {found.frequency:.3g} Hz along {found.direction:.3g} rad"
+    doubt = "" if found.holds else f"; too slow for averaging, which needs {found.least_frequency:.3g} Hz"
+    return f"tilt {found.tilt:.3g} rad", f"{'held' if found.stable else 'not held'}, {each}{doubt}"

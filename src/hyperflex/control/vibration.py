@@ -1,0 +1,589 @@
+"""Postures by vibration: what a fast vibration of the base holds against gravity, how stiffly, and what it takes.
+
+The first joint moves by A cos(w t) along a line. For fast vibrations the mean angles of a rope without friction move in
+the potential V + v^2/4 g^T M^-1 g, with v = A w and g the coupling of the base's acceleration to the angles
+(docs/theory/vibration.md). It draws each link to the line of the vibration.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.dynamics import mass_matrix
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, MotorLimits, Rope, unit_across, unit_along
+from hyperflex.motion import Motion, vibrate_arm, vibrating_pivot
+from hyperflex.simulation import first_moment, simulate
+from hyperflex.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Of = Literal["chain", "tip"]
+LEAST_RATIO = 5.0  # of the vibration's frequency to that of the fastest slow motion, where averaging is said to hold
+MOST_RIPPLE = 0.1  # rad, greatest amplitude of the links' fast motion there; of the arm's, half of it
+RESOLVED = 0.02  # growth of a slow motion over sqrt(g / length) below which averaging does not tell it from none
+
+
+@dataclass(frozen=True, eq=False)
+class VibrationPosture:
+    """An equilibrium of a rope whose first joint vibrates along a line, and small motion about it.
+
+    Parameters
+    ----------
+    rope : Rope
+    amplitude : float
+        Half of the first joint's way, m.
+    frequency : float
+        Of the vibration, Hz.
+    direction : float
+        Of the line, rad, as the angle of a link that lies along it.
+    arm : Arm or None
+        Arm whose tip vibrates across it; None: the pivot itself moves.
+    q : (n,) float64
+        Mean link angles, rad.
+    hessian : (n, n) float64
+        Of the averaged potential, N m/rad. Where friction in the joints resists the fast motion, it is the derivative
+        of the averaged torques, and not quite symmetric.
+    ripple : (n,) complex128
+        Fast motion of the links: rad, with the phase against the base's, q + Re(ripple exp(i w t)).
+    """
+
+    rope: Rope
+    amplitude: float
+    frequency: float
+    direction: float
+    arm: Arm | None
+    q: Array
+    hessian: Array
+    ripple: npt.NDArray[np.complex128]
+
+    @property
+    def velocity(self) -> float:
+        """Amplitude of the first joint's velocity, m/s."""
+        return self.amplitude * math.tau * self.frequency
+
+    @property
+    def tilt(self) -> float:
+        """Direction from the first joint to the tip, rad, as the angle of a link: 0 hangs, pi stands upright."""
+        return _tilt(self.rope, self.q, "chain")
+
+    @cached_property
+    def eigenvalues(self) -> npt.NDArray[np.complex128]:
+        """Of small slow motion about the posture (2 n,), 1/s: M z'' + D z' + H z = 0, D of the joints' friction."""
+        n, bend = self.q.size, _bending(self.q.size)
+        damping = bend.T @ (self.rope.friction[:, None] * bend)
+        slopes = -np.linalg.solve(mass_matrix(self.rope, self.q), np.hstack([self.hessian, damping]))
+        return np.asarray(np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), slopes])), dtype=np.complex128)
+
+    @property
+    def stable(self) -> bool:
+        """Whether no small slow motion grows, as far as averaging can tell."""
+        pendulum = math.sqrt(float(np.hypot(*self.rope.gravity)) / self.rope.total_length)
+        return bool(self.eigenvalues.real.max() < RESOLVED * pendulum + 1e-8 * np.abs(self.eigenvalues).max())
+
+    @property
+    def frequencies(self) -> Array:
+        """Frequencies of the slow motions that oscillate, ascending, Hz."""
+        return np.sort(self.eigenvalues.imag[self.eigenvalues.imag > 0.0]) / math.tau
+
+    @property
+    def least_frequency(self) -> float:
+        """Frequency, Hz, from which on averaging holds, at the same velocity of the base.
+
+        It is LEAST_RATIO times that of the fastest slow oscillation, or that at which no link turns by more than
+        MOST_RIPPLE, and the arm by no more than half of it.
+        """
+        fastest = float(np.abs(self.eigenvalues.imag).max()) / math.tau
+        turn = 0.0 if self.arm is None else 2.0 * self.amplitude / self.arm.length
+        most = max(float(np.abs(self.ripple).max()), turn)
+        return max(LEAST_RATIO * fastest, self.frequency * most / MOST_RIPPLE)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the vibration is fast enough for averaging: then the tilt is right to 2 % (benchmarks/vibration)."""
+        return self.frequency >= self.least_frequency
+
+    @property
+    def compliance(self) -> Array:
+        """Mean motion of the tip per constant force on it (2, 2), m/N: J H^-1 J^T.
+
+        Its inverse is the stiffness; along a straight rope the compliance is 0.
+        """
+        jacobian = (self.rope.length[:, None] * unit_across(self.q)).T
+        return np.asarray(jacobian @ np.linalg.solve(self.hessian, jacobian.T))
+
+    def stiffness(self, direction: float) -> float:
+        """Force, N, per m by which the tip yields along it; `direction`, rad, as the angle of a link."""
+        push = unit_along(direction)
+        return float(1.0 / (push @ self.compliance @ push))
+
+    @property
+    def motion(self) -> Motion:
+        """The vibration, for :func:`hyperflex.simulate`."""
+        if self.arm is None:
+            return vibrating_pivot(self.amplitude, self.frequency, self.direction)
+        return vibrate_arm(self.amplitude / self.arm.length, self.frequency, self.direction - 0.5 * math.pi)
+
+    def simulate(self, duration: float, **setup: Any) -> Trajectory:
+        """Simulate the vibrated rope from the posture on, without averaging, for a whole number of its periods.
+
+        `duration`, s, is rounded up to such a number. There are 32 samples a period, the last one not included, so that
+        a mean over the samples is one over whole periods. `setup` are other fields of :class:`hyperflex.Setup`.
+        """
+        periods = math.ceil(checks.number("duration", duration, sign="positive", unit="s") * self.frequency)
+        rates = -math.tau * self.frequency * self.ripple.imag
+        start = {"q0": self.q + self.ripple.real, "qd0": rates, "motion": self.motion, "arm": self.arm}
+        t = np.arange(32 * periods) / (32.0 * self.frequency)
+        return simulate(self.rope, t_eval=t, **{"duration": periods / self.frequency, **start, **setup})
+
+    def __repr__(self) -> str:
+        kind = "stable" if self.stable else "unstable"
+        doubt = "" if self.holds else f", averaging needs {self.least_frequency:.3g} Hz"
+        what = f"{1e3 * self.amplitude:.3g} mm at {self.frequency:.3g} Hz along {self.direction:.3g} rad"
+        return f"VibrationPosture({kind}, tilt {self.tilt:.4g} rad, {what}{doubt})"
+
+
+def _bending(n: int) -> Array:
+    """Return the matrix (n, n) from link angles to the relative angles of their joints."""
+    return np.eye(n) - np.eye(n, k=-1)
+
+
+def _tilt(rope: Rope, q: Array, of: Of) -> float:
+    """Return the direction of the chain from end to end, or of the last link, rad."""
+    if of == "tip":
+        return float(q[-1])
+    x, y = rope.length @ unit_along(q)
+    return float(q.mean() + math.remainder(math.atan2(x, -y) - q.mean(), math.tau))
+
+
+class _Averaged:
+    """Averaged torques of a rope whose base vibrates along a line, see docs/theory/vibration.md."""
+
+    def __init__(self, rope: Rope, arm: Arm | None, direction: float, frequency: float) -> None:
+        chain = checks.instance("rope", rope, Rope).chain()
+        kinds = ("dry_friction", "drag")
+        found = [kind for kind in kinds if getattr(rope, kind).any()] + ["max_bend"] * rope.limited
+        if found or rope.friction_model != "relative":
+            got = found or rope.friction_model
+            fix = "rope.replace(...) without them"
+            raise InvalidInput("averaging knows viscous friction and springs in the joints alone", got=got, fix=fix)
+        self.rope, self.arm, self.direction, self.frequency = rope, arm, direction, frequency
+        n, omega, bend = rope.n_links, math.tau * frequency, _bending(rope.n_links)
+        self.coupling, self.lever = mass_matrix(rope, np.zeros(n)), first_moment(chain)
+        joint = rope.friction / (1j * omega) - rope.stiffness / omega**2
+        self.resistance = bend.T @ (joint[:, None] * bend)
+        self.spring = bend.T @ (rope.stiffness[:, None] * bend)
+        base = 0.0 if arm is None else direction - 0.5 * math.pi
+        self.rest = np.cumsum(rope.rest_angle) + base  # link angles at which all springs are at rest
+        self.hinge = 0.0 if arm is None else joint[0] / arm.length  # the arm turns as it moves the joint
+
+    def at(self, q: Array, v: float) -> tuple[Array, Array, npt.NDArray[np.complex128]]:
+        """Return mean torques (n,), N m, minus their derivatives (n, n), and link rates (n,) as complex amplitudes.
+
+        Of a base with the velocity v cos(w t), m/s, about the mean angles q (n,), rad.
+        """
+        difference = q[:, None] - q
+        cosines, sines = self.coupling * np.cos(difference), self.coupling * np.sin(difference)
+        along, across = (self.lever * each(self.direction - q) for each in (np.cos, np.sin))
+        matrix, forcing = cosines + self.resistance, (-v * across).astype(np.complex128)
+        forcing[0] += self.hinge * v
+        x = np.linalg.solve(matrix, forcing)
+        turned, carried = sines @ x, cosines @ x
+        by_q = np.linalg.solve(matrix, np.diag(turned + v * along) - sines * x)
+        gx, gy = self.rope.gravity
+        torques = self.lever * (gx * np.cos(q) + gy * np.sin(q)) - self.spring @ (q - self.rest)
+        torques = torques - 0.5 * (x.conj() * turned + v * along * x).real
+        slopes = (
+            np.diag(0.5 * (x.conj() * carried + v * across * x).real) - 0.5 * (cosines * np.outer(x.conj(), x)).real
+        )
+        slopes = slopes + 0.5 * (turned[:, None] * by_q.conj() + x.conj()[:, None] * (sines @ by_q)).real
+        slopes = slopes + 0.5 * v * along[:, None] * by_q.real
+        weight = np.diag(self.lever * (gx * np.sin(q) - gy * np.cos(q)))
+        return torques, np.asarray(weight + self.spring + slopes), np.asarray(x)
+
+    def settle(self, q: Array, v: float) -> Array | None:
+        """Return the equilibrium (n,) near mean angles q, rad, at the base's velocity v, m/s; None if there is none."""
+        for _ in range(20):
+            torques, hessian, _ = self.at(q, v)
+            try:
+                change = np.linalg.solve(hessian, torques)
+            except np.linalg.LinAlgError:
+                return None
+            if (most := float(np.abs(change).max())) > 0.5:
+                return None
+            q = q + change
+            if most < 1e-11:
+                return q
+        return None
+
+    def follow(self, q: Array, velocities: Sequence[float] | Array) -> Iterator[tuple[float, Array]]:
+        """Continue an equilibrium from mean angles q, rad, through velocities, m/s, until there is none."""
+        for v in velocities:
+            found = self.settle(q, v)
+            if found is None:
+                return
+            q = found
+            yield float(v), q
+
+    @property
+    def top(self) -> float:
+        """Velocity, m/s, at which gravity hardly bends the rope away from the line of the vibration."""
+        return 10.0 * math.sqrt(float(np.hypot(*self.rope.gravity)) * self.rope.total_length)
+
+    def from_top(self, v: float) -> Array:
+        """Return velocities from the greatest down to v, m/s."""
+        steps = max(1, math.ceil(math.log(max(1.0, self.top / v), 1.12)))  # apart, so that they continue each other
+        return np.geomspace(max(self.top, v), v, steps + 1)
+
+    def posture(self, q: Array, v: float) -> VibrationPosture:
+        """Return the posture of an equilibrium q (n,), rad, at a velocity v, m/s, of the base."""
+        omega = math.tau * self.frequency
+        _, hessian, x = self.at(q, v)
+        return VibrationPosture(self.rope, v / omega, self.frequency, self.direction, self.arm, q, hessian, x / omega)
+
+
+def vibration_posture(
+    rope: Rope, amplitude: float, frequency: float, direction: float, *, arm: Arm | None = None
+) -> list[VibrationPosture]:
+    """Return the postures at which a vibration of the base holds a rope, and those that it does not hold.
+
+    Parameters
+    ----------
+    rope : Rope
+        Without dry friction, drag and joint limits.
+    amplitude : float
+        Half of the way of the rope's first joint, m.
+    frequency : float
+        Hz.
+    direction : float
+        Line along which the joint moves, rad, as the angle of a link that lies along it: 0 is vertical, pi/2
+        horizontal.
+    arm : Arm, optional
+        The joint is at the tip of an arm, which turns by small angles about direction - pi/2. By default the point that
+        the rope hangs from moves along the line.
+
+    Returns
+    -------
+    list of VibrationPosture
+        Stable ones first. They are those that continue the hanging and the upright rope from rest to this vibration,
+        and the straight ropes along the line, either way, from a very strong vibration down to it. Postures with a
+        fold exist as well, and are not searched.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used, or the rope has properties that averaging does not know.
+
+    Notes
+    -----
+    Stephenson, Phil. Mag. (6) 15, 233 (1908); Kapitza, Zh. Eksp. Teor. Fiz. 21, 588 (1951); for systems of many degrees
+    of freedom Bullo, SIAM J. Control Optim. 41, 542 (2002). A few ms for ten links, O(n^3).
+
+    Examples
+    --------
+    A rod of 0.3 m that is held 31 degrees above the horizontal:
+
+    >>> import math
+    >>> import hyperflex as hf
+    >>> rod = hf.Rope(length=[0.3], mass=[0.05], friction=1e-4)
+    >>> held = hf.vibration_posture(rod, amplitude=0.01, frequency=60.0, direction=math.radians(135.0))[0]
+    >>> held.stable, held.holds, round(math.degrees(held.tilt), 1)
+    (True, True, 120.9)
+    """
+    model, v = _checked(rope, amplitude, frequency, direction, arm)
+    rest, n = rope.hanging_angle, rope.n_links
+    rising, falling = v * np.sqrt(np.linspace(0.0, 1.0, 41)), model.from_top(max(v, 1e-9))
+    found: list[Array] = []
+    for line, velocities in ((model.direction, falling), (rest, rising)):
+        for start in (line, line + math.pi):
+            path = list(model.follow(np.full(n, start), velocities))
+            if len(path) == len(velocities):
+                found.append(path[-1][1])
+    different = [q for k, q in enumerate(found) if all(_apart(q, other) for other in found[:k])]
+    postures = [model.posture(q, v) for q in different]
+    return sorted(postures, key=lambda each: not each.stable)
+
+
+def _apart(one: Array, other: Array) -> bool:
+    """Return whether two sets of link angles, rad, are different postures."""
+    return bool(np.abs(np.exp(1j * one) - np.exp(1j * other)).max() > 1e-6)
+
+
+def _checked(
+    rope: Rope, amplitude: float, frequency: float, direction: float, arm: Arm | None
+) -> tuple[_Averaged, float]:
+    """Return the averaged rope, and the amplitude, m/s, of its base's velocity."""
+    line = checks.number("direction", direction, unit="rad")
+    checks.meant("direction", line, "rad")
+    rate = checks.number("frequency", frequency, sign="positive", unit="Hz")
+    way = checks.number("amplitude", amplitude, sign="nonnegative", unit="m")
+    if arm is not None and checks.instance("arm", arm, Arm).length <= way:
+        raise InvalidInput("amplitude is no small angle of the arm", got=way, allowed=f"less than {arm.length:g} m")
+    return _Averaged(rope, arm, line, rate), way * math.tau * rate
+
+
+class MotorDemand(NamedTuple):
+    """What an arm's motor must reach: rad/s, rad/s^2, N m, and least and greatest angle, rad."""
+
+    speed: float
+    acceleration: float
+    torque: float
+    angles: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class VibrationPlan:
+    """A vibration that holds a required posture (made by :func:`plan_vibration`), and the motor that it takes.
+
+    Parameters
+    ----------
+    posture : VibrationPosture or None
+        None if no vibration holds what is required.
+    motor : MotorDemand or None
+        What the arm's motor must reach; None without an arm.
+    missing : dict of str to (float, float)
+        What the given motor lacks, by the names of `MotorLimits`: required and possible.
+    """
+
+    posture: VibrationPosture | None
+    motor: MotorDemand | None = None
+    missing: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def success(self) -> bool:
+        """Whether the posture can be held, by the given motor if there is one."""
+        return self.posture is not None and not self.missing
+
+    @property
+    def message(self) -> str:
+        """Why the plan fails; empty on success."""
+        if self.posture is None:
+            return "no vibration holds this posture stably; allow another direction, or a smaller tilt or stiffness"
+        lacks = (f"{name} of {need:.3g} {UNITS[name]}, has {has:.3g}" for name, (need, has) in self.missing.items())
+        return f"the motor lacks what the vibration needs: {'; '.join(lacks)}" if self.missing else ""
+
+
+UNITS = {"speed": "rad/s", "acceleration": "rad/s^2", "torque": "N m", "angles": "rad"}
+
+
+def plan_vibration(
+    rope: Rope,
+    tilt: float,
+    limits: MotorLimits | None = None,
+    *,
+    arm: Arm | None = None,
+    of: Of = "chain",
+    stiffness: float | None = None,
+    push: float | None = None,
+    frequency: float | None = None,
+    direction: float | None = None,
+) -> VibrationPlan:
+    """Find the weakest vibration that holds a rope at a tilt, stably, and what motor it takes.
+
+    Parameters
+    ----------
+    rope : Rope
+        As for :func:`vibration_posture`.
+    tilt : float
+        Required angle, rad, as that of a link: 0 hangs, pi stands upright.
+    limits : MotorLimits, optional
+        Of the arm's motor.
+    arm : Arm, optional
+        Its tip vibrates across it; the rope hangs from the tip. By default a pivot moves along a line, without a motor.
+    of : {"chain", "tip"}
+        Whether the tilt is that of the line from the first joint to the tip, or that of the last link.
+    stiffness : float, optional
+        Required stiffness of the tip, N/m, in the direction `push`.
+    push : float, optional
+        Direction of the stiffness, rad, as the angle of a link; by default across the tilt.
+    frequency : float, optional
+        Hz; by default the least at which averaging holds.
+    direction : float, optional
+        Line of the vibration, rad; by default that which takes the least velocity of the base.
+
+    Returns
+    -------
+    VibrationPlan
+        It fails, and says what is missing, if the motor is too weak. Whether the rope touches the arm is not checked.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+
+    Notes
+    -----
+    A posture counts as held if it returns from small displacements at least half as fast as a pendulum of the rope's
+    length would, or if it is as stiff as required.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> rod = hf.Rope(length=[0.3], mass=[0.05], friction=1e-4)
+    >>> plan = hf.plan_vibration(rod, 1.9, hf.MotorLimits(), arm=hf.Arm(length=0.1))
+    >>> plan.success, sorted(plan.missing)
+    (False, ['acceleration', 'speed'])
+    """
+    checks.choice("of", of, ("chain", "tip"))
+    wanted = None if stiffness is None else checks.number("stiffness", stiffness, sign="positive", unit="N/m")
+    if limits is not None and arm is None:
+        raise InvalidInput("limits are those of an arm's motor", got="no arm", fix="Give arm=Arm(length=...)")
+    across = tilt + 0.5 * math.pi if push is None else checks.number("push", push, unit="rad")
+    rate = math.nan if frequency is None else checks.number("frequency", frequency, sign="positive", unit="Hz")
+    family = _Family(rope, arm, checks.number("tilt", tilt, unit="rad"), of, direction)
+    checks.meant("tilt", tilt, "rad")
+    found, now = None, 20.0 * family.slow if math.isnan(rate) else rate
+    for _ in range(8):  # friction in the joints makes the posture depend on the frequency
+        found = family.weakest(now, wanted, across)
+        if found is None or not math.isnan(rate) or found.least_frequency <= now <= 1.2 * found.least_frequency:
+            break
+        now = 1.1 * found.least_frequency
+    if found is None or arm is None:
+        return VibrationPlan(found)
+    turn, mean = found.amplitude / arm.length, found.direction - 0.5 * math.pi
+    omega, torque = math.tau * found.frequency, found.simulate(2.0 / found.frequency).motor_torque
+    motor = MotorDemand(turn * omega, turn * omega**2, float(np.abs(torque).max()), (mean - turn, mean + turn))
+    missing = {}
+    if limits is not None:
+        pairs = {name: (getattr(motor, name), getattr(limits, name)) for name in ("speed", "acceleration", "torque")}
+        missing = {name: (need, has) for name, (need, has) in pairs.items() if need > has}
+        for need, has, sense in zip(motor.angles, limits.angles, (-1, 1), strict=True):
+            if sense * (need - has) > 0.0:
+                missing["angles"] = (need, has)
+    return VibrationPlan(found, motor, missing)
+
+
+class _Family:
+    """Vibrations that hold a rope at a tilt, from the strongest (0) to the weakest (1)."""
+
+    def __init__(self, rope: Rope, arm: Arm | None, tilt: float, of: Of, direction: float | None) -> None:
+        self.rope, self.arm, self.tilt, self.of = rope, arm, tilt, of
+        pull = math.sin(tilt - rope.hanging_angle)
+        self.upright = abs(pull) < 1e-6  # or hanging: there any strength does, and below the tilt depends on it
+        self.away = 0.0 if self.upright else math.copysign(1.0, pull)
+        self.direction = direction
+        self.slow = math.sqrt(float(np.hypot(*rope.gravity)) / rope.total_length) / math.tau
+
+    def member(self, u: float, frequency: float) -> VibrationPosture | None:
+        """Return a member; None if the rope does not come to the tilt there."""
+        line = self.tilt + self.away * (0.05 + 1.35 * u) if self.direction is None else self.direction
+        line = self.tilt + math.remainder(line - self.tilt, math.pi)
+        model = _Averaged(self.rope, self.arm, line % math.pi if self.arm else line, frequency)
+        weakest = 0.03 * model.top
+        last = weakest**u * model.top ** (1.0 - u) if self.upright else weakest
+        before: tuple[float, Array] | None = None
+        for v, q in model.follow(np.full(self.rope.n_links, line), model.from_top(last)):
+            if not self.upright and self.away * (_tilt(self.rope, q, self.of) - self.tilt) <= 0.0:
+                return None if before is None else self._between(model, *before, v)
+            before = v, q
+        return model.posture(before[1], before[0]) if self.upright and before and before[0] == last else None
+
+    def _between(self, model: _Averaged, v: float, q: Array, lower: float) -> VibrationPosture | None:
+        """Return the posture at the tilt between two velocities, m/s, of which the greater has the angles q."""
+        for _ in range(50):
+            middle = 0.5 * (v + lower)
+            found = model.settle(q, middle)
+            if found is None:
+                return None
+            if self.away * (_tilt(self.rope, found, self.of) - self.tilt) > 0.0:
+                v, q = middle, found
+            else:
+                lower = middle
+        return model.posture(q, v)
+
+    def weakest(self, frequency: float, wanted: float | None, push: float) -> VibrationPosture | None:
+        """Return the member of the least velocity that is stable and stiff enough; None if there is none."""
+        from scipy.optimize import brentq
+
+        def margin(u: float) -> float:
+            """Return the logarithm of the posture's stiffness over what is required; -inf if it is not held."""
+            held = self.member(u, frequency)
+            if held is None or not held.stable:
+                return -math.inf
+            if wanted is not None:
+                return math.log(max(held.stiffness(push), 1e-300) / wanted)
+            squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(self.rope, held.q), held.hessian))
+            return math.log(max(float(squares.real.min()), 1e-300) / (math.pi * self.slow) ** 2)
+
+        grid = np.linspace(0.0, 1.0, 13 if self.upright or self.direction is None else 1)
+        margins = np.array([margin(u) for u in grid])
+        good = [(held.velocity, k) for k in np.flatnonzero(margins >= 0.0) if (held := self.member(grid[k], frequency))]
+        if not good:
+            return None
+        _, k = min(good)
+        if k + 1 < grid.size and np.isfinite(margins[k + 1]) and margins[k + 1] < 0.0:
+            return self.member(float(brentq(margin, grid[k], grid[k + 1], xtol=1e-9)), frequency)
+        return self.member(float(grid[k]), frequency)
+
+
+@dataclass(frozen=True, eq=False)
+class VibrationMap:
+    """Tilt over amplitude and frequency of a vibration along one line (made by :func:`vibration_map`).
+
+    Parameters
+    ----------
+    amplitude : (A,) float64
+        m.
+    frequency : (F,) float64
+        Hz.
+    tilt : (F, A) float64
+        Of the posture that continues the straight rope along the line, rad; NaN where it is not held.
+    holds : (F, A) bool
+        Whether averaging holds.
+    direction : float
+        rad.
+    arm : Arm or None
+    rope : Rope
+    """
+
+    amplitude: Array
+    frequency: Array
+    tilt: Array
+    holds: npt.NDArray[np.bool_]
+    direction: float
+    arm: Arm | None
+    rope: Rope
+
+    def plot(self, limits: MotorLimits | None = None) -> "Figure":
+        """Draw the map, with what a motor of these `limits` reaches; return a Matplotlib figure."""
+        from hyperflex.report import vibration_figure
+
+        return vibration_figure(self, limits)
+
+
+def vibration_map(
+    rope: Rope, amplitudes: npt.ArrayLike, frequencies: npt.ArrayLike, direction: float, *, arm: Arm | None = None
+) -> VibrationMap:
+    """Return the tilt at which vibrations along one line hold a rope.
+
+    Parameters
+    ----------
+    rope, direction, arm
+        As for :func:`vibration_posture`.
+    amplitudes : (A,) array_like
+        Ascending, m.
+    frequencies : (F,) array_like
+        Ascending, Hz.
+    """
+    ways = checks.times("amplitudes", amplitudes)
+    rates = checks.times("frequencies", frequencies)
+    tilt, holds = np.full((rates.size, ways.size), np.nan), np.zeros((rates.size, ways.size), dtype=np.bool_)
+    for row, rate in enumerate(rates):
+        model, _ = _checked(rope, ways[-1], rate, direction, arm)
+        velocities = ways[::-1] * math.tau * rate
+        path = np.concatenate([model.from_top(velocities[0])[:-1], velocities])
+        held = list(model.follow(np.full(rope.n_links, model.direction), path))[path.size - ways.size :]
+        for column, (v, q) in zip(range(ways.size - 1, -1, -1), held, strict=False):
+            posture = model.posture(q, v)
+            if not posture.stable:
+                break
+            tilt[row, column], holds[row, column] = posture.tilt, posture.holds
+    return VibrationMap(ways, rates, tilt, holds, model.direction, arm, rope)
