@@ -57,6 +57,7 @@ VARIANTS["plain"] = (
         for name, value in VARIANTS[each][1].items()
     },
 )
+GONE = "an option that was removed, as it gave nothing"
 CEM = "the cross-entropy method over five parameters of a swing, in place of the search"
 
 
@@ -112,13 +113,25 @@ def tried(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, name: str, seconds: float) ->
     return {"success": success, "seconds": budget.elapsed, "planner": lines.planner()}
 
 
-def page(rows: list[dict[str, Any]], seconds: float) -> str:
-    """Return the table of all variants as Markdown."""
+def page(rows: list[dict[str, Any]], about: dict[str, str]) -> str:
+    """Return a table for each set of targets as Markdown."""
     text = (
-        "# What the options of the search of a cast give\n\n"
-        f"The first plan that succeeds within {seconds:g} s of processor time, on one thread. Gained and lost: targets "
-        "that are planned with the variant alone, and without it alone. Ratio: median of the times over those without "
-        "the variant, of the targets that both plan.\n\n"
+        "# What the options of the search of a cast give\n\nThe first plan that succeeds within the limit of processor "
+        "time, on one thread. Gained and lost: targets that are planned with the variant alone, and without it alone. "
+        "Ratio: median of the times over those without the variant, of the targets that both plan.\n"
+    )
+    sets = dict[tuple[Any, ...], list[dict[str, Any]]]()
+    for row in rows:
+        sets.setdefault((row["rope"].startswith("random"), row["seed"], row["limit"]), []).append(row)
+    for (random, seed, limit), some in sets.items():
+        ropes = "ropes drawn at random, targets that are planned as it is" if random else "the five ropes"
+        text += f"\n## Seed {seed}, {ropes}, {limit:g} s\n\n{table(some)}\n{lines.made(some, 'planner')}\n"
+    return f"{text}\n{machine.sentence(about)}\n\nAgain: `python -m benchmarks.ablation`\n"
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return the table of all variants on a set of targets."""
+    text = (
         "| variant | what is changed | planned | gained | lost | median, s | ratio |\n|---|---|---|---|---|---|---|\n"
     )
     spent = dict[str, dict[Any, float]]()
@@ -133,7 +146,7 @@ def page(rows: list[dict[str, Any]], seconds: float) -> str:
         lost = sum(math.isfinite(other) and not math.isfinite(one) for one, other in both)
         planned = sum(map(math.isfinite, times.values()))
         ratio = f"{np.median(ratios):.2f}" if ratios else ""
-        what = CEM if name == "cem" else VARIANTS[name][0]
+        what = CEM if name == "cem" else VARIANTS.get(name, (GONE, {}))[0]
         median = float(np.median(list(times.values())))
         cells = [name, what, f"{planned} of {len(times)}", gained, lost, f"{median:.1f}", ratio]
         text += "| " + " | ".join(map(str, cells)) + " |\n"
@@ -151,7 +164,7 @@ def main() -> None:
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "ablation.jsonl"
-    known, rows = lines.read(log), list[dict[str, Any]]()
+    known = lines.read(log)
     lines.told(known, planned=True)
     for rope, number, *about_it in targets(options):
         for name in options.only.split(","):
@@ -160,16 +173,12 @@ def main() -> None:
             if row is None:
                 row = marks | tried(*about_it, name, options.seconds)
                 print(json.dumps(row), flush=True)
+                known.append(row)
                 if log is not None:
                     lines.append(log, row)
-            rows.append(row)
             if options.random and name == "as-is" and not row["success"]:
                 break
-    made = f"{machine.sentence(about)} {lines.made(rows, 'planner')}"
-    text = (
-        page(rows, options.seconds)
-        + f"\nTargets of seed {options.seed}. {made}\n\nAgain: `python -m benchmarks.ablation`\n"
-    )
+    text = page(known, about)
     print(text)
     if log is not None:
         files.write_text(log.with_name("ablation.md"), text)
