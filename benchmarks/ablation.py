@@ -57,6 +57,14 @@ VARIANTS["plain"] = (
         for name, value in VARIANTS[each][1].items()
     },
 )
+VARIANTS["lean"] = (
+    "one speed, no limit of siblings, one last move at a time, no priority",
+    {
+        name: value
+        for each in ("full-speed", "many-siblings", "one-finish", "no-priority")
+        for name, value in VARIANTS[each][1].items()
+    },
+)
 GONE = "an option that was removed, as it gave nothing"
 CEM = "the cross-entropy method over five parameters of a swing, in place of the search"
 

@@ -23,7 +23,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -276,10 +276,7 @@ class Case:
 
 def uncertainty(level: float) -> Uncertainty:
     """What a realistic identification leaves, its standard deviations times `level`."""
-    usual = Uncertainty()
-    return Uncertainty(
-        **{each.name: level * getattr(usual, each.name) for each in fields(usual) if each.name != "posterior"}
-    )
+    return Uncertainty(**{name: level * std for name, std in vars(Uncertainty()).items() if isinstance(std, float)})
 
 
 def written(throw: Moves) -> dict[str, Any]:

@@ -144,10 +144,9 @@ class RolloutBatch:
         given: dict[str, Any] = {"arm": arm, "duration": float(t[-1]), "q0": self.q, "qd0": self.qd, "t_eval": t}
         return simulate_batch(list(self.ropes), list(self.motions), **given, **options)
 
-    def fly(self, arm: Arm, span: float, budget: Budget, *, at_end: bool = False) -> tuple[Array, Array, Array]:
-        """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n). `at_end`: the end alone."""
+    def fly(self, arm: Arm, span: float, budget: Budget) -> tuple[Array, Array, Array]:
+        """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n)."""
         t: Array = MODEL.step * np.arange(1.0, math.ceil(span / MODEL.step - 1e-9) + 1.0)
-        t = np.array([span]) if at_end else t
         given: dict[str, Any] = {"time_budget": budget, "threads": budget.threads}
         run = self.run(arm, t, tol=MODEL.tol, keep=("q", "qd"), **given)
         return t, run.q, run.qd

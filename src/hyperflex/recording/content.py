@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, listed
-from hyperflex.recording.declare import RADIANS, UNITS, Raw, unit_name
+from hyperflex.recording.declare import RADIANS, UNITS, FileNotes, Raw, unit_name
 from hyperflex.recording.recording import KINDS, Kind
 
 _AXES = "xyz"
@@ -34,8 +34,8 @@ class Selection(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Content:
-    """What a file holds: T samples of named channels, and what it declares about them.
+class Content(FileNotes):
+    """What a file holds: T samples of named channels; and its notes, see :class:`FileNotes`.
 
     Attributes
     ----------
@@ -61,16 +61,8 @@ class Content:
         Arguments of the reader that the caller lets it assume.
     sparse : bool
         Rows in which no chosen channel has a value belong to other channels, and are left out.
-    declared, usual : mapping
-        As of :class:`Raw`.
-    facts : mapping of str to float
-        Attributes of the recording, of those in FACTS.
-    remarks : tuple of str
-        What a user should know of how the data were read.
     advice : str
         What to do, where the file holds no angles and no markers.
-    convention, name, source : str
-        As of :class:`Recording`.
     """
 
     t: Array
@@ -87,14 +79,7 @@ class Content:
     widths: Mapping[str, int] = field(default_factory=dict)
     assumed: Mapping[str, Any] = field(default_factory=dict)
     sparse: bool = False
-    declared: Mapping[str, Any] = field(default_factory=dict)
-    usual: Mapping[str, Any] = field(default_factory=dict)
-    facts: Mapping[str, float] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
     advice: str = ""
-    convention: str = ""
-    name: str = ""
-    source: str = ""
 
 
 def content_of_markers(
@@ -202,6 +187,9 @@ def raw_of(content: Content, selection: Selection) -> Raw:
         kept = ~np.isnan(data).all(axis=1)
         t, data = t[kept], data[kept]
         rates, noise = (each if each is None else each[kept] for each in (rates, noise))
+    notes = {each.name: getattr(content, each.name) for each in fields(FileNotes)} | {"declared": declared}
+    if space:
+        notes["usual"] = {"y_axis": "up", **content.usual}  # as the plane says
     return Raw(
         t=t,
         data=data,
@@ -211,13 +199,7 @@ def raw_of(content: Content, selection: Selection) -> Raw:
         likelihood=partial(_likelihood, content, names) if content.likelihood.keys() & set(names) else None,
         in_space=space,
         columns=tuple(names),
-        declared=declared,
-        usual={"y_axis": "up", **content.usual} if space else content.usual,  # as the plane says
-        facts=content.facts,
-        remarks=content.remarks,
-        convention=content.convention,
-        name=content.name,
-        source=content.source,
+        **notes,
     )
 
 

@@ -88,13 +88,30 @@ class Declarations:
     min_likelihood: float | None = option(None, "likelihood below which a marker is a gap", shown="0.6 for DeepLabCut")
 
 
-@dataclass(frozen=True)
-class Raw:
-    """Columns as a file holds them, and what the file declares about them.
+@dataclass(frozen=True, kw_only=True)
+class FileNotes:
+    """What a file of a recording says beside its numbers.
+
+    ``declared`` binds the caller too; ``usual`` is what the format means unless the caller says otherwise. ``facts``
+    are attributes of the recording, of those in FACTS; ``remarks`` what a user should know of how the data were read;
+    ``convention``, ``name`` and ``source`` as of :class:`Recording`.
+    """
+
+    declared: Mapping[str, Any] = field(default_factory=dict)
+    usual: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    convention: str = ""
+    name: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raw(FileNotes):
+    """Columns as a file holds them.
 
     ``data`` is (T, C): angles, x and y of each marker or, ``in_space``, x, y and z of each; ``columns`` are their names
-    in the file. ``likelihood`` returns (T, C), 1 where nothing is known; it is read where it is used. ``declared``
-    binds the caller too; ``usual`` is what the format means unless the caller says otherwise.
+    in the file. ``likelihood`` returns (T, C), 1 where nothing is known; it is read where it is used.
     """
 
     t: Array
@@ -105,13 +122,6 @@ class Raw:
     likelihood: Callable[[], Array] | None = None
     in_space: bool = False
     columns: tuple[str, ...] = ()
-    declared: Mapping[str, Any] = field(default_factory=dict)
-    usual: Mapping[str, Any] = field(default_factory=dict)
-    facts: Mapping[str, float] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
-    convention: str = ""
-    name: str = ""
-    source: str = ""
 
 
 def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) -> Recording:
