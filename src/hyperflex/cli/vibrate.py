@@ -65,14 +65,14 @@ def vibrate(
             raise InvalidInput("it is not said what to hold", fix=fix)
         found = vibration_posture(cord, amplitude, frequency, direction, arm=arm)
         result: dict[str, Any] = {"postures": [_posture(each, push) for each in found]}
-        shown, code = Rows("Postures", [_row(each) for each in found]), 0
+        shown, code = Rows("Postures", [(str(k + 1), repr(each)) for k, each in enumerate(found)]), 0
     else:
         how: dict[str, Any] = {"stiffness": stiffness, "push": push, "frequency": frequency, "direction": direction}
         plan = plan_vibration(cord, tilt, motor, arm=arm, **how)
         found = [] if plan.posture is None else [plan.posture]
         result = {"posture": _posture(found[0], push) if found else None, "message": plan.message}
         result |= {"motor": plan.motor and plan.motor._asdict(), "missing": plan.missing}
-        rows = [_row(each) for each in found]
+        rows = [("posture", repr(each)) for each in found]
         if plan.motor is not None:
             m = plan.motor
             rows.append(("motor", f"{m.speed:.3g} rad/s, {m.acceleration:.3g} rad/s^2, {m.torque:.3g} N m"))
@@ -105,10 +105,3 @@ def _posture(found: VibrationPosture, push: float | None) -> dict[str, Any]:
         "ripple_rad": np.abs(found.ripple),
         "tip_stiffness_N_m": found.stiffness(across),
     }
-
-
-def _row(found: VibrationPosture) -> tuple[str, str]:
-    """Return the line of a posture."""
-    each = f"{1e3 * found.amplitude:.3g} mm at {found.frequency:.3g} Hz along {found.direction:.3g} rad"
-    doubt = "" if found.holds else f"; too slow for averaging, which needs {found.least_frequency:.3g} Hz"
-    return f"tilt {found.tilt:.3g} rad", f"{'held' if found.stable else 'not held'}, {each}{doubt}"

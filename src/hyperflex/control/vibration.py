@@ -307,14 +307,9 @@ def vibration_posture(
             path = list(model.follow(np.full(n, start), velocities))
             if len(path) == len(velocities):
                 found.append(path[-1][1])
-    different = [q for k, q in enumerate(found) if all(_apart(q, other) for other in found[:k])]
-    postures = [model.posture(q, v) for q in different]
-    return sorted(postures, key=lambda each: not each.stable)
-
-
-def _apart(one: Array, other: Array) -> bool:
-    """Return whether two sets of link angles, rad, are different postures."""
-    return bool(np.abs(np.exp(1j * one) - np.exp(1j * other)).max() > 1e-6)
+    turns = np.exp(1j * np.array(found))
+    different = [k for k in range(len(found)) if (np.abs(turns[:k] - turns[k]).max(axis=1) > 1e-6).all()]
+    return sorted((model.posture(found[k], v) for k in different), key=lambda each: not each.stable)
 
 
 def _checked(
@@ -499,29 +494,30 @@ class _Family:
                 lower = middle
         return model.posture(q, v)
 
+    def margin(self, held: VibrationPosture | None, wanted: float | None, push: float) -> float:
+        """Return the logarithm of a posture's stiffness over what is required; -inf if it is not held."""
+        if held is None or not held.stable:
+            return -math.inf
+        if wanted is not None:
+            return math.log(max(held.stiffness(push), 1e-300) / wanted)
+        squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(self.rope, held.q), held.hessian))
+        return math.log(max(float(squares.real.min()), 1e-300) / (math.pi * self.slow) ** 2)
+
     def weakest(self, frequency: float, wanted: float | None, push: float) -> VibrationPosture | None:
         """Return the member of the least velocity that is stable and stiff enough; None if there is none."""
         from scipy.optimize import brentq
 
-        def margin(u: float) -> float:
-            """Return the logarithm of the posture's stiffness over what is required; -inf if it is not held."""
-            held = self.member(u, frequency)
-            if held is None or not held.stable:
-                return -math.inf
-            if wanted is not None:
-                return math.log(max(held.stiffness(push), 1e-300) / wanted)
-            squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(self.rope, held.q), held.hessian))
-            return math.log(max(float(squares.real.min()), 1e-300) / (math.pi * self.slow) ** 2)
-
-        grid = np.linspace(0.0, 1.0, 13 if self.upright or self.direction is None else 1)
-        margins = np.array([margin(u) for u in grid])
-        good = [(held.velocity, k) for k in np.flatnonzero(margins >= 0.0) if (held := self.member(grid[k], frequency))]
+        grid = np.linspace(0.0, 1.0, 13 if self.upright or self.direction is None else 1).tolist()
+        held = [self.member(u, frequency) for u in grid]
+        margins = [self.margin(each, wanted, push) for each in held]
+        good = [(each.velocity, k) for k, each in enumerate(held) if each is not None and margins[k] >= 0.0]
         if not good:
             return None
         _, k = min(good)
-        if k + 1 < grid.size and np.isfinite(margins[k + 1]) and margins[k + 1] < 0.0:
-            return self.member(float(brentq(margin, grid[k], grid[k + 1], xtol=1e-9)), frequency)
-        return self.member(float(grid[k]), frequency)
+        if k + 1 == len(grid) or not -math.inf < margins[k + 1] < 0.0:
+            return held[k]
+        exact = brentq(lambda u: self.margin(self.member(u, frequency), wanted, push), *grid[k : k + 2], xtol=1e-9)
+        return self.member(float(exact), frequency)
 
 
 @dataclass(frozen=True, eq=False)

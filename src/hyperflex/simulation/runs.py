@@ -387,12 +387,10 @@ def _limit(run: Trajectory, finer: list[Setup], how: dict[str, Any]) -> Trajecto
 
 def _finer(setup: Setup, state: State | None, until: Event | None) -> list[Setup]:
     """Return set-ups whose ropes have links of half and of a quarter of the length, and starts as smooth as the old."""
-    several = setup.torque is not None and setup.torque.joints > 1
-    given = {"state": state, "until": until, "control": setup.control}
-    found = [name for name, value in given.items() if value is not None]
-    found += ["pegs or max_bend"] * setup.touches + ["torques of inner joints"] * several
-    if found:
-        raise InvalidInput("the limit of many links is that of a free run from its start", got=found, fix="Omit them")
+    inner = setup.torque is not None and setup.torque.joints > 1
+    if state is not None or until is not None or setup.control is not None or setup.touches or inner:
+        fix = "Omit state, until, pegs, max_bend, a torque callback and torques of inner joints"
+        raise InvalidInput("the limit of many links is that of a free run from its start", fix=fix)
     old, result = setup.rope.link_middles, []
     starts = {name: value for name in ("q0", "qd0") if (value := getattr(setup, name)) is not None}
     for pieces in (2, 4):
