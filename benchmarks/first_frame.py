@@ -53,8 +53,10 @@ def motion(seed: int, number: int) -> tuple[hf.Rope, RopeMotion]:
         length=length, mass=0.06 * length, n_links=LINKS, radius=0.003, friction=1.4e-4 * length**2 * LINKS / 24
     )
     pumped = number % 3 == 2
-    q0 = rng.normal() * (0.1 if pumped else 0.5) + 0.25 * rng.normal() * np.sin(np.pi * s) + 0.15 * rng.normal() * np.sin(
-        2.0 * np.pi * s
+    q0 = (
+        rng.normal() * (0.1 if pumped else 0.5)
+        + 0.25 * rng.normal() * np.sin(np.pi * s)
+        + 0.15 * rng.normal() * np.sin(2.0 * np.pi * s)
     )
     swings = hf.arm_swings(t_move=0.52 * length**0.5, t_rest=0.37 * length**0.5) if pumped else None
     arm = hf.Arm(length=0.1) if pumped else None
@@ -76,7 +78,10 @@ def shot(seed: int, index: int) -> Shot:
         readout=float(rng.choice([0.0, 0.015])),
     )
     look = LOOKS[index % 3]
-    bright, dark = rng.uniform(150.0, 220.0, 3).mean() + rng.normal(0, 8, 3), rng.uniform(25.0, 75.0) + rng.normal(0, 5, 3)
+    bright, dark = (
+        rng.uniform(150.0, 220.0, 3).mean() + rng.normal(0, 8, 3),
+        rng.uniform(25.0, 75.0) + rng.normal(0, 5, 3),
+    )
     strong = np.array([[40.0, 40.0, 200.0], [200.0, 90.0, 30.0], [50.0, 170.0, 60.0], [40.0, 200.0, 230.0]])
     rope_colour, wall = {
         "dark on bright": (dark, bright),
@@ -112,14 +117,18 @@ def shot(seed: int, index: int) -> Shot:
     begin, end = (camera.project(moves.places([stamp + k * camera.exposure], arcs)[0]) for k in (-0.5, 0.5))
     curve = camera.project(moves.places([stamp], arcs)[0])
     for _ in range(3):  # each point in its row
-        curve = camera.project(np.array([moves.places([t], [s])[0, 0] for t, s in zip(camera.exposure_times(stamp, curve), arcs)]))
+        curve = camera.project(
+            np.array([moves.places([t], [s])[0, 0] for t, s in zip(camera.exposure_times(stamp, curve), arcs)])
+        )
     pivot = curve[0] + rng.normal(0.0, 2.0, 2)
     return Shot(image, camera, curve, pivot, length, look, width, float(np.hypot(*(end - begin).T).max()))
 
 
 def distances(curve: Array, truth: Array) -> tuple[float, float]:
     """Rms distance of the true points from a curve, and between the ends, px."""
-    dense = np.stack([np.interp(np.linspace(0, len(curve) - 1, 4 * len(curve)), np.arange(len(curve)), c) for c in curve.T], 1)
+    dense = np.stack(
+        [np.interp(np.linspace(0, len(curve) - 1, 4 * len(curve)), np.arange(len(curve)), c) for c in curve.T], 1
+    )
     near = np.array([np.hypot(*(dense - point).T).min() for point in truth])
     return float(np.sqrt(np.mean(near**2))), float(np.hypot(*(curve[-1] - truth[-1])))
 
@@ -128,7 +137,12 @@ def measure(seed: int, index: int, known_length: bool) -> tuple[dict[str, Any], 
     """Find the rope in a frame."""
     each, found = shot(seed, index), None
     size = float(np.hypot(*np.diff(each.curve, axis=0).T).sum())
-    row: dict[str, Any] = {"index": index, "look": each.look, "width": round(each.width, 1), "blur": round(each.blur, 1)}
+    row: dict[str, Any] = {
+        "index": index,
+        "look": each.look,
+        "width": round(each.width, 1),
+        "blur": round(each.blur, 1),
+    }
     begin = time.process_time()
     try:
         found = find_rope(each.image, each.pivot, length=size if known_length else None)

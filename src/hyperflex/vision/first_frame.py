@@ -1,6 +1,6 @@
 """The rope in a first frame, without a prediction: the curve from its pivot to its free end, or why there is none."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -11,12 +11,11 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.look import RopeLook, places_across
-from hyperflex.vision.ridges import STEP, Path, Ridges
+from hyperflex.vision.ridges import Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
-
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
-ALIKE = 0.3  # of the contrast of the rope: a colour nearer to the rope's is the same
+MISFIT = 0.1  # by which the length of a curve may differ from the rope's
 
 
 class Reason(StrEnum):
@@ -112,12 +111,34 @@ def find_rope(
     """
     start = checks.array("pivot", pivot, (2,), unit="px")
     ridges = Ridges(image)
-    if look is None:
-        _, look = _measured(image, _best(ridges.paths(start, radius)).places, width)
-    within = ALIKE * float(np.linalg.norm(look.bgr - np.median(image[::16, ::16].reshape(-1, 3), axis=0)))
-    paths = ridges.paths(start, radius, look.bgr, within)
+    curve, look = _measured(image, _best(ridges.paths(start, radius)).places, width)
+    rope = Mixture(image, look.bgr, look.width)
+    rope.learn(curve)
+    paths = ridges.paths(start, radius, rope)
     curve, look = _measured(image, _best(paths).places, width)
-    return FoundRope(curve, look)
+    _check_alone(paths, 2.0 * look.width + 8.0)
+    last = np.array(image.shape[1::-1]) - 1.0
+    if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
+        raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
+    found = FoundRope(curve, look)
+    if length is not None and abs(found.length / length - 1.0) > MISFIT:
+        raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{length:.0f} px within {100.0 * MISFIT:g} %")
+    return found
+
+
+def _check_alone(paths: list[Path], apart: float) -> None:
+    """Refuse a rope if another path, further apart than some px for a while, is half as likely from there on."""
+    best = paths[0]
+    for other in paths[1:]:
+        gaps = np.linalg.norm(other.places[:, None] - best.places, axis=2)
+        away = gaps.min(axis=1) > apart
+        if away.any():
+            leaves = int(np.argmax(away))
+            gained = float(other.scores[-1] - other.scores[leaves])
+            rest = float(best.scores[-1] - best.scores[int(gaps[leaves].argmin())])
+            if gained > max(0.5 * rest, LEAST_SCORE):
+                got = np.round([best.places[-1], other.places[-1]]).tolist()
+                raise NoRope(Reason.TWO, f"free ends at {got}", "one rope")
 
 
 def _best(paths: list[Path]) -> Path:
@@ -150,7 +171,9 @@ def _measured(image: Image, path: Array, width: float | None) -> tuple[Array, Ro
         last = int(np.argmax(np.cumsum(np.clip(mass, 0.0, 1.0) - 0.5)))
         weights = np.clip(values, 0.0, 1.0) * clear[:, None]
         aside = (weights @ across)[: last + 1] / np.maximum(weights.sum(axis=1)[: last + 1], 1.0)
-        curve = _smooth(curve[: last + 1] + (places[: last + 1, -1] - places[: last + 1, 0]) / np.ptp(across) * aside[:, None])
+        curve = _smooth(
+            curve[: last + 1] + (places[: last + 1, -1] - places[: last + 1, 0]) / np.ptp(across) * aside[:, None]
+        )
     return _equal_steps(curve, 1.0), look
 
 

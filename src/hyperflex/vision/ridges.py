@@ -12,14 +12,20 @@ from hyperflex.vision.video import Image
 ORIENTATIONS = 12  # of the filters, equally spaced over half a turn
 STEP = 4.0  # px of the working picture, of a path
 _WORKING = 1280  # px, the longest side of the working picture
-_ALONG, _ACROSS = 4.0, 1.0  # px, standard deviations of a filter
+_REACHES, _MARGIN = (2, 4), 8  # px: a filter's places along the ridge are 2 and 6 px to both sides
 _LEVELS = 5  # of the pyramid: ropes are 1 to 50 px wide in the working picture
 _NEIGHBOURHOOD = 64  # px, in which texture is averaged
 _TURNS = np.radians([-30.0, -20.0, -11.0, -5.0, 0.0, 5.0, 11.0, 20.0, 30.0])  # in a step
-_STIFFNESS = 0.15 / np.radians(10.0) ** 2  # score that a turn of a step costs, over its square
+_STIFFNESS, _JERK = (
+    0.1 / np.radians(10.0) ** 2,
+    0.3 / np.radians(10.0) ** 2,
+)  # score for a turn, and its change, squared
+_GROWTH = 0.5  # score that another size than the path's costs, in powers of two, squared
 _WALL = 0.5  # evidence of a step from which it counts for a rope, not for a wall
 _BEAM = 500  # paths that are followed
 _PATIENCE = 12.0  # score that a path may lose before it ends: some 20 steps over a wall
+_ALIKE = 0.4  # of the usual contrast: with less a wall is like the rope
+_FAINT = 0.1  # share of a rope, of which less is nothing
 _MEMORY = 0.1  # weight of a step in the mean contrast of a path
 _OTHER = 0.4  # weight of a response in other colours than the path's
 
@@ -41,6 +47,66 @@ class Path:
     scores: Array
 
 
+class Mixture:
+    """What mixtures of a rope and its wall look like.
+
+    Parameters
+    ----------
+    image : (height, width, 3) uint8
+    bgr : (3,) float64
+        Colour of the rope.
+    width : float
+        Of the rope, px.
+
+    Notes
+    -----
+    The wall is the median of a square some three times as wide as the rope.
+    """
+
+    def __init__(self, image: Image, bgr: Array, width: float) -> None:
+        import cv2
+
+        side = 2 * round(1.5 * width) + 5
+        wall = cv2.medianBlur(image, side).astype(np.float32)
+        off, contrast = cv2.GaussianBlur(image, (3, 3), 0) - wall, bgr.astype(np.float32) - wall
+        self._size = np.maximum(np.linalg.norm(contrast, axis=2), 1.0)
+        share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / self._size**2, 0.0, 1.2)
+        self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / self._size
+        self._share = cv2.dilate(share, np.ones((3, 3), np.uint8))
+        self._usual = self._contrast = 0.0
+
+    def _at(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        u, v = (np.clip(np.rint(places[:, k]).astype(int), 0, self._share.shape[1 - k] - 1) for k in range(2))
+        return v, u
+
+    def learn(self, curve: Array) -> None:
+        """Learn from the middle of a rope (P, 2), px, how much its own texture deviates."""
+        where = self._at(curve)
+        self._usual = max(0.1, float(np.median(self._residual[where])))
+        self._contrast = float(np.median(self._size[where]))
+
+    def compare(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Compare places with the rope.
+
+        Parameters
+        ----------
+        places : (N, 2) float64
+            px.
+
+        Returns
+        -------
+        (N,) float64
+            Evidence against a rope: another colour than a mixture's.
+        (N,) bool
+            Where nothing of it is seen.
+        (N,) bool
+            Where none could be seen: the wall is like it.
+        """
+        where = self._at(places)
+        doubt = np.clip(0.25 * ((self._residual[where] / self._usual) ** 2 - 2.0), 0.0, 3.0)
+        return doubt, self._share[where] < _FAINT, self._size[where] < _ALIKE * self._contrast
+
+
 class Ridges:
     """Responses of a picture to oriented ridge filters of all sizes.
 
@@ -50,9 +116,9 @@ class Ridges:
 
     Notes
     -----
-    A filter is the negative second derivative of a Gaussian across, a Gaussian along. Each response is a vector of three
-    channels, whitened by the covariance of all responses of its size, and divided by how much the neighbourhood
-    responds (texture). Pictures are made smaller to at most 1280 px first.
+    A filter is the negative second derivative of a Gaussian, summed over four places along the ridge. A response is a
+    vector of three channels, whitened by the covariance of all responses of its size, and divided by how much the
+    neighbourhood responds (texture). Pictures are made smaller to at most 1280 px first.
     """
 
     def __init__(self, image: Image) -> None:
@@ -61,7 +127,7 @@ class Ridges:
         self.shrink = min(1.0, _WORKING / max(image.shape[:2]))
         size = tuple(round(side * self.shrink) for side in image.shape[1::-1])
         level = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        self.size, self._image = size, cv2.GaussianBlur(level, (3, 3), 0)
+        self.size = size
         self._levels = []
         for _ in range(_LEVELS):
             self._levels.append(_responses(level))
@@ -69,9 +135,7 @@ class Ridges:
                 break
             level = cv2.pyrDown(level)
 
-    def at(
-        self, places: Array, directions: Array, sizes: Array | None = None
-    ) -> tuple[Array, npt.NDArray[np.intp]]:
+    def at(self, places: Array, directions: Array, sizes: Array | None = None) -> tuple[Array, npt.NDArray[np.intp]]:
         """Return the strongest responses at places in directions, and their sizes.
 
         Parameters
@@ -92,12 +156,13 @@ class Ridges:
         """
         orientation = np.rint(directions / np.pi * ORIENTATIONS).astype(int) % ORIENTATIONS
         best, size, most = np.zeros((len(places), 3)), np.zeros(len(places), np.intp), np.zeros(len(places))
-        for k, responses in enumerate(self._levels):
+        for k, (responses, texture) in enumerate(self._levels):
             u, v = np.rint(places.T / 2.0**k).astype(int)
             inside = (u >= 0) & (v >= 0) & (u < responses.shape[2]) & (v < responses.shape[1])
             if sizes is not None:
                 inside &= np.abs(sizes - k) <= 1.0
-            found = responses[orientation[inside], v[inside], u[inside]].astype(np.float64)
+            u, v = u[inside], v[inside]
+            found = responses[orientation[inside], v, u].astype(np.float64) / texture[v, u, None]
             strength = np.einsum("nc,nc->n", found, found)
             better = strength > most[inside]
             rows = np.flatnonzero(inside)[better]
@@ -112,15 +177,10 @@ class Ridges:
         return float(np.quantile(np.linalg.norm(found, axis=1), 0.9))
 
     def evidence(self, power: Array) -> Array:
-        """Return how many decimal orders a response, squared, is stronger than a wall's; -1 to 3."""
-        return np.log10(np.clip(power / self._strong**2, 0.1, 1000.0))
+        """Return how many decimal orders a response, squared, is stronger than a wall's; -1 to 2."""
+        return np.log10(np.clip(power / self._strong**2, 0.1, 100.0))
 
-    def _colours(self, places: Array) -> Array:
-        """Return the colours (..., 3) of the working picture at places (..., 2), px."""
-        u, v = (np.clip(np.rint(places[..., k]).astype(int), 0, self.size[k] - 1) for k in range(2))
-        return self._image[v, u].astype(np.float64)
-
-    def paths(self, start: npt.ArrayLike, radius: float, colour: Array | None = None, within: float = 0.0) -> list[Path]:
+    def paths(self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None) -> list[Path]:
         """Return paths from a disc, the best first; many differ little.
 
         Parameters
@@ -129,9 +189,8 @@ class Ridges:
             px.
         radius : float
             Of the disc in which they may begin, px.
-        colour : (3,) float64, optional
-            Of the rope, if it is known. Where a picture has this colour, `within` some levels, it hides no rope and
-            shows none: a rope before a thing like it.
+        rope : Mixture, optional
+            What is followed; by default a path is to keep its own contrast.
 
         Notes
         -----
@@ -144,9 +203,8 @@ class Ridges:
         turns = np.linspace(-np.pi, np.pi, 2 * ORIENTATIONS, endpoint=False)
         place = np.repeat((np.asarray(start, float) + disc) * self.shrink, turns.size, axis=0)
         direction, score = np.tile(turns, len(disc)), np.repeat(-0.5 * np.hypot(*disc.T) / max(radius, 1.0), turns.size)
-        history = place[:, None]
-        scores = score[:, None]
-        mean = np.zeros((len(place), 4))
+        history, scores, peak = (place @ [1.0, 1.0j]).astype(np.complex64)[:, None], score[:, None], score
+        mean, bend = np.zeros((len(place), 4)), np.zeros(len(place))
         ended: list[Path] = []
         for step in range(int(4 * max(self.size) / STEP)):
             heading = direction[:, None] + _TURNS
@@ -161,57 +219,77 @@ class Ridges:
             known = mean[:, :3].any(axis=1, keepdims=True)
             same = like**2 + _OTHER**2 * np.maximum(power - like**2, 0.0)
             gained = self.evidence(np.where(known, same, power)) - _WALL
-            if colour is not None:
-                alike = np.linalg.norm(self._colours(where) - colour, axis=2) < within
-                gained[alike] = np.maximum(gained[alike], 0.0)
-            gained -= _STIFFNESS * _TURNS**2
+            if rope is not None:
+                doubt, bare, alike = (
+                    each.reshape(gained.shape) for each in rope.compare((where / self.shrink).reshape(-1, 2))
+                )
+                gained = np.where(bare, np.minimum(gained, -_WALL), gained) - doubt
+                gained = np.where(alike, np.maximum(gained, 0.0), gained)
+            gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
+            gained -= _GROWTH * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
             outside = ((ahead < 0.0) | (ahead > np.array(self.size) - 1.0)).any(axis=2)
-            total[outside] = -np.inf
+            total[outside | (total < peak[:, None] - _PATIENCE)] = -np.inf
+            done = np.isneginf(total).all(axis=1)
+            ended += self._cut(history[done], scores[done])
             row, turn = _best_of_cells(ahead, heading, total)
-            own = history[row]
-            kept = _apart(own, ahead[row, turn], heading[row, turn])
-            peak = np.maximum.accumulate(scores, axis=1)[:, -1]
-            kept &= total[row, turn] > peak[row] - _PATIENCE
-            left = np.ones(len(place), bool)
-            left[row[kept]] = False
-            ended += [Path(history[k] / self.shrink, scores[k]) for k in np.flatnonzero(left)]
+            kept = _apart(history[row], ahead[row, turn], heading[row, turn])
             row, turn = row[kept], turn[kept]
             if not row.size:
                 break
-            place, direction, score = ahead[row, turn], heading[row, turn], total[row, turn]
-            history = np.concatenate([history[row], place[:, None]], axis=1)
-            scores = np.concatenate([scores[row], score[:, None]], axis=1)
+            place, direction, score, bend = ahead[row, turn], heading[row, turn], total[row, turn], _TURNS[turn]
+            peak = np.maximum(peak[row], score)
+            history = np.column_stack([history[row], (place @ [1.0, 1.0j]).astype(np.complex64)])
+            scores = np.column_stack([scores[row], score])
             rate = max(_MEMORY, 1.0 / (step + 1)) * (gained[row, turn, None] > 0.0 if step else 1.0)
             mean = mean[row] + rate * (seen[row, turn] - mean[row])
-        ended += [Path(line / self.shrink, each) for line, each in zip(history, scores, strict=True)]
-        cut = [Path(p.places[: k + 1], p.scores[: k + 1]) for p in ended for k in [int(np.argmax(p.scores))]]
-        return sorted(cut, key=lambda path: -path.scores[-1])
+        else:
+            ended += self._cut(history, scores)
+        return sorted(ended, key=lambda path: -path.scores[-1])
+
+    def _cut(self, history: npt.NDArray[np.complex64], scores: Array) -> list[Path]:
+        """Return paths (N, P) of the working picture, each up to its best score (N, P)."""
+        ends = np.argmax(scores, axis=1) + 1
+        lines = np.stack([history.real, history.imag], axis=-1).astype(np.float64) / self.shrink
+        return [Path(line[:end], each[:end]) for line, each, end in zip(lines, scores, ends.tolist(), strict=True)]
 
 
-def _responses(level: npt.NDArray[np.float32]) -> npt.NDArray[np.float16]:
-    """Return the responses (ORIENTATIONS, h, w, 3) of a picture (h, w, 3), whitened, relative to the neighbourhood's."""
+def _responses(level: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float16], npt.NDArray[np.float32]]:
+    """Return the whitened responses (ORIENTATIONS, h, w, 3) of a picture (h, w, 3), and how textured it is (h, w)."""
     import cv2
 
-    half = int(np.ceil(3.0 * _ALONG))
-    v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
-    found = np.empty((ORIENTATIONS, *level.shape), np.float32)
-    for k, angle in enumerate(np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS):
-        along, across = (
-            (np.cos(angle) * u + np.sin(angle) * v) / _ALONG,
-            (np.cos(angle) * v - np.sin(angle) * u) / _ACROSS,
-        )
-        kernel = (1.0 - across**2) * np.exp(-0.5 * (along**2 + across**2))
-        kernel -= kernel.mean()
-        found[k] = cv2.filter2D(level, cv2.CV_32F, kernel / np.abs(kernel).sum(), borderType=cv2.BORDER_REFLECT)
-    some = found[:, ::4, ::4].reshape(-1, 3).astype(np.float64)
+    padded = cv2.copyMakeBorder(level, *(_MARGIN,) * 4, cv2.BORDER_REFLECT)
+    x = np.arange(-4.0, 5.0)
+    smooth = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
+    xx, xy, yy = (
+        cv2.sepFilter2D(padded, cv2.CV_32F, smooth * across, smooth * down)
+        for across, down in ((1.0 - x**2, x**0), (-x, x), (x**0, 1.0 - x**2))
+    )
+    some = np.concatenate([each[::4, ::4].reshape(-1, 3) for each in (xx, yy)]).astype(np.float64)
     size = np.linalg.norm(some, axis=1)
     some = some[size <= np.quantile(size, 0.9)]
     values, vectors = np.linalg.eigh(some.T @ some / len(some) + 0.01 * np.eye(3))
-    found = found @ (vectors / np.sqrt(values)).astype(np.float32)
-    texture = np.sqrt(np.einsum("khwc,khwc->khw", found, found)).mean(axis=0)
+    whiten = (vectors / np.sqrt(values)).T.astype(np.float32)
+    xx, xy, yy = (cv2.transform(each, whiten) for each in (xx, xy, yy))
+    found, texture = np.empty((ORIENTATIONS, *level.shape), np.float16), np.zeros(level.shape[:2], np.float32)
+    for k, angle in enumerate(np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS):
+        c, s = np.float32(np.cos(angle)), np.float32(np.sin(angle))
+        one = s * s * xx - 2.0 * s * c * xy + c * c * yy
+        for reach in _REACHES:
+            du, dv = round(reach * float(c)), round(reach * float(s))
+            one = _shifted(one, du, dv) + _shifted(one, -du, -dv)
+        edge = [(side - size) // 2 for side, size in zip(one.shape, level.shape, strict=True)]
+        one = one[edge[0] : edge[0] + level.shape[0], edge[1] : edge[1] + level.shape[1]]
+        found[k] = one
+        texture += np.sqrt(np.einsum("hwc,hwc->hw", one, one))
     texture = cv2.blur(texture, (_NEIGHBOURHOOD + 1, _NEIGHBOURHOOD + 1))
-    return np.asarray(found / np.maximum(texture / np.median(texture), 0.5)[:, :, None], np.float16)
+    return found, np.maximum(texture, 0.5 * np.median(texture)) / ORIENTATIONS
+
+
+def _shifted(picture: npt.NDArray[np.float32], du: int, dv: int) -> npt.NDArray[np.float32]:
+    """Return a picture shifted by some pixels, less so many on each side."""
+    (height, width), a, b = picture.shape[:2], abs(dv), abs(du)
+    return picture[a + dv : height - a + dv, b + du : width - b + du]
 
 
 def _best_of_cells(ahead: Array, heading: Array, total: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -226,12 +304,15 @@ def _best_of_cells(ahead: Array, heading: Array, total: Array) -> tuple[npt.NDAr
     return row[first], turn[first]
 
 
-def _apart(history: Array, place: Array, heading: Array) -> npt.NDArray[np.bool_]:
-    """Return which paths (N, P, 2) do not run along themselves at their new places (N, 2), in their directions (N,)."""
+def _apart(history: npt.NDArray[np.complex64], place: Array, heading: Array) -> npt.NDArray[np.bool_]:
+    """Return which paths (N, P) do not run along themselves at their new places (N, 2), in their directions (N,)."""
     early = history[:, :-6]
     if early.shape[1] < 2:
         return np.ones(len(place), bool)
-    near = np.linalg.norm(early[:, 1:] - place[:, None], axis=2) < STEP
-    along = np.diff(early, axis=1) @ np.array([1.0, 1.0j])
-    parallel = np.abs(np.cos(np.angle(along) - heading[:, None])) > np.cos(np.radians(40.0))
-    return np.asarray(~(near & parallel).any(axis=1))
+    near = np.abs(early[:, 1:] - (place @ [1.0, 1.0j])[:, None]) < STEP
+    row, column = np.nonzero(near)
+    along = np.angle(early[row, column + 1] - early[row, column])
+    parallel = np.abs(np.cos(along - heading[row])) > np.cos(np.radians(40.0))
+    result = np.ones(len(place), bool)
+    result[row[parallel]] = False
+    return result
