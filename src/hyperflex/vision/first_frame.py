@@ -152,7 +152,7 @@ def _best(paths: list[Path]) -> Path:
 def _measured(image: Image, path: Array, width: float | None) -> tuple[Array, RopeLook]:
     """Return the middle of the rope along a path (P, 2), px, up to where it ends, and its look."""
     curve, known = _equal_steps(path, 1.0), width
-    for extend in (0.0, 20.0):
+    for extend in (0.0, 20.0, 20.0):
         try:
             look = RopeLook.from_curve(image, curve, known)
         except InvalidInput as error:

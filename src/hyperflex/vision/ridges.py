@@ -177,8 +177,8 @@ class Ridges:
         return float(np.quantile(np.linalg.norm(found, axis=1), 0.9))
 
     def evidence(self, power: Array) -> Array:
-        """Return how many decimal orders a response, squared, is stronger than a wall's; -1 to 2."""
-        return np.log10(np.clip(power / self._strong**2, 0.1, 100.0))
+        """Return how many decimal orders a response, squared, is stronger than a wall's; -1 to 4."""
+        return np.log10(np.clip(power / self._strong**2, 0.1, 1e4))
 
     def paths(self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None) -> list[Path]:
         """Return paths from a disc, the best first; many differ little.
