@@ -62,7 +62,8 @@ class Eye:
 <asset><texture name="wall" type="2d" builtin="flat" rgb1="1 1 1" width="512" height="512"/>
 <material name="wall" texture="wall" specular="0" shininess="0"/>
 <material name="rope" rgba="{rgb} 1" specular="{look.shine}" shininess=".6"/></asset>
-<worldbody><light pos="-1.5 2.5 4" dir=".25 -.5 -1" diffuse=".6 .6 .6" specular=".7 .7 .7" castshadow="{str(look.shadow).lower()}"
+<worldbody><light pos="-1.5 2.5 4" dir=".25 -.5 -1" diffuse=".6 .6 .6" specular=".7 .7 .7"
+castshadow="{str(look.shadow).lower()}"
 cutoff="80" exponent="0"/>
 <camera name="eye" pos="{x} {y} {distance}" fovy="{fovy}"/>
 <geom type="box" size="6 6 .01" pos="0 0 {-NEAR}" material="wall"/>{capsules}</worldbody></mujoco>""")

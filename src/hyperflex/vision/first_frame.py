@@ -10,11 +10,13 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.camera import Camera
-from hyperflex.vision.look import RopeLook, places_across
+from hyperflex.vision.look import CLICKED, RopeLook, at_parts, rope_along
 from hyperflex.vision.ridges import Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
+SLENDER = 15.0  # widths that a rope is long at least
+FADED = 0.15  # share of a pixel at the free end: a fainter one is lost in noise
 MISFIT = 0.1  # by which the length of a curve may differ from the rope's
 
 
@@ -75,7 +77,7 @@ class FoundRope:
         The curve is taken to be as long as the links together: each joint lies at its part of it.
         """
         ends = np.concatenate([[0.0], np.cumsum(checks.array("lengths", lengths, (-1,), sign="positive", unit="m"))])
-        along = np.diff(_at_parts(camera.locate(self.curve), ends / ends[-1]), axis=0)
+        along = np.diff(at_parts(camera.locate(self.curve), ends / ends[-1]), axis=0)
         return np.unwrap(np.arctan2(along[:, 0], -along[:, 1]))
 
 
@@ -86,7 +88,7 @@ def find_rope(
     look: RopeLook | None = None,
     length: float | None = None,
     width: float | None = None,
-    radius: float = 6.0,
+    radius: float = CLICKED,
 ) -> FoundRope:
     """Find the rope that begins at a pivot, an open curve, in one frame.
 
@@ -111,19 +113,40 @@ def find_rope(
     """
     start = checks.array("pivot", pivot, (2,), unit="px")
     ridges = Ridges(image)
-    curve, look = _measured(image, _best(ridges.paths(start, radius)).places, width)
-    rope = Mixture(image, look.bgr, look.width)
-    rope.learn(curve)
-    paths = ridges.paths(start, radius, rope)
-    curve, look = _measured(image, _best(paths).places, width)
+    try:
+        if look is None:
+            curve, look, _ = rope_along(image, _best(ridges.paths(start, radius)), width)
+            rope = Mixture(image, look.bgr, look.width)
+            rope.learn(curve)
+        else:
+            rope, width = Mixture(image, look.bgr, look.width), look.width
+        paths = ridges.paths(start, radius, rope)
+        curve, look, end = rope_along(image, _best(paths), width)
+    except InvalidInput as error:
+        if isinstance(error, NoRope):
+            raise
+        raise NoRope(Reason.NOTHING, error.got, error.allowed) from None
+    found = FoundRope(curve, look)
     _check_alone(paths, 2.0 * look.width + 8.0)
     last = np.array(image.shape[1::-1]) - 1.0
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
-    found = FoundRope(curve, look)
-    if length is not None and abs(found.length / length - 1.0) > MISFIT:
+    fits = length is None or abs(found.length / length - 1.0) <= MISFIT
+    if end < (FADED if fits else 0.5):
+        raise NoRope(Reason.BLURRED, round(end, 2), "a larger part of its contrast where it ends")
+    if not fits:
         raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{length:.0f} px within {100.0 * MISFIT:g} %")
+    if found.length < SLENDER * look.width:
+        raise NoRope(Reason.NOTHING, f"{found.length:.0f} px", f"{SLENDER:g} times the width, {look.width:.1f} px")
     return found
+
+
+def _best(paths: list[Path]) -> Array:
+    """Return the places (P, 2) of the best path, if it may be a rope."""
+    if paths[0].scores[-1] < LEAST_SCORE:
+        got = round(float(paths[0].scores[-1]), 1)
+        raise NoRope(Reason.NOTHING, got, f"evidence of at least {LEAST_SCORE:g}, in decimal orders over the wall's")
+    return paths[0].places
 
 
 def _check_alone(paths: list[Path], apart: float) -> None:
@@ -139,60 +162,3 @@ def _check_alone(paths: list[Path], apart: float) -> None:
             if gained > max(0.5 * rest, LEAST_SCORE):
                 got = np.round([best.places[-1], other.places[-1]]).tolist()
                 raise NoRope(Reason.TWO, f"free ends at {got}", "one rope")
-
-
-def _best(paths: list[Path]) -> Path:
-    """Return the best path, if it may be a rope."""
-    if paths[0].scores[-1] < LEAST_SCORE:
-        got = round(float(paths[0].scores[-1]), 1)
-        raise NoRope(Reason.NOTHING, got, f"evidence of at least {LEAST_SCORE:g}, in decimal orders over the wall's")
-    return paths[0]
-
-
-def _measured(image: Image, path: Array, width: float | None) -> tuple[Array, RopeLook]:
-    """Return the middle of the rope along a path (P, 2), px, up to where it ends, and its look."""
-    curve, known = _equal_steps(path, 1.0), width
-    for extend in (0.0, 20.0, 20.0):
-        try:
-            look = RopeLook.from_curve(image, curve, known)
-        except InvalidInput as error:
-            raise NoRope(Reason.NOTHING, error.got, error.allowed) from None
-        if extend:
-            last = curve[-1] - curve[-min(12, len(curve))]
-            ahead = curve[-1] + np.arange(1.0, extend)[:, None] * last / max(float(np.hypot(*last)), 1e-9)
-            curve = np.concatenate([curve, ahead])
-        across = np.arange(-0.5 * look.width - 6.0, 0.5 * look.width + 6.1, 0.5)
-        places = places_across(curve, across)
-        shares = look.shares(image, places, np.abs(across) > 0.5 * look.width + 2.0, across)
-        values = np.nan_to_num(shares.values)
-        clear = np.nan_to_num(np.median(shares.std, axis=1), nan=1.0) < 0.3
-        mass = np.where(clear, values.sum(axis=1) * 0.5 / look.width, 0.5)
-        # the end: where what is seen until there, less half of a rope, is most
-        last = int(np.argmax(np.cumsum(np.clip(mass, 0.0, 1.0) - 0.5)))
-        weights = np.clip(values, 0.0, 1.0) * clear[:, None]
-        aside = (weights @ across)[: last + 1] / np.maximum(weights.sum(axis=1)[: last + 1], 1.0)
-        curve = _smooth(
-            curve[: last + 1] + (places[: last + 1, -1] - places[: last + 1, 0]) / np.ptp(across) * aside[:, None]
-        )
-    return _equal_steps(curve, 1.0), look
-
-
-def _smooth(curve: Array, std: float = 4.0) -> Array:
-    """Return a curve (P, 2), a pixel apart, smoothed over some pixels; its ends stay straight."""
-    from scipy.ndimage import gaussian_filter1d
-
-    reach = min(round(3.0 * std), len(curve) - 1)
-    padded = np.pad(curve, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
-    return np.asarray(gaussian_filter1d(padded, std, axis=0)[reach : reach + len(curve)])
-
-
-def _equal_steps(curve: Array, step: float) -> Array:
-    """Return points about a step apart along a curve (P, 2), both ends among them."""
-    length = float(np.hypot(*np.diff(curve, axis=0).T).sum())
-    return _at_parts(curve, np.linspace(0.0, 1.0, max(2, round(length / step) + 1)))
-
-
-def _at_parts(curve: Array, parts: Array) -> Array:
-    """Return the points (M, 2) at parts (M,), 0 to 1, of the length of a curve (P, 2)."""
-    arcs = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve, axis=0).T))])
-    return np.stack([np.interp(parts * arcs[-1], arcs, each) for each in curve.T], axis=1)

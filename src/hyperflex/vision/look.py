@@ -10,8 +10,10 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.vision.ridges import Ridges
 from hyperflex.vision.video import Image
 
+CLICKED = 6.0  # px that a click may be off
 SHARPNESS = 0.6  # px, standard deviation of the picture of a point: lens, pixel and compression
 _NOISE = 1.5  # levels, least noise of a channel
 _SPARSE = 16  # px between the pixels by which the light of two pictures is compared
@@ -122,6 +124,18 @@ class RopeLook:
             )
         return cls(np.clip(bgr, 0.0, 255.0), float(found), light=image[::_SPARSE, ::_SPARSE].copy())
 
+    @classmethod
+    def from_click(cls, image: Image, place: npt.ArrayLike, width: float | None = None) -> "RopeLook":
+        """Return the look of the rope at a place (2,), px, some pixels off, in a picture (height, width, 3), uint8.
+
+        Raises
+        ------
+        InvalidInput
+            If no rope is seen there.
+        """
+        click = checks.array("place", place, (2,), unit="px")
+        return rope_along(image, Ridges(image).paths(click, CLICKED)[0].places, width)[1]
+
     def shares(self, image: Image, places: Array, outside: npt.NDArray[np.bool_], across: Array) -> Shares:
         """Return which part of places on lines across the rope shows the rope.
 
@@ -212,6 +226,67 @@ def sample(image: Image, places: Array) -> Array:
     return np.asarray(seen)
 
 
+def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[Array, RopeLook, float]:
+    """Measure the rope along a path that is some pixels off.
+
+    Parameters
+    ----------
+    image : (height, width, 3) uint8
+    path : (P, 2) float64
+        px.
+    width : float, optional
+        Of the rope, px, if it is known.
+
+    Returns
+    -------
+    (M, 2) float64
+        The middle of the rope, px, a pixel apart, from the path's beginning up to where the rope ends.
+    RopeLook
+        Its look.
+    float
+        The greatest share of a pixel that it covers near its end: less than 1 if it is thin or blurred there.
+
+    Raises
+    ------
+    InvalidInput
+        If no rope stands out along the path.
+    """
+    curve = equal_steps(path)
+    for extend in (0.0, 20.0, 20.0):
+        look = RopeLook.from_curve(image, curve, width)
+        if extend:
+            last = curve[-1] - curve[-min(12, len(curve))]
+            ahead = curve[-1] + np.arange(1.0, extend)[:, None] * last / max(float(np.hypot(*last)), 1e-9)
+            curve = np.concatenate([curve, ahead])
+        across = np.arange(-0.5 * look.width - 6.0, 0.5 * look.width + 6.1, 0.5)
+        places = places_across(curve, across)
+        shares = look.shares(image, places, np.abs(across) > 0.5 * look.width + 2.0, across)
+        values = np.nan_to_num(shares.values)
+        clear = np.nan_to_num(np.median(shares.std, axis=1), nan=1.0) < 0.3
+        mass = np.where(clear, values.sum(axis=1) * 0.5 / look.width, 0.65)
+        # the end: where what is seen until there, less two thirds of a rope (a shadow is less), is most
+        last = int(np.argmax(np.cumsum(np.clip(mass, 0.0, 1.0) - 0.65)))
+        weights = np.clip(values, 0.0, 1.0) * clear[:, None]
+        aside = (weights @ across)[: last + 1] / np.maximum(weights.sum(axis=1)[: last + 1], 1.0)
+        curve = _smooth(
+            curve[: last + 1] + (places[: last + 1, -1] - places[: last + 1, 0]) / np.ptp(across) * aside[:, None]
+        )
+    end = values[max(0, last - 20) : last + 1].max(axis=1)
+    return equal_steps(curve), look, float(np.median(end))
+
+
+def equal_steps(curve: Array) -> Array:
+    """Return points about a pixel apart along a curve (P, 2), both ends among them."""
+    length = float(np.hypot(*np.diff(curve, axis=0).T).sum())
+    return at_parts(curve, np.linspace(0.0, 1.0, max(2, round(length) + 1)))
+
+
+def at_parts(curve: Array, parts: Array) -> Array:
+    """Return the points (M, 2) at parts (M,), 0 to 1, of the length of a curve (P, 2)."""
+    arcs = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve, axis=0).T))])
+    return np.stack([np.interp(parts * arcs[-1], arcs, each) for each in curve.T], axis=1)
+
+
 def profile(across: Array, width: float, blur: float = SHARPNESS) -> Array:
     """Return which share of points (M,) across a rope, px from its middle, it covers, with a blur (std), px."""
     from scipy.special import erf
@@ -276,3 +351,12 @@ def _gain_between(before: Image, after: Image) -> Array:
     if not exposed.any():
         return np.ones(3)
     return np.asarray(np.median(after[exposed] / before[exposed].astype(np.float64), axis=0))
+
+
+def _smooth(curve: Array, std: float = 4.0) -> Array:
+    """Return a curve (P, 2), a pixel apart, smoothed over some pixels; its ends stay straight."""
+    from scipy.ndimage import gaussian_filter1d
+
+    reach = min(round(3.0 * std), len(curve) - 1)
+    padded = np.pad(curve, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    return np.asarray(gaussian_filter1d(padded, std, axis=0)[reach : reach + len(curve)])

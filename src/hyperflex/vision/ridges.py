@@ -21,6 +21,7 @@ _STIFFNESS, _JERK = (
     0.3 / np.radians(10.0) ** 2,
 )  # score for a turn, and its change, squared
 _GROWTH = 0.5  # score that another size than the path's costs, in powers of two, squared
+_SURE = 0.7  # part of what exceeds 1.5 orders that does not count: a stronger ridge is no likelier a rope
 _WALL = 0.5  # evidence of a step from which it counts for a rope, not for a wall
 _BEAM = 500  # paths that are followed
 _PATIENCE = 12.0  # score that a path may lose before it ends: some 20 steps over a wall
@@ -73,7 +74,7 @@ class Mixture:
         share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / self._size**2, 0.0, 1.2)
         self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / self._size
         self._share = cv2.dilate(share, np.ones((3, 3), np.uint8))
-        self._usual = self._contrast = 0.0
+        self._usual, self._contrast = 0.2, float(np.median(self._size))
 
     def _at(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         u, v = (np.clip(np.rint(places[:, k]).astype(int), 0, self._share.shape[1 - k] - 1) for k in range(2))
@@ -178,7 +179,8 @@ class Ridges:
 
     def evidence(self, power: Array) -> Array:
         """Return how many decimal orders a response, squared, is stronger than a wall's; -1 to 4."""
-        return np.log10(np.clip(power / self._strong**2, 0.1, 1e4))
+        orders = np.log10(np.clip(power / self._strong**2, 0.1, 1e4))
+        return np.asarray(orders - _SURE * np.maximum(orders - 1.5, 0.0))
 
     def paths(self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None) -> list[Path]:
         """Return paths from a disc, the best first; many differ little.

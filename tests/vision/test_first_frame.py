@@ -1,0 +1,96 @@
+"""The rope in a first frame: its curve, angles and look without a prediction, and refusals by name."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hyperflex.vision import Camera, NoRope, Occluder, Reason, Renderer, RopeLook, RopeMotion, Scene, find_rope
+
+LINKS, LENGTH = 60, 1.0  # m
+CAMERA = Camera.facing((480, 360), pixels_per_metre=260.0, origin=(230.0, 40.0), exposure=0.004)
+ARCS = np.linspace(0.0, LENGTH, 200)
+
+
+def bent(lean=0.4, bend=0.5, rate=0.0):
+    """Return a rope of 1 m that leans and is bent, rad, and turns at a rate, rad/s."""
+    q = lean + bend * np.sin(np.linspace(0.0, np.pi, LINKS))
+    t = np.array([-1.0, 1.0])
+    return RopeMotion(t, q + rate * t[:, None], np.full((2, LINKS), rate), np.full(LINKS, LENGTH / LINKS))
+
+
+def shown(motion, **scene):
+    """Return a picture of a rope 10 mm, 2.6 px, wide, and its curve, px."""
+    image = Renderer(CAMERA, motion, Scene([], **{"rope_width": 0.01, **scene})).image(0.0)
+    return image, CAMERA.project(motion.places([0.0], ARCS)[0])
+
+
+def off(curve, truth):
+    """Return the rms distance of true points from a curve, and between the ends, px."""
+    near = np.linalg.norm(curve[:, None] - truth, axis=2).min(axis=0)
+    return np.sqrt(np.mean(near**2)), np.linalg.norm(curve[-1] - truth[-1])
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {"clutter": 8, "shadow": (0.1, -0.05, 0.3), "seed": 1},
+        {"rope_colour": (230.0, 230.0, 230.0), "background": (50.0, 50.0, 60.0), "clutter": 8, "seed": 2},
+        {
+            "rope_colour": (40.0, 40.0, 200.0),
+            "background": (110.0, 130.0, 120.0),
+            "wall_texture": 12.0,
+            "rope_texture": 0.2,
+        },
+    ],
+    ids=["dark", "bright", "coloured"],
+)
+def test_a_bent_rope_is_found(scene):
+    """Within half a pixel (half the spacing of points), its end within two, angles of links within 2 degrees."""
+    motion = bent()
+    image, truth = shown(motion, **scene)
+    found = find_rope(image, truth[0] + [2.0, -2.0], length=260.0)
+    curve, end = off(found.curve, truth)
+    assert curve < 0.5
+    assert end < 2.0
+    joints = motion.places([0.0], np.linspace(0.0, LENGTH, 13))[0, :, :2]
+    angles = np.arctan2(*(np.diff(joints, axis=0) * [1.0, -1.0]).T)
+    assert np.degrees(found.angles(CAMERA, np.full(12, LENGTH / 12)) - angles)[1:-1] == pytest.approx(0.0, abs=2.0)
+
+
+def test_a_rope_that_moves_is_found_where_it_is_in_the_middle_of_the_exposure():
+    image, truth = shown(bent(rate=6.0))  # 6 px of blur at the end
+    assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
+
+
+def test_a_click_tells_the_look():
+    image, truth = shown(bent(), clutter=8, seed=1)
+    look = RopeLook.from_click(image, truth[120] + [2.0, 0.0])
+    assert look.bgr == pytest.approx([45.0, 45.0, 45.0], abs=15.0)
+    assert look.width == pytest.approx(2.6, abs=0.5)
+    assert max(off(find_rope(image, truth[0], look=look).curve, truth)) < 2.0
+
+
+def second(motion):
+    """Return a rope as things before the first one."""
+    ends = motion.places([0.0], np.linspace(0.0, LENGTH, 30))[0, :, :2].tolist()
+    return tuple(Occluder(tuple(a), tuple(b), 0.01, (45.0, 45.0, 45.0)) for a, b in pairwise(ends))
+
+
+@pytest.mark.parametrize(
+    ("reason", "motion", "scene", "length"),
+    [
+        (Reason.NOTHING, bent(), {"rope_width": 0.0, "clutter": 4}, None),
+        (Reason.NOTHING, bent(), {"rope_colour": (175.0, 180.0, 180.0), "wall_texture": 10.0}, None),
+        (Reason.TWO, bent(), {"occluders": second(bent(-0.5, 0.3))}, None),
+        (Reason.OUTSIDE, bent(1.2, 0.9), {}, None),
+        (Reason.LENGTH, bent(), {}, 320.0),
+        (Reason.BLURRED, bent(rate=60.0), {}, 260.0),
+    ],
+    ids=["none", "like the wall", "two", "leaves the view", "another length", "blurred"],
+)
+def test_what_is_no_rope_is_refused_by_name(reason, motion, scene, length):
+    image, truth = shown(motion, **scene)
+    with pytest.raises(NoRope) as refused:
+        find_rope(image, truth[0], length=length)
+    assert refused.value.reason is reason
