@@ -1,44 +1,48 @@
-"""The rope in a first frame: is the curve right, or is it refused by name? 200 poses and looks drawn at random.
+"""The rope in a first frame: is the curve right, or is the frame refused by name?
 
-python -m benchmarks.first_frame                    200 frames of the seed that judges
-python -m benchmarks.first_frame --seed 1 --count 40 --pictures FOLDER
+python -m benchmarks.first_frame                    200 frames, 30 that show no rope to be found, 30 by MuJoCo
+python -m benchmarks.first_frame --seed 1 --count 40 --others 0 --pictures FOLDER
 
-Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. A look is drawn for each frame: thickness, colour and wall
-(dark on bright, bright on dark, coloured on textured), texture of rope and wall, shadow, shine, clutter, noise, exposure,
-quality of the compression. The pivot is clicked 2 px (rms) off. A curve is right if its rms distance from the true one
-in the middle of the exposure is at most 1 % of the rope's length, and the free end at most 3 % off.
+Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. A look is drawn for each frame: thickness, colour, wall
+(dark on bright, bright on dark, coloured on textured), texture, shadow, shine, clutter, noise, exposure, compression. The
+pivot is clicked 2 px (rms) off; length, width and colour of the rope are not given. A curve is right if its rms distance
+from the true one in the middle of the exposure is at most 1 % of the rope's length, and the free end at most 3 % off.
 """
 
 import argparse
 import functools
 import json
 import time
+from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from benchmarks import machine
+from benchmarks import log, machine
 
 import hyperflex as hf
+from hyperflex import files
 from hyperflex.checks import Array
-from hyperflex.vision import Camera, Image, Occluder, Renderer, RopeMotion, Scene
-from hyperflex.vision.first_frame import FoundRope, NoRope, find_rope
+from hyperflex.core.cache import SOURCE_HASH
+from hyperflex.vision import Camera, Image, NoRope, Occluder, Reason, Renderer, RopeMotion, Scene, find_rope
 
+RESULTS = Path(__file__).parent / "results" / "first-frame.jsonl"
 LINKS, POSES = 120, 10  # of the truth; frames of one motion
 SIZE = (1280, 720)  # px
 CURVE, END = 0.01, 0.03  # of the rope's length
 LOOKS = ("dark on bright", "bright on dark", "coloured on textured")
+ABSENT = (Reason.NOTHING, Reason.TWO, Reason.OUTSIDE)  # frames that show no rope, two, or one that leaves the view
+EYE_LINKS = 60  # capsules of MuJoCo's rope
 
 
 class Shot(NamedTuple):
     """A frame, and what is true of it."""
 
     image: Image
-    camera: Camera
-    curve: Array  # (P, 2) px, in the middle of the exposure
+    curve: Array  # (P, 2) px, each point in the middle of its row's exposure
     pivot: Array  # (2,) px, as clicked
-    length: float  # m
     look: str
     width: float  # px
     blur: float  # px, of the fastest part
@@ -64,118 +68,167 @@ def motion(seed: int, number: int) -> tuple[hf.Rope, RopeMotion]:
     return rope, RopeMotion.from_trajectory(hf.simulate(rope, swings, arm=arm, q0=q0, duration=4.0, t_eval=t))
 
 
-def shot(seed: int, index: int) -> Shot:
-    """Draw a frame."""
+def shot(seed: int, index: int, absent: Reason | None = None, by_mujoco: bool = False) -> Shot:
+    """Draw a frame; by choice one that shows no rope to be found, or one by MuJoCo's renderer."""
     rope, moves = motion(seed, index // POSES)
     rng, length = np.random.default_rng((seed, index, 1)), rope.total_length
-    scale = float(rng.uniform(0.55, 0.85)) * SIZE[1] / length
+    stamp, look = float(rng.uniform(0.05, 3.9)), LOOKS[index % 3]
+    scale = float(rng.uniform(0.55, 0.85)) * SIZE[1] / length * (2.0 if absent is Reason.OUTSIDE else 1.0)
     camera = Camera.facing(
         SIZE,
         pixels_per_metre=scale,
         origin=(rng.uniform(0.4, 0.6) * SIZE[0], rng.uniform(0.08, 0.14) * SIZE[1]),
-        roll=rng.normal() * 0.02,
+        roll=0.0 if by_mujoco else rng.normal() * 0.02,
         exposure=float(rng.choice([1 / 100, 1 / 250, 1 / 1000])),
-        readout=float(rng.choice([0.0, 0.015])),
+        readout=0.0 if by_mujoco else float(rng.choice([0.0, 0.015])),
     )
-    look = LOOKS[index % 3]
-    bright, dark = (
-        rng.uniform(150.0, 220.0, 3).mean() + rng.normal(0, 8, 3),
-        rng.uniform(25.0, 75.0) + rng.normal(0, 5, 3),
-    )
+    bright, dark = rng.uniform(150.0, 220.0) + rng.normal(0, 8, 3), rng.uniform(25.0, 75.0) + rng.normal(0, 5, 3)
     strong = np.array([[40.0, 40.0, 200.0], [200.0, 90.0, 30.0], [50.0, 170.0, 60.0], [40.0, 200.0, 230.0]])
-    rope_colour, wall = {
+    colour, wall = {
         "dark on bright": (dark, bright),
         "bright on dark": (bright, dark),
         "coloured on textured": (strong[rng.integers(4)], rng.uniform(80.0, 170.0) + rng.normal(0, 8, 3)),
     }[look]
     width = float(np.exp(rng.uniform(np.log(1.5), np.log(9.0))))  # px
-    base = moves.places([0.0], [0.0])[0, 0, :2]
-    stamp = float(rng.uniform(0.05, 3.9))
-    top = moves.places([stamp], [0.0])[0, 0, :2]
-    things = tuple(
-        Occluder(tuple(a), tuple(b), float(rng.uniform(0.005, 0.04)) * length, tuple(rng.uniform(30.0, 220.0, 3)))
-        for a, b in rng.uniform(-1.0, 1.0, (int(rng.integers(0, 2)), 2, 2)) * length + [0.0, -0.4 * length]
-    )
-    arm = (Occluder((0.0, 0.0), tuple(top), 0.02, (90.0, 95.0, 100.0)),) if np.hypot(*(top - [0.0, 0.0])) > 0.02 else ()
     scene = Scene(
         [],
-        rope_width=width / scale,
-        rope_colour=np.clip(rope_colour, 5.0, 250.0),
+        rope_width=0.0 if absent is Reason.NOTHING else width / scale,
+        rope_colour=np.clip(colour, 5.0, 250.0),
         rope_texture=float(rng.choice([0.0, 0.1, 0.25])),
         shine=float(rng.choice([0.0, 0.0, 120.0])) if look == "dark on bright" else 0.0,
         shadow=(float(rng.uniform(-0.08, 0.08)) * length, -0.02 * length, float(rng.choice([0.0, 0.3]))),
         background=np.clip(wall, 15.0, 235.0),
-        wall_texture=float(rng.uniform(0.0, 15.0)) if look == "coloured on textured" else float(rng.uniform(0.0, 6.0)),
+        wall_texture=float(rng.uniform(0.0, 15.0 if look == "coloured on textured" else 6.0)),
         clutter=int(rng.integers(0, 12)),
         noise=float(rng.uniform(1.0, 4.0)),
-        occluders=arm,
+        occluders=_before(moves, stamp, width / scale, colour, absent, motion(seed, index // POSES + 1)[1]),
         seed=int(rng.integers(1 << 30)),
     )
-    image = Renderer(camera, moves, scene).image(stamp)
-    image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(75, 96))])[1], 1)
-    arcs = np.linspace(0.0, length, 400)
-    begin, end = (camera.project(moves.places([stamp + k * camera.exposure], arcs)[0]) for k in (-0.5, 0.5))
-    curve = camera.project(moves.places([stamp], arcs)[0])
-    for _ in range(3):  # each point in its row
-        curve = camera.project(
-            np.array([moves.places([t], [s])[0, 0] for t, s in zip(camera.exposure_times(stamp, curve), arcs)])
+    image = _by_mujoco(camera, moves, scene, stamp) if by_mujoco else Renderer(camera, moves, scene).image(stamp)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(75, 96))]
+    image = np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, quality)[1], cv2.IMREAD_COLOR), np.uint8)
+    truth = Renderer(camera, moves, Scene(np.linspace(0.0, length, 200))).truth([stamp])
+    curve, blur = truth.pixels[0], float(np.hypot(*truth.streaks[0].T).max())
+    return Shot(image, curve, curve[0] + rng.normal(0.0, 2.0, 2), look, width, blur)
+
+
+def _before(
+    moves: RopeMotion, stamp: float, width: float, colour: Array, absent: Reason | None, other: RopeMotion
+) -> tuple[Occluder, ...]:
+    """The arm, if it moves; a second rope from the same pivot, bent as another one is, if there are to be two."""
+    top = moves.places([stamp], [0.0])[0, 0, :2]
+    things = [Occluder((0.0, 0.0), tuple(top), 0.02, (90.0, 95.0, 100.0))] if np.hypot(*top) > 0.02 else []
+    if absent is Reason.TWO:
+        size, reach = moves.joint_arc_lengths[-1], other.joint_arc_lengths[-1]
+        places = other.places([4.0 - stamp], np.linspace(0.0, reach, 40))[0, :, :2]
+        line = (
+            top
+            + (places - places[0]) * [-1.0, 1.0] * size / reach
+            + np.linspace(0.0, 0.25 * size, 40)[:, None] * [1, 0]
         )
-    pivot = curve[0] + rng.normal(0.0, 2.0, 2)
-    return Shot(image, camera, curve, pivot, length, look, width, float(np.hypot(*(end - begin).T).max()))
+        things += [Occluder(tuple(a), tuple(b), width, tuple(colour)) for a, b in pairwise(line.tolist())]
+    return tuple(things)
 
 
-def distances(curve: Array, truth: Array) -> tuple[float, float]:
-    """Rms distance of the true points from a curve, and between the ends, px."""
-    dense = np.stack(
-        [np.interp(np.linspace(0, len(curve) - 1, 4 * len(curve)), np.arange(len(curve)), c) for c in curve.T], 1
-    )
-    near = np.array([np.hypot(*(dense - point).T).min() for point in truth])
-    return float(np.sqrt(np.mean(near**2))), float(np.hypot(*(curve[-1] - truth[-1])))
+def _by_mujoco(camera: Camera, moves: RopeMotion, scene: Scene, stamp: float) -> Image:
+    from tests.oracles.mujoco_eye import Eye, Look
+
+    rotation, translation = camera.axes
+    origin, focal = camera.project([[0.0, 0.0]])[0], float(camera.matrix[0, 0])
+    look = Look(
+        tuple(np.asarray(scene.rope_colour)), 0.5 * scene.rope_width, float(scene.shine > 0.0), tuple(scene.background),
+        scene.wall_texture, scene.shadow[2] > 0.0, scene.noise,
+    )  # fmt: skip
+    eye = Eye(SIZE, focal, float(translation[2]), origin, EYE_LINKS, look, scene.seed)
+    times = stamp + camera.exposure * ((np.arange(8) + 0.5) / 8 - 0.5)
+    arcs = np.linspace(0.0, moves.joint_arc_lengths[-1], EYE_LINKS + 1)
+    image = eye.picture(moves.places(times, arcs)[:, :, :2])
+    eye.close()
+    return np.asarray(image, np.uint8)
 
 
-def measure(seed: int, index: int, known_length: bool) -> tuple[dict[str, Any], Shot, FoundRope | None]:
+def measure(seed: int, index: int, kind: str, pictures: Path | None) -> dict[str, Any]:
     """Find the rope in a frame."""
-    each, found = shot(seed, index), None
+    absent = Reason(kind) if kind in set(ABSENT) else None
+    each, found = shot(seed, index, absent, kind == "MuJoCo"), None
     size = float(np.hypot(*np.diff(each.curve, axis=0).T).sum())
-    row: dict[str, Any] = {
-        "index": index,
-        "look": each.look,
-        "width": round(each.width, 1),
-        "blur": round(each.blur, 1),
-    }
+    row: dict[str, Any] = {"kind": kind, "index": index, "seed": seed, "look": each.look, "kernels": SOURCE_HASH}
+    row |= {"width": round(each.width, 1), "blur": round(each.blur, 1)}
     begin = time.process_time()
     try:
-        found = find_rope(each.image, each.pivot, length=size if known_length else None)
-        curve, end = distances(found.curve, each.curve)
-        row |= {"curve": round(curve / size, 4), "end": round(end / size, 4)}
-        row["result"] = "right" if curve <= CURVE * size and end <= END * size else "wrong"
+        found = find_rope(each.image, each.pivot)
     except NoRope as error:
         row["result"] = error.reason.value
-    return row | {"seconds": round(time.process_time() - begin, 2)}, each, found
+    row["seconds"] = round(time.process_time() - begin, 2)
+    if found is not None:
+        near = np.linalg.norm(found.curve[:, None] - each.curve, axis=2).min(axis=0)
+        curve, end = (
+            float(np.sqrt(np.mean(near**2))) / size,
+            float(np.hypot(*(found.curve[-1] - each.curve[-1]))) / size,
+        )
+        right = curve <= CURVE and end <= END and absent is None
+        row |= {"curve": round(curve, 5), "end": round(end, 5), "result": "right" if right else "wrong"}
+    if pictures:
+        shown = each.image.copy()
+        for line, colour in ((each.curve, (0, 255, 0)), *([(found.curve, (255, 0, 255))] if found else [])):
+            cv2.polylines(shown, [np.rint(line * 16).astype(np.int32)], False, colour, 1, cv2.LINE_AA, 4)
+        cv2.putText(shown, f"{kind} {index} {row['result']}", (10, 700), 0, 0.8, (255, 0, 255), 2)
+        cv2.imwrite(str(pictures / f"{kind[:6]}-{index:03d}.png"), shown)
+    return row
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """The page."""
+    text = "# The rope in a first frame\n\n" + (__doc__ or "").split("\n\n", 2)[2] + "\n"
+    text += "| frames | number | right | refused by name | wrong | median curve, % of length | worst | median end | seconds |\n"
+    text += "|---|---|---|---|---|---|---|---|---|\n"
+    for kind in ("rope", "MuJoCo"):
+        for look in LOOKS:
+            own = [row for row in rows if row["kind"] == kind and row["look"] == look]
+            if own:
+                counts = Counter(row["result"] for row in own)
+                right, wrong = counts.pop("right", 0), counts.pop("wrong", 0)
+                refused = "; ".join(f"{number}: {name}" for name, number in counts.items()) or "none"
+                off = 100.0 * np.array([[row["curve"], row["end"]] for row in own if row["result"] == "right"])
+                figures = f"{np.median(off[:, 0]):.2f} | {off[:, 0].max():.2f} | {np.median(off[:, 1]):.2f}"
+                spent = np.median([row["seconds"] for row in own])
+                name = look + (", by MuJoCo" if kind == "MuJoCo" else "")
+                text += f"| {name} | {len(own)} | {right} | {refused} | {wrong} | {figures} | {spent:.1f} |\n"
+    text += "\n| frames that are to be refused | number | by this name | by another | taken for a rope |\n|---|---|---|---|---|\n"
+    for kind in ABSENT:
+        own = [row["result"] for row in rows if row["kind"] == kind.value]
+        named, wrong = own.count(kind.value), own.count("wrong")
+        text += f"| {kind.value} | {len(own)} | {named} | {len(own) - named - wrong} | {wrong} |\n"
+    return text
 
 
 def main() -> None:
     """Find ropes, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=5601)
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--from", type=int, default=0, dest="first")
-    parser.add_argument("--length", action="store_true")
-    parser.add_argument("--pictures")
+    parser.add_argument("--seed", type=int, default=5601, help="of poses and looks (5601)")
+    parser.add_argument("--count", type=int, default=200, help="frames with one rope (200)")
+    parser.add_argument("--others", type=int, default=30, help="by MuJoCo, and that are to be refused (30 each)")
+    parser.add_argument("--first", type=int, default=0, help="frame to begin with (0)")
+    parser.add_argument("--pictures", type=Path, help="folder for the frames with the true (green) and the found curve")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="rows, beside which the page is written")
     options = parser.parse_args()
-    rows = []
-    for index in range(options.first, options.first + options.count):
-        row, each, found = measure(options.seed, index, options.length)
+    known, rows = log.read(options.out), list[dict[str, Any]]()
+    log.told(known)
+    indices = range(options.first, options.first + options.count)
+    marks = [("rope", index) for index in indices] + [("MuJoCo", index) for index in range(options.others)]
+    marks += [(ABSENT[index % 3].value, index) for index in range(options.others)]
+    for kind, index in marks:
+        mark = {"kind": kind, "index": index, "seed": options.seed}
+        row = next((each for each in known if mark.items() <= each.items()), None)
+        if row is None:
+            row = measure(options.seed, index, kind, options.pictures)
+            print(json.dumps(row), flush=True)
+            log.append(options.out, row)
         rows.append(row)
-        print(json.dumps(row), flush=True)
-        if options.pictures:
-            shown = each.image.copy()
-            for line, colour in ((each.curve, (0, 255, 0)), *([(found.curve, (255, 0, 255))] if found else [])):
-                cv2.polylines(shown, [np.rint(line * 16).astype(np.int32)], False, colour, 1, cv2.LINE_AA, 4)
-            cv2.circle(shown, np.rint(each.pivot).astype(int).tolist(), 8, (255, 255, 0), 1)
-            cv2.putText(shown, f"{index} {row['result']}", (10, 700), 0, 0.8, (255, 0, 255), 2)
-            cv2.imwrite(str(Path(options.pictures) / f"{index:03d}.png"), shown)
-    print({name: sum(row["result"] == name for row in rows) for name in sorted({row["result"] for row in rows})})
+    made = f"{machine.sentence(machine.describe())} {log.made(rows)}"
+    text = page(rows) + f"\nSeed {options.seed}. {made}\n\nAgain: `python -m benchmarks.first_frame`\n"
+    print(text)
+    files.write_text(options.out.with_suffix(".md"), text)
 
 
 if __name__ == "__main__":
