@@ -3,10 +3,10 @@
 python -m benchmarks.first_frame                    200 frames, 30 that show no rope to be found, 30 by MuJoCo
 python -m benchmarks.first_frame --seed 1 --count 40 --others 0 --pictures FOLDER
 
-Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. Thickness, colour, wall, texture, shadow, shine, clutter,
-noise, exposure and compression are drawn for each frame. The pivot is clicked 2 px (rms) off; length, width and colour of
-the rope are not given. A curve is right if its rms distance from the true one in the middle of the exposure is at most
-1 % of the rope's length, and the free end at most 3 % off.
+Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. Thickness, colour, wall, texture, shadow, shine,
+clutter, noise, exposure and compression are drawn for each frame. The pivot is clicked 2 px (rms) off; length, width and
+colour of the rope are not given. A curve is right if its rms distance from the true one in the middle of the exposure is
+at most 1 % of the rope's length, and the free end at most 3 % off.
 """
 
 import argparse
@@ -180,7 +180,7 @@ def measure(seed: int, index: int, kind: str, pictures: Path | None) -> dict[str
 def page(rows: list[dict[str, Any]]) -> str:
     """The page."""
     text = "# The rope in a first frame\n\n" + (__doc__ or "").split("\n\n", 2)[2] + "\n"
-    text += "| frames | number | right | refused by name | wrong | curve off, median, % | worst | end off, median, % | s |\n"
+    text += "| frames | number | right | refused by name | wrong | curve, median, % | worst | end, median, % | s |\n"
     text += "|---|---|---|---|---|---|---|---|---|\n"
     for kind in ("rope", "MuJoCo"):
         for look in LOOKS:
