@@ -4,9 +4,9 @@ python -m benchmarks.first_frame                    200 frames, 30 that show no 
 python -m benchmarks.first_frame --seed 1 --count 40 --others 0 --pictures FOLDER
 
 Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. Thickness, colour, wall, texture, shadow, shine,
-clutter, noise, exposure and compression are drawn for each frame. The pivot is clicked 2 px (rms) off; length, width and
-colour of the rope are not given. A curve is right if its rms distance from the true one in the middle of the exposure is
-at most 1 % of the rope's length, and the free end at most 3 % off.
+clutter, noise, exposure and compression are drawn for each frame. The pivot is clicked 2 px (rms) off; length, width
+and colour of the rope are not given. A curve is right if its rms distance from the true one in the middle of the
+exposure is at most 1 % of the rope's length, and the free end at most 3 % off.
 """
 
 import argparse
