@@ -13,7 +13,14 @@ if TYPE_CHECKING:
     from hyperflex.estimate.live.page import PicturePage
     from hyperflex.estimate.live.state_source import CameraStateSource, TrackingTask
     from hyperflex.estimate.live.watch import LiveEstimate, Watch, WatchLog
-    from hyperflex.estimate.measurements import BarMeasurement, BaseElsewhere, MarkerMeasurement, bar_arc_lengths
+    from hyperflex.estimate.measurements import (
+        BarMeasurement,
+        BaseElsewhere,
+        CurveMeasurement,
+        MarkerMeasurement,
+        bar_arc_lengths,
+        curve_arc_lengths,
+    )
     from hyperflex.estimate.moving_horizon import MovingHorizon, SmoothedTrack, smooth
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter, moving_base

@@ -16,7 +16,7 @@ from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.interval import Smoothed, smooth_linear
 from hyperflex.estimate.moving_horizon import EARLIER, jump_rows
 from hyperflex.estimate.noise import MOST, QUIET
-from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.observations import Observations, whitening
 from hyperflex.estimate.parameters import BASE_KINDS, PLANE_KINDS
 from hyperflex.estimate.process import BEYOND
 from hyperflex.status import Status
@@ -83,21 +83,31 @@ class _Levels(NamedTuple):
 
 
 class _Linear(NamedTuple):
-    """A frame's observations, linearised: places (2 k,) = slope (2 k, N) x + own (k, 2, 2) e, of the markers used."""
+    """A frame's observations, linearised: values (m,) = slope (m, N) x + std (m,) e, m measured directions of markers.
 
-    used: npt.NDArray[np.int64]
-    places: Array
+    Attributes
+    ----------
+    marker, axis : (m,) int64
+        Whose each value is, and which of its two directions.
+    ways : (m, 2) float64
+        The directions.
+    values : (m,) float64
+    slope : (m, N) float64
+    std : (m,) float64
+        Of the detector.
+    """
+
+    marker: npt.NDArray[np.int64]
+    axis: npt.NDArray[np.int64]
+    ways: Array
+    values: Array
     slope: Array
-    own: Array
+    std: Array
 
-    def covariance(self, levels: _Levels, weights: Array) -> tuple[Array, Array]:
-        """Return the covariance (2 k, 2 k) of errors of `weights` (K,), and which of u and v each row is (2 k, 2)."""
-        count = len(self.used)
-        sizes = levels.marker[self.used] / np.sqrt(weights[self.used])
-        both, scaled = np.tile(np.eye(2), (count, 1)), self.own * sizes[:, None, None]
-        wide, each = both * levels.shift**2 @ both.T, np.arange(count)
-        wide.reshape(count, 2, count, 2)[each, :, each] += scaled @ scaled.transpose(0, 2, 1)
-        return wide, both
+    def covariance(self, levels: _Levels, weights: Array) -> Array:
+        """Return the covariance (m, m) of errors of `weights` (K,)."""
+        own = (self.std * levels.marker[self.marker]) ** 2 / weights[self.marker]
+        return np.asarray(self.ways * levels.shift**2 @ self.ways.T + np.diag(own))
 
 
 def run_errors(
@@ -185,12 +195,12 @@ class _Window:
         free = estimator.disturbances.starting_rows(rope, np.zeros(many))
         self.rows = np.concatenate([free[: len(free) - many], np.pad(prior[1], ((0, 0), (first, 0)))])
         level = estimator.measurement_noise.value
-        there = [each.covariances[each.seen].trace(axis1=1, axis2=2).mean() for each in seen if each.seen.any()]
+        there = [np.linalg.eigvalsh(each.covariances[each.seen])[:, 0].mean() for each in seen if each.seen.any()]
         moves = not BASE_KINDS.keys().isdisjoint(estimator.parameters.names)
         self.dark, detected = not there, float(np.median(there or [0.0]))
         self.levels = _Levels(
             np.full(len(seen[0].places), level),
-            np.full(2, 0.0 if moves else 0.5 * level * np.sqrt(0.5 * detected)),  # of all markers: either moves them
+            np.full(2, 0.0 if moves else 0.5 * level * np.sqrt(detected)),  # of all markers: either moves them
             np.asarray(estimator.process_noise.value),
         )
         self.weights = np.ones((len(seen), len(seen[0].places)))
@@ -224,7 +234,7 @@ class _Window:
                 self.mean,
                 self.rows,
                 moves,
-                [_whitened(each, self.correlated * own[0]) for each, own in zip(self.linear, wide, strict=True)],
+                [_whitened(each, self.correlated * own) for each, own in zip(self.linear, wide, strict=True)],
             )
             self.states = np.array([each.mean for each in self.smoothed])
             self.states[:, first:] = self.estimator.parameters.possible(self.states[:, first:])
@@ -241,8 +251,11 @@ class _Window:
         if self.smoothed:
             rows = self.smoothed[-1].rows[:, self.plane]
             for each, linear in zip(wide, self.linear, strict=True):
-                moves = (linear.slope[:, self.plane] @ rows.T).reshape(linear.used.size, 2, len(rows))
-                each[linear.used] += moves @ moves.transpose(0, 2, 1)
+                moves = np.zeros((len(each), 2, len(rows)))
+                np.add.at(
+                    moves, linear.marker, linear.ways[:, :, None] * (linear.slope[:, self.plane] @ rows.T)[:, None]
+                )
+                each += moves @ moves.transpose(0, 2, 1)
         return wide
 
     def _linearised(self) -> tuple[list[tuple[Array, Array]], list[_Linear]]:
@@ -258,40 +271,43 @@ class _Window:
             at, slope = self.estimator.model.predict(
                 x, self.process.base(seen.t, x), seen.rows, self.process.accelerations(x, seen.t)
             )
-            flat = slope[used].reshape(-1, x.size)
-            places = (seen.places[used] - at[used]).ravel() + flat @ x
-            linear.append(_Linear(used, places, flat, np.asarray(np.linalg.cholesky(seen.covariances[used]))))
+            axes, measured = whitening(seen.covariances[used])
+            (own, axis), std = np.nonzero(measured), 1.0 / np.linalg.norm(axes[measured], axis=1)
+            marker, ways = used[own], axes[measured] * std[:, None]
+            flat = np.einsum("mc,mcn->mn", ways, slope[marker])
+            values = (ways * (seen.places - at)[marker]).sum(axis=1) + flat @ x
+            linear.append(_Linear(marker, axis, ways, values, flat, std))
         return steps, linear
 
-    def _learn(self, wide: list[tuple[Array, Array]], everything: bool) -> Array:
+    def _learn(self, wide: list[Array], everything: bool) -> Array:
         """Set the levels by the smoothed states; return the residuals (T, K, 2) over the detector's errors.
 
         If not `everything`, those of the markers alone.
         """
         shifts, residuals = np.zeros(2), np.full((*self.weights.shape, 2), np.nan)
-        squares = residuals[:, :, 0].copy()
+        squares = residuals.copy()
         variance = np.diag(self.levels.shift**2)
-        for k, (each, smoothed, (covariance, both)) in enumerate(zip(self.linear, self.smoothed, wide, strict=True)):
-            if not each.used.size:
+        for k, (each, smoothed, covariance) in enumerate(zip(self.linear, self.smoothed, wide, strict=True)):
+            if not each.marker.size:
                 continue
-            off, moves = each.places - each.slope @ smoothed.mean, smoothed.rows @ each.slope.T
+            off, moves = each.values - each.slope @ smoothed.mean, smoothed.rows @ each.slope.T
             errors = np.outer(off, off) + moves.T @ moves
-            gain = np.linalg.solve(covariance, both @ variance).T  # of the shift, from the errors
-            doubt, own = variance - gain @ both @ variance, np.eye(off.size) - both @ gain
+            gain = np.linalg.solve(covariance, each.ways @ variance).T  # of the shift, from the errors
+            doubt, own = variance - gain @ each.ways @ variance, np.eye(off.size) - each.ways @ gain
             shifts += np.diag(gain @ errors @ gain.T + doubt)
-            errors = own @ errors @ own.T + both @ doubt @ both.T
-            index, count = np.arange(each.used.size), each.used.size
-            blocks, back = errors.reshape(count, 2, count, 2)[index, :, index], np.linalg.inv(each.own)
-            squares[k, each.used] = np.trace(back @ blocks @ back.transpose(0, 2, 1), axis1=1, axis2=2)
-            residuals[k, each.used] = (back @ off.reshape(-1, 2, 1))[:, :, 0]
+            errors = own @ errors @ own.T + each.ways @ doubt @ each.ways.T
+            squares[k, each.marker, each.axis] = np.diag(errors) / each.std**2
+            residuals[k, each.marker, each.axis] = off / each.std
+        directions = np.isfinite(squares).sum(axis=2)
+        squares = np.where(directions, np.nansum(squares, axis=2), np.nan)
         distances = squares / self.levels.marker**2
-        freedom = likeliest_freedom(distances)
-        self.weights = np.where(np.isfinite(distances), (freedom + 2.0) / (freedom + distances), 1.0)
-        counts, weighted = 2.0 * np.isfinite(squares).sum(axis=0), np.nansum(self.weights * squares, axis=0)
+        freedom = likeliest_freedom(distances, directions)
+        self.weights = np.where(directions, (freedom + directions) / (freedom + np.nan_to_num(distances)), 1.0)
+        counts, weighted = directions.sum(axis=0), np.nansum(self.weights * squares, axis=0)
         marker = np.sqrt((weighted + ALIKE * weighted.sum() / counts.sum()) / (counts + ALIKE))
         self.levels = self.levels._replace(marker=marker, freedom=freedom)
         if everything:
-            frames, (density, jump) = sum(each.used.size > 0 for each in self.linear), self._disturbed()
+            frames, (density, jump) = sum(each.marker.size > 0 for each in self.linear), self._disturbed()
             self.levels = self.levels._replace(shift=np.sqrt(shifts / frames), density=density, jump=jump)
         return residuals
 
@@ -315,24 +331,28 @@ class _Window:
 
 def _whitened(each: _Linear, covariance: Array) -> tuple[Array, Array]:
     """Return the observations of a frame with errors of variance 1, for errors of a covariance."""
-    if not each.used.size:
-        return each.places, each.slope
+    if not each.marker.size:
+        return each.values, each.slope
     lower = np.linalg.cholesky(covariance)
-    return np.linalg.solve(lower, each.places), np.linalg.solve(lower, each.slope)
+    return np.linalg.solve(lower, each.values), np.linalg.solve(lower, each.slope)
 
 
-def likeliest_freedom(distances: Array) -> float:
-    """Return the likeliest degrees of freedom, 1 to GAUSSIAN, of Student's distribution in two dimensions.
+def likeliest_freedom(distances: Array, directions: npt.NDArray[np.int64] | int = 2) -> float:
+    """Return the likeliest degrees of freedom, 1 to GAUSSIAN, of Student's distribution in one or two dimensions.
 
-    `distances` (...) are squared Mahalanobis distances d, NaN if not seen; the density is
-    ``(1 + d / freedom)^(-1 - freedom / 2) / (2 pi)``.
+    `distances` (...) are squared Mahalanobis distances d, NaN if not seen, in `directions` (...) dimensions D; the
+    density is proportional to ``(1 + d / freedom)^(-(freedom + D) / 2)``.
     """
     from scipy.optimize import minimize_scalar
+    from scipy.special import gammaln
 
-    seen = distances[np.isfinite(distances)]
+    there = np.isfinite(distances)
+    seen, sizes = distances[there], np.broadcast_to(directions, distances.shape)[there]
 
     def unlikely(log: float) -> float:
-        return float((1.0 + 0.5 * np.exp(log)) * np.log1p(seen / np.exp(log)).mean())
+        freedom = np.exp(log)
+        constant = gammaln(0.5 * freedom) - gammaln(0.5 * (freedom + sizes)) + 0.5 * sizes * log
+        return float((constant + 0.5 * (freedom + sizes) * np.log1p(seen / freedom)).mean())
 
     return float(np.exp(minimize_scalar(unlikely, bounds=(0.0, np.log(GAUSSIAN)), method="bounded").x))
 

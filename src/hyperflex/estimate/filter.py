@@ -235,6 +235,10 @@ class RopeFilter:
         velocity = slope[:, :, :n] @ self.x[n : 2 * n] + moved
         return places, self._joint_covariance(slope), np.hypot(velocity[:, 0], velocity[:, 1])
 
+    def pixels_of(self, model: MarkerModel, rows: Array) -> Array:
+        """Return where points of another model of this rope (P, 2) are expected; `rows` (P,) are its own."""
+        return model.predict(self.x, self.base, rows, self._qdd)[0]
+
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
         """Return how far markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
 

@@ -1,4 +1,4 @@
-"""Measurements of a rope in frames: identical markers along it, or a bar of its own colour on each link."""
+"""Measurements of a rope in frames: identical markers, the bare rope, or a bar of its own colour on each link."""
 
 from collections import defaultdict
 
@@ -9,20 +9,27 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.filter import each_covariance
+from hyperflex.estimate.observations import UNMEASURED, MarkerModel
 from hyperflex.estimate.parameters import BASE_KINDS
 from hyperflex.estimate.tracker import LEAST_STD, Prediction, RopeTracker
+from hyperflex.model import Rope
 from hyperflex.vision import (
     FLOOR,
     BarDetector,
     Blobs,
     Camera,
     ClutterMap,
+    CurveDetector,
+    CurveView,
     Gate,
     Image,
     MarkerDetector,
+    RopeLook,
     assign_markers,
+    find_rope,
     link_angles,
     order_markers,
+    view_curve,
 )
 
 
@@ -162,6 +169,102 @@ class MarkerMeasurement:
             return None
         streaks = (expected.speeds * camera.exposure).tolist()
         return [Gate(*gate) for gate in zip(expected.pixels, each_covariance(spread), streaks, strict=True)]
+
+
+def curve_arc_lengths(rope: Rope, pieces: int = 40) -> Array:
+    """Return arc lengths (pieces + 1,), m, at which a bare rope is measured: the middles of pieces, and the free end."""
+    checks.count("pieces", pieces, least=4)
+    return np.append((np.arange(pieces) + 0.5) / pieces, 1.0) * rope.total_length
+
+
+class CurveMeasurement:
+    """Measures a rope without markers (a :class:`Measurement`).
+
+    Parameters
+    ----------
+    look : RopeLook
+        How it looks. The estimator's arc lengths are those of :func:`curve_arc_lengths`.
+    detector : CurveDetector, optional
+
+    Notes
+    -----
+    A picture does not show how far the rope is along itself (the aperture problem): each piece of it is measured across
+    the rope, and the free end along it. Where the rope is expected too uncertainly, it is searched in the whole picture.
+    """
+
+    LINES = 7  # across a piece
+    LOST = 20.0  # px, median of the standard deviations of the pieces, from which the whole picture is searched
+    LENGTH = 0.1  # relative difference from the rope's length at which all of it is found
+    FOUND_STD = 3.0  # px, of places on a rope that was found in the whole picture
+
+    count = None
+
+    def __init__(self, look: RopeLook, detector: CurveDetector | None = None) -> None:
+        self.look, self.detector = look, CurveDetector() if detector is None else detector
+        self._dense: MarkerModel | None = None
+        self.contrasts = np.zeros(0)
+
+    @property
+    def radius(self) -> float:
+        """Of the rope, px."""
+        return 0.5 * self.look.width
+
+    def measure(
+        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
+    ) -> tuple[Array, Array]:
+        """Return the rope seen in a frame: each piece across itself, and the free end along itself."""
+        self.look = self.look.in_light_of(image)
+        if expected is None or self._is_lost(expected):
+            return self._found(image, tracker, base)
+        view = self._view(tracker, expected)
+        seen = self.detector.find(image, self.look, view)
+        self.contrasts = seen.contrasts
+        points, normals = view.middles
+        ways = np.concatenate([normals, view.end_tangent[None]])
+        places = np.concatenate([points, view.end[None]]) + np.append(seen.offsets, seen.end)[:, None] * ways
+        variances = np.append(seen.variances, seen.end_variance)
+        along = np.stack([-ways[:, 1], ways[:, 0]], axis=1)
+        unmeasured = (2.0 * UNMEASURED) ** 2 * np.einsum("kc,kd->kcd", along, along)
+        return places, variances[:, None, None] * (np.einsum("kc,kd->kcd", ways, ways) + unmeasured)
+
+    def _is_lost(self, expected: Prediction) -> bool:
+        """Whether the rope is expected too uncertainly."""
+        return bool(np.median(np.sqrt(np.diag(expected.covariance))) > self.LOST)
+
+    def _view(self, tracker: RopeTracker, expected: Prediction) -> CurveView:
+        """Return where the rope is expected at the begin, in the middle and at the end of the exposure."""
+        estimator, camera = tracker.estimator, tracker.camera
+        pieces = len(expected.pixels) - 1
+        if self._dense is None:
+            arcs = curve_arc_lengths(estimator.process.rope, pieces * self.LINES)
+            self._dense = MarkerModel(estimator.process.rope, arcs, estimator.parameters, camera, readout=1.0)
+        readout = camera.readout + estimator.parameters.value("readout", tracker.values)
+        now = estimator.pixels_of(self._dense, np.zeros(len(self._dense.arc_lengths)))
+        late = readout * tracker.rows(now)
+        half = 0.5 * camera.exposure
+        moving = np.array([estimator.pixels_of(self._dense, late + each) for each in (-half, 0.0, half)])
+        corners = camera.readout_share([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        row_slope = readout * (corners[1:] - corners[0]) / max(camera.exposure, 1e-9)
+        spacing = estimator.disturbances.correlation * pieces
+        return view_curve(moving, pieces, expected.covariance, spacing, estimator.n_links, row_slope)
+
+    def _found(self, image: Image, tracker: RopeTracker, base: Array) -> tuple[Array, Array]:
+        """Search the whole picture; all NaN if the rope is not found."""
+        estimator, camera = tracker.estimator, tracker.adjusted_camera
+        arcs = estimator.parameters.arc_lengths(estimator.model.arc_lengths, tracker.values)
+        pixels, wide = np.full((len(arcs), 2), np.nan), np.full((len(arcs), 2, 2), np.nan)
+        try:
+            curve = find_rope(image, camera.project(base[None])[0], look=self.look).curve
+        except InvalidInput:
+            return pixels, wide
+        places = camera.locate(curve)
+        along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+        if abs(along[-1] / arcs[-1] - 1.0) < self.LENGTH:
+            along *= arcs[-1] / along[-1]
+        there = arcs <= along[-1]
+        pixels[there] = np.stack([np.interp(arcs[there], along, each) for each in curve.T], axis=1)
+        wide[there] = self.FOUND_STD**2 * np.eye(2)
+        return pixels, wide
 
 
 def bar_arc_lengths(spans: npt.ArrayLike) -> Array:

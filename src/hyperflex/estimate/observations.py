@@ -14,6 +14,7 @@ from hyperflex.model import Rope, unit_across, unit_along
 from hyperflex.sensors import lever_arms
 from hyperflex.vision import Camera, check_increasing
 
+UNMEASURED = 1e4  # ratio of standard deviations from which a place is not measured in the direction of the larger one
 FAR = 10.0  # lengths of the rope from its first joint: a marker seen farther away is rejected
 
 
@@ -21,7 +22,8 @@ FAR = 10.0  # lengths of the rope from its first joint: a marker seen farther aw
 class Observations:
     """Where markers were seen at one time, each in its place along the rope: the input of an estimator.
 
-    A point whose place along the rope is not known has a covariance that is large in that direction.
+    A point whose place along the rope is not known has a covariance that is large in that direction; a direction whose
+    standard deviation is UNMEASURED times the other one's does not count as measured.
 
     Parameters
     ----------
@@ -112,19 +114,31 @@ class InputFrame:
     noise: Array = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
-    def whitening(self) -> Array:
-        """Matrices (k, 2, 2) that give differences of the places used a variance of 1."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.seen.covariances[self.used])) / self.level)
+    def whitening(self) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """As of :func:`whitening`, of the places used and with the level of the noise."""
+        axes, measured = whitening(self.seen.covariances[self.used])
+        return axes / self.level, measured
 
     @cached_property
     def log_determinant(self) -> float:
         """Logarithm of the whitening's determinant, which the likelihood of whitened differences lacks."""
-        return float(np.log(np.linalg.det(self.whitening)).sum())
+        axes, measured = self.whitening
+        return float(np.log(np.linalg.norm(axes[measured], axis=1)).sum())
 
     def residuals(self, places: Array, slope: Array) -> tuple[Array, Array]:
         """Return whitened differences (m,) from predicted places (K, 2), and whitened derivatives (m, N)."""
-        off = self.whitening @ (self.seen.places[self.used] - places[self.used])[:, :, None]
-        return off.ravel(), (self.whitening @ slope[self.used]).reshape(off.size, -1)
+        axes, measured = self.whitening
+        off = axes @ (self.seen.places[self.used] - places[self.used])[:, :, None]
+        return off[measured, 0], (axes @ slope[self.used])[measured]
+
+
+def whitening(covariances: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return matrices (k, 2, 2) whose rows are orthogonal and give differences of places a covariance of 1.
+
+    Also returns which of the rows (k, 2) are of directions that are measured. `covariances` are (k, 2, 2).
+    """
+    values, vectors = np.linalg.eigh(covariances)
+    return vectors.swapaxes(1, 2) / np.sqrt(values)[:, :, None], values < UNMEASURED**2 * values[:, :1]
 
 
 class MarkerModel:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.calibration import Board, BoardView, Calibration, calibrate_camera
     from hyperflex.vision.camera import Camera, PlaneView, read_camera
     from hyperflex.vision.colour import MarkerColour
+    from hyperflex.vision.curve import CurveDetector, CurveOffsets, CurveView, view_curve
     from hyperflex.vision.first_frame import FoundRope, NoRope, Reason, find_rope
     from hyperflex.vision.look import RopeLook, still_background
     from hyperflex.vision.markers import Blobs, Gate, MarkerDetector

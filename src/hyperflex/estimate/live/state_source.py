@@ -20,13 +20,13 @@ from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, Source, open_frames
 from hyperflex.estimate.live.watch import Watch
-from hyperflex.estimate.measurements import MarkerMeasurement
+from hyperflex.estimate.measurements import CurveMeasurement, MarkerMeasurement
 from hyperflex.estimate.parameters import EstimatedParameter
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.vision import Camera, Frame, Image, MarkerColour, MarkerDetector
+from hyperflex.vision import Camera, Frame, Image, MarkerColour, MarkerDetector, RopeLook
 
 TICK = 0.05  # s, longest time between two packets: the parent sees that the process runs
 MOST_CHANGES = 16  # that a packet carries
@@ -44,6 +44,9 @@ class TrackingTask:
         As of :class:`RopeFilter`; an arm is at rest until :meth:`Process.set_motion`.
     colours : sequence of MarkerColour
         Of the markers: mostly one.
+    look : RopeLook, optional
+        Of a rope without markers: `colours` are then not used, and `arc_lengths` are those of
+        :func:`curve_arc_lengths`.
     """
 
     rope: Rope
@@ -53,6 +56,7 @@ class TrackingTask:
     arm: Arm | None = None
     parameters: Sequence[EstimatedParameter] = ()
     tests: ChangeTests | None = None
+    look: RopeLook | None = None
 
     def tracker(self) -> RopeTracker:
         """Return a new tracker of the rope."""
@@ -65,6 +69,8 @@ class TrackingTask:
             parameters=self.parameters,
             tests=self.tests,
         )
+        if self.look is not None:
+            return RopeTracker(estimator, CurveMeasurement(self.look))
         return RopeTracker(estimator, MarkerMeasurement(*map(MarkerDetector, self.colours)))
 
     def rehearse(self) -> None:
@@ -72,12 +78,19 @@ class TrackingTask:
         import cv2
 
         tracker = self.tracker()
-        radius = round(16.0 * (max(2.0, tracker.measurement.radius) - 0.5))  # OpenCV adds half a pixel; 1/16 px
         width, height = self.camera.image_size
         image = np.full((height, width, 3), 128, np.uint8)
         drop = np.asarray(self.arc_lengths)[:, None] * self.rope.gravity / np.hypot(*self.rope.gravity)
-        for place in np.round(16.0 * self.camera.project(drop + tracker.estimator.process.base(0.0)[0])).astype(int):
-            cv2.circle(image, place.tolist(), radius, self.colours[0].bgr.tolist(), -1, cv2.LINE_AA, 4)
+        places = np.pad(drop, ((1, 0), (0, 0))) + tracker.estimator.process.base(0.0)[0]
+        pixels = np.round(16.0 * self.camera.project(places)).astype(int)  # 1/16 px
+        if self.look is not None:
+            image[:] = 128 + np.where(self.look.bgr < 128.0, 64, -64)
+            thick = max(1, round(self.look.width))
+            cv2.polylines(image, [pixels.astype(np.int32)], False, self.look.bgr.tolist(), thick, cv2.LINE_AA, 4)
+        else:
+            radius = round(16.0 * (max(2.0, tracker.measurement.radius) - 0.5))  # OpenCV adds half a pixel
+            for place in pixels[1:]:
+                cv2.circle(image, place.tolist(), radius, self.colours[0].bgr.tolist(), -1, cv2.LINE_AA, 4)
         for k in range(_PRACTICE):
             tracker.look(Frame(k / 30.0, image, k))
 

@@ -1,0 +1,221 @@
+"""A plain rope, tracked without markers from rendered videos: its whole curve, its free end, and what is stated.
+
+python -m benchmarks.markerless 10                    all cases, ten seeds each (about three hours on one core)
+python -m benchmarks.markerless 10 --case clutter     one case; --first 3 begins with seed 3
+python -m benchmarks.markerless page                  the page from what there is
+
+Ropes of 100 links, 5 mm thick, 1280 x 720 pixels over 4.5 m, rendered, written as MP4 (x264, crf 23) and read again;
+trackers have 40 links, and find the rope in the first frame themselves. Errors are distances of 40 places of the curve,
+and of the free end, from the true places at the same arc lengths, from 0.5 s after the first frame on. A run counts as
+lost if the curve is off by more than 100 mm rms in one of the last ten frames.
+"""
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import log, machine
+from scipy import stats
+
+import hyperflex as hf
+from hyperflex import files
+from hyperflex.checks import Array
+from hyperflex.core.cache import SOURCE_HASH
+from hyperflex.estimate import CurveMeasurement, RopeFilter, RopeTracker, curve_arc_lengths
+from hyperflex.vision import Camera, Frame, Occluder, Renderer, RopeMotion, Scene, VideoReader, find_rope
+from tests.estimate.runs import ARM, FINE, RATE, SWINGS, free_swing, rope
+
+RESULTS = Path(__file__).parent / "results" / "markerless.jsonl"
+LINKS, WIDTH, SCALE = 40, 0.005, 1280 / 4.5  # m, px/m
+DARK = (45.0, 45.0, 45.0)
+START, SETTLED = 0.05, 0.5  # s
+NINETY = float(stats.chi2.ppf(0.9, 2))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of video.
+
+    Attributes
+    ----------
+    cast : whether the rope is pumped up to some 12 m/s; else it swings freely from 1.2 m
+    rate, exposure : frames/s, s
+    hidden : whether a board hides a fifth of the hanging rope
+    clutter : whether three lines as thick and dark as the rope cross it
+    blackouts : when nothing is seen, s
+    """
+
+    cast: bool = False
+    rate: float = 30.0
+    exposure: float = 0.01
+    hidden: bool = False
+    clutter: bool = False
+    blackouts: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Of the video, s: the pumped rope reaches 12 m/s near its end."""
+        return 8.0 if self.cast else 4.0
+
+
+CASES = {
+    f"{name}{rate:.0f}/s, 1/{1 / exposure:.0f} s": Case(cast, rate, exposure)
+    for name, cast in (("swing ", False), ("cast ", True))
+    for rate in (30.0, 60.0)
+    for exposure in (0.01, 0.002)
+} | {
+    "swing, hidden": Case(hidden=True),
+    "swing, clutter": Case(clutter=True),
+    "cast, hidden": Case(True, hidden=True),
+    "cast, clutter": Case(True, clutter=True),
+    "cast, blackouts": Case(True, blackouts=((4.0, 4.3), (6.0, 6.3))),
+}
+ASKED = {False: (3.0, 10.0), True: (6.0, 25.0)}  # mm, of curve and tip, by whether it is a cast
+
+
+def motion_of(case: Case, seed: int) -> RopeMotion:
+    """The rope of 100 links: a free swing, or the paper's swings from a rope that hangs nearly at rest."""
+    if not case.cast:
+        return RopeMotion.from_trajectory(free_swing(seed, case.duration + 0.5))
+    rng, s = np.random.default_rng((seed, 1)), np.linspace(0.0, 1.0, FINE)
+    bend = (
+        rng.normal(size=3) * (0.05, 0.05, 0.025) @ np.stack([np.ones(FINE), np.sin(np.pi * s), np.sin(2 * np.pi * s)])
+    )
+    t = np.arange(0.0, case.duration + 0.5, 1.0 / RATE)
+    run = hf.simulate(rope(FINE), SWINGS, arm=ARM, duration=case.duration + 0.5, q0=bend, t_eval=t)
+    return RopeMotion.from_trajectory(run)
+
+
+def scene_of(case: Case, seed: int) -> Scene:
+    """What is in the picture."""
+    rng, fronts = np.random.default_rng((seed, 6)), []
+    if case.hidden:
+        height = -rng.uniform(0.6, 1.2)
+        fronts.append(Occluder((-2.3, height), (2.3, height), 0.4))
+    for start in np.linspace(0.5, case.duration - 1.5, 3) if case.clutter else ():
+        way, speed = rng.uniform(-0.5, 0.5), rng.uniform(0.5, 1.5)
+        u = -1.5 - speed * start
+        fronts.append(Occluder((u - way, -2.3), (u + way, 0.2), WIDTH, DARK, (speed, 0.0)))
+    return Scene(
+        np.zeros(0),
+        rope_width=WIDTH,
+        rope_colour=DARK,
+        clutter=0,
+        light_drift=0.1,
+        occluders=tuple(fronts),
+        blackouts=case.blackouts,
+        seed=seed,
+    )
+
+
+def run(name: str, seed: int) -> dict[str, Any]:
+    """Render a video, write it, read it, track it, and compare."""
+    case = CASES[name]
+    motion = motion_of(case, seed)
+    camera = Camera.facing((1280, 720), pixels_per_metre=SCALE, origin=(640.0, 60.0), exposure=case.exposure)
+    stamps = START + np.arange(0.0, case.duration, 1.0 / case.rate)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rope.mp4"
+        Renderer(camera, motion, scene_of(case, seed)).write(path, stamps, quality=23)
+        with VideoReader(path) as frames:
+            return tracked(case, motion, camera, iter(frames))
+
+
+def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Frame]) -> dict[str, Any]:
+    """Track the frames, and compare with the motion."""
+    cable = rope(LINKS)
+    given = {"motion": SWINGS, "arm": ARM} if case.cast else {}
+    estimator = RopeFilter(cable, curve_arc_lengths(cable), camera=camera, **given)
+    tracker: RopeTracker | None = None
+    rows, fastest, spent = [], 0.0, []
+    arcs = np.append(0.0, np.cumsum(cable.length))
+    for frame in frames:
+        begun = time.process_time()
+        if tracker is None:
+            pivot = camera.project(estimator.process.base(frame.time)[:1])[0]
+            tracker = RopeTracker(estimator, CurveMeasurement(find_rope(frame.image, pivot, width=WIDTH * SCALE).look))
+        result = tracker.look(frame)
+        spent.append(time.process_time() - begun)
+        before, now, after = motion.places(frame.time + np.array([-1e-3, 0.0, 1e-3]), arcs)[:, :, :2]
+        fastest = max(fastest, float(np.linalg.norm(after[-1] - before[-1])) / 2e-3)
+        if result.state is None:
+            continue
+        places, slopes = estimator.joints(result.state)
+        off = (places - now)[1:]
+        wide = slopes[1:] @ result.state.covariance[:LINKS, :LINKS] @ slopes[1:].swapaxes(1, 2)
+        distance = np.einsum("ka,kab,kb->k", off, np.linalg.inv(wide), off)
+        rows.append((frame.time, (off**2).sum(axis=1), distance < NINETY, result.seen.mean()))
+    t, squares, within, seen = (np.array(column) for column in zip(*rows, strict=True))
+    used = (t > START + SETTLED) & ~np.any([(t >= a) & (t < b + 0.1) for a, b in case.blackouts] or [t < 0.0], axis=0)
+    return {
+        "fastest": fastest,
+        "curve": float(np.sqrt(squares[used].mean())),
+        "tip": float(np.sqrt(squares[used, -1].mean())),
+        "worst": float(np.sqrt(squares[used, -1].max())),
+        "within": float(within[used].mean()),
+        "tip within": float(within[used, -1].mean()),
+        "seen": float(seen[used].mean()),
+        "lost": bool((np.sqrt(squares[-10:].mean(axis=1)) > 0.1).any()),
+        "ms": 1e3 * float(np.median(spent)),
+        "slowest, ms": 1e3 * float(np.percentile(spent[5:], 99)),
+    }
+
+
+def main() -> None:
+    """Run what is asked for, and write a line for each; or the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("seeds", help="how many seeds, or: page")
+    parser.add_argument("--case", default="", help="those whose name contains it")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    options = parser.parse_args()
+    for name in [] if options.seeds == "page" else [each for each in CASES if options.case in each]:
+        for seed in range(options.first, options.first + int(options.seeds)):
+            row = {"case": name, "seed": seed, **run(name, seed), "kernels": SOURCE_HASH}
+            log.append(options.out, row)
+            print(row, flush=True)
+    files.write_text(options.out.with_suffix(".md"), page(log.read(options.out)))
+
+
+def page(rows: list[log.Row]) -> str:
+    """The results as Markdown."""
+    kept = {(row["case"], row["seed"]): row for row in rows}
+    lines = ["# A plain rope, tracked without markers", "", __doc__.split("\n\n")[2].replace("\n", " ").strip(), ""]
+    lines.append(
+        "| case | seeds | fastest, m/s | curve rms, mm (worst seed) | asked | tip rms, mm (worst seed) | asked | "
+        "places within the stated 90 %, % (from - to) | tip, % | lost | ms a frame |"
+    )
+    lines.append("|---" * 11 + "|")
+    for name, case in CASES.items():
+        own = [row for (which, _), row in kept.items() if which == name]
+        if not own:
+            continue
+        table: dict[str, Array] = {
+            key: np.array([row[key] for row in own], dtype=float) for key in own[0] if key not in ("case", "kernels")
+        }
+        rms = {key: (1e3 * np.sqrt((table[key] ** 2).mean()), 1e3 * table[key].max()) for key in ("curve", "tip")}
+        within = 1e2 * table["within"]
+        cells = [
+            name,
+            len(own),
+            f"{table['fastest'].max():.1f}",
+            "{:.2g} ({:.2g})".format(*rms["curve"]),
+            f"{ASKED[case.cast][0]:g}",
+            "{:.2g} ({:.2g})".format(*rms["tip"]),
+            f"{ASKED[case.cast][1]:g}",
+            f"{within.mean():.0f} ({within.min():.0f} - {within.max():.0f})",
+            f"{1e2 * table['tip within'].mean():.0f}",
+            f"{table['lost'].sum():.0f}",
+            f"{np.median(table['ms']):.1f}",
+        ]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join([*lines, "", f"{log.made(kept.values())} {machine.sentence(machine.describe())}\n"])
+
+
+if __name__ == "__main__":
+    main()

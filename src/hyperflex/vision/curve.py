@@ -1,0 +1,274 @@
+"""Measures a rope without markers: how far it is, across itself, from where it is expected, and where its end is."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.core.image import profiles
+from hyperflex.vision.look import RopeLook
+from hyperflex.vision.video import Image
+
+STEP = 0.5  # px between samples of a profile
+
+
+class CurveView(NamedTuple):
+    """Where a rope is expected in a picture: K pieces of it, each crossed by M lines, and its free end.
+
+    Attributes
+    ----------
+    points, normals : (K, M, 2) float64
+        Where the lines cross the rope in the middle of the exposure, px, and their directions.
+    sweeps : (K, 2) float64
+        Movement of the rope along the middle line of each piece during the exposure, ``sweeps . (u, u^2 / 2)``, px, for
+        -1/2 <= u <= 1/2.
+    covariance : (K, K) float64
+        Of the expected offsets of the pieces along their middle lines, px^2.
+    likeness : (K, K) float64
+        Correlation of errors that the covariance omits.
+    sagittas : (K,) float64
+        By how much straight links differ from a curve like the rope's, px.
+    end, end_tangent : (2,) float64
+        Where the free end is expected, px, and the direction in which the rope ends there.
+    end_sweep : (2,) float64
+        Movement of the end in that direction, as of `sweeps`.
+    end_variance : float
+        Of its expected place in that direction, px^2.
+    """
+
+    points: Array
+    normals: Array
+    sweeps: Array
+    covariance: Array
+    likeness: Array
+    sagittas: Array
+    end: Array
+    end_tangent: Array
+    end_sweep: Array
+    end_variance: float
+
+    @property
+    def middles(self) -> tuple[Array, Array]:
+        """Points and normals (K, 2) of the middle lines."""
+        middle = self.points.shape[1] // 2
+        return self.points[:, middle], self.normals[:, middle]
+
+
+class CurveOffsets(NamedTuple):
+    """Where a rope is seen, relative to a :class:`CurveView`.
+
+    Attributes
+    ----------
+    offsets, variances : (K,) float64
+        Along the middle line of each piece, px and px^2; NaN: not seen.
+    end, end_variance : float
+        Of the free end along its direction; NaN: not seen.
+    contrasts : (K,) float64
+        Contrast over that of the look, NaN: not seen.
+    """
+
+    offsets: Array
+    variances: Array
+    end: float
+    end_variance: float
+    contrasts: Array
+
+
+def view_curve(
+    moving: Array, pieces: int, covariance: Array, spacing: float, links: int, row_slope: npt.ArrayLike = (0.0, 0.0)
+) -> CurveView:
+    """Return the view of a rope from where its points are expected.
+
+    Parameters
+    ----------
+    moving : (3, K M + 1, 2) float64
+        Points along the rope at the begin, in the middle and at the end of the exposure, px, M (odd) of each piece; the
+        free end last.
+    pieces : int
+        K.
+    covariance : (2 K + 2, 2 K + 2) float64
+        Of the middle of each piece and of the free end, px^2.
+    spacing : float
+        Pieces over which errors that the covariance omits are alike.
+    links : int
+        Of the rope that is expected.
+    row_slope : (2,) array_like
+        By how many exposures pixels are read later per px along u and v.
+
+    Notes
+    -----
+    A curve that moves with velocity L per exposure, acceleration A, turns by w and has the curvature k crosses a line
+    along its normal n, across its tangent t, at ``L.n u + (A.n - 2 w L.t + k (L.t)^2) u^2 / 2`` to second order.
+    """
+    before, now, after = moving
+    lines = (len(now) - 1) // pieces
+    reach, last = lines // 2, len(now) - 1
+    low, high = np.maximum(np.arange(last + 1) - reach, 0), np.minimum(np.arange(last + 1) + reach, last)
+    chords = now[high] - now[low]
+    lengths = np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), 1e-9)
+    tangents = chords / lengths
+    normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
+    velocity, acceleration = after - before, 4.0 * (before + after - 2.0 * now)
+    turning = ((velocity[high] - velocity[low]) / lengths * normals).sum(axis=1)
+    curvature = ((tangents[high] - tangents[low]) / lengths * normals).sum(axis=1)
+    own = np.append(np.arange(reach, last, lines), last)
+    along, across = (np.einsum("kc,kc->k", velocity[own], each[own]) for each in (tangents, normals))
+    bend = np.einsum("kc,kc->k", acceleration[own], normals[own]) - 2.0 * turning[own] * along
+    bend = bend + curvature[own] * along**2
+    slope = normals[own] @ np.asarray(row_slope)
+    stretch = 1.0 / np.maximum(1.0 - across * slope, 0.1)
+    sweeps = np.stack([across * stretch, bend * stretch], axis=1)
+    ways = np.concatenate([normals[own[:-1]], tangents[-1:]])
+    blocks = covariance.reshape(pieces + 1, 2, pieces + 1, 2)
+    wide = np.einsum("kc,kcld,ld->kl", ways, blocks, ways, optimize=True)
+    link = np.linalg.norm(np.diff(now, axis=0), axis=1).sum() / links
+    apart = np.subtract.outer(np.arange(pieces), np.arange(pieces)) / spacing
+    return CurveView(
+        now[:-1].reshape(pieces, lines, 2),
+        normals[:-1].reshape(pieces, lines, 2),
+        sweeps[:-1],
+        wide[:-1, :-1],
+        np.exp(-0.5 * apart**2),
+        np.abs(curvature[own[:-1]]) * link**2 / 8.0,
+        now[-1],
+        tangents[-1],
+        np.array([along[-1], acceleration[-1] @ tangents[-1]]),
+        float(wide[-1, -1]),
+    )
+
+
+class CurveDetector:
+    """Finds a rope across where it is expected.
+
+    Parameters
+    ----------
+    blur : float
+        Standard deviation of the blur of a still edge, px.
+
+    Notes
+    -----
+    Several places of a piece may look like the rope (other edges, shadows, things of its colour). Which of them is the
+    rope, if any, is found for all pieces together, by sums over all choices along the rope (forward and backward): the
+    rope is as bent as its expected covariance allows, and hidden pieces are neighbours of hidden ones.
+    """
+
+    CANDIDATES = 4
+    GATE = 4.0  # standard deviations of an offset
+    DOUBT = 2.0  # px, standard deviation of an expected place in addition to what the estimator states
+    WIDEST = 60.0  # px, largest offset
+    LEAST_STD = 0.1  # px, of an offset, in addition to noise: compression, texture
+    ALIKE = 16.0  # pieces and frames over which such errors, and those of straight links, are alike
+    CONTRAST_STD = 0.35  # of a contrast, relative
+    CLEAR, SURE = 3.0, 10.0  # log-likelihood ratio to "nothing" of what may, and of what surely is the rope
+    HIDDEN = 3.0  # log-likelihood ratio at which a piece begins or ends to be hidden
+
+    def __init__(self, blur: float = 0.7) -> None:
+        self.blur = blur
+
+    def find(self, image: Image, look: RopeLook, view: CurveView) -> CurveOffsets:
+        """Return what is seen of the rope in a frame (height, width, 3)."""
+        prior = view.covariance + self.DOUBT**2 * view.likeness
+        reach = np.minimum(self.GATE * np.sqrt(np.diag(prior)), self.WIDEST)
+        inner = reach + half_sweep(view.sweeps) + 0.5 * look.width + 3.0 * self.blur
+        far = inner + profiles.MARGIN + 2.0
+        seen = np.empty((len(reach), 2 * int(far.max() / STEP) + 1, 3))
+        profiles.sample_lines(image, view.points, view.normals, STEP, far, seen)
+        across = STEP * (np.arange(seen.shape[1]) - 0.5 * (seen.shape[1] - 1))
+        if look.background is None:
+            outside = np.abs(across) > np.minimum(inner, far.max() - profiles.MARGIN)[:, None]
+            walls = np.nanmedian(np.where(outside[:, :, None], seen, np.nan), axis=1, keepdims=True)
+        else:
+            walls = np.empty_like(seen)
+            profiles.sample_lines(look.background, view.points, view.normals, STEP, far, walls)
+        contrast = look.bgr - np.nanmean(walls, axis=1)
+        weights = contrast / np.maximum((contrast**2).sum(axis=1, keepdims=True), 1.0)
+        shares = np.einsum("kxc,kc->kx", seen - walls, weights)
+        found = np.empty((len(reach), self.CANDIDATES, profiles.COLUMNS))
+        widths = np.full(len(reach), look.width)
+        profiles.match_lines(shares, view.sweeps, widths, self.blur, STEP, reach, found)
+        offsets, ratios, variances = self._rated(found)
+        variances += self.ALIKE * (self.LEAST_STD**2 + view.sagittas[:, None] ** 2)
+        chances = marginals(offsets, ratios, variances, prior, self.HIDDEN)
+        offsets, variances = np.nan_to_num(offsets), np.nan_to_num(variances, nan=1.0)
+        total = np.maximum(chances.sum(axis=1), 1e-9)
+        mean = (chances * offsets).sum(axis=1) / total
+        wide = (chances * (variances + (offsets - mean[:, None]) ** 2)).sum(axis=1) / total**2
+        best = np.take_along_axis(found[:, :, profiles.AMPLITUDE], chances.argmax(axis=1)[:, None], axis=1)[:, 0]
+        mean, wide, best = (np.where(total > 0.5, each, np.nan) for each in (mean, wide, best))
+        end = (np.nan, np.nan)
+        if np.isfinite(mean[-1]):
+            end = self._end(image, look, view, float(mean[-1]), weights[-1])
+        return CurveOffsets(mean, wide, *end, best)
+
+    def _rated(self, found: Array) -> tuple[Array, Array, Array]:
+        """Return offsets of candidates (K, C), px, log-likelihood ratios to nothing, and variances, px^2."""
+        best = found[:, 0, profiles.RESIDUAL]
+        common = np.nanmedian(best) if np.isfinite(best).any() else 1.0
+        noise = np.maximum(found[:, :, profiles.RESIDUAL], common) / STEP  # samples are correlated
+        contrast = found[:, :, profiles.AMPLITUDE]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            unlike = (contrast - 1.0) ** 2 / (self.CONTRAST_STD**2 + noise / found[:, :, profiles.CERTAINTY])
+            ratios = 0.5 * (found[:, :, profiles.GAIN] / noise - unlike)
+            variances = noise / (contrast**2 * found[:, :, profiles.ENERGY])
+        ratios = np.where(ratios > self.CLEAR, np.minimum(ratios, self.SURE), -np.inf)
+        return found[:, :, profiles.OFFSET], ratios, variances
+
+    def _end(self, image: Image, look: RopeLook, view: CurveView, offset: float, weights: Array) -> tuple[float, float]:
+        """Return the offset of the free end along its direction, px, and its variance; NaN if it is not seen."""
+        reach = min(self.GATE * float(np.sqrt(view.end_variance + self.DOUBT**2)), self.WIDEST)
+        half = reach + float(half_sweep(view.end_sweep)) + 3.0 * self.blur + profiles.MARGIN + 2.0
+        side = float(half_sweep(view.sweeps[-1])) + 0.5 * look.width + 3.0 * self.blur
+        along = view.end_tangent
+        seen, found = np.empty((2 * int(half / STEP) + 1, 3)), np.empty(profiles.COLUMNS)
+        profiles.sum_across(image, view.end + offset * np.array([-along[1], along[0]]), along, STEP, side, seen)
+        profiles.match_end(seen @ weights, view.end_sweep, self.blur, STEP, reach, found)
+        noise, contrast = found[profiles.RESIDUAL] / STEP, found[profiles.AMPLITUDE] / look.width
+        if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 2.0 * self.CONTRAST_STD):
+            return np.nan, np.nan
+        variance = noise / (found[profiles.AMPLITUDE] ** 2 * found[profiles.ENERGY])
+        variance += self.ALIKE * self.LEAST_STD**2 + (0.5 * look.width) ** 2  # an end may be cut or round
+        return float(found[profiles.OFFSET]), float(variance)
+
+
+def half_sweep(sweeps: Array) -> Array:
+    """Return how far (...) a sweep (..., 2) reaches from its middle at most, px."""
+    return np.asarray(0.5 * np.abs(sweeps[..., 0]) + 0.125 * np.abs(sweeps[..., 1]))
+
+
+def marginals(offsets: Array, ratios: Array, variances: Array, prior: Array, hidden: float) -> Array:
+    """Return the probabilities (K, C) that candidates are the rope, of all choices along it together.
+
+    Parameters
+    ----------
+    offsets, ratios, variances : (K, C) float64
+        px, log-likelihood ratios to nothing, and px^2; a ratio of -inf: no candidate.
+    prior : (K, K) float64
+        Covariance of the expected offsets, px^2.
+    hidden : float
+        Log-likelihood ratio at which a piece begins or ends to be hidden.
+
+    Notes
+    -----
+    Sums and products along a chain of pieces (forward-backward, Rabiner 1989, Proceedings of the IEEE 77(2), 257).
+    """
+    count, each = offsets.shape
+    places, wide = np.nan_to_num(offsets), np.nan_to_num(variances, nan=1.0)
+    own = np.diag(prior)
+    unary = np.exp(np.column_stack([ratios - 0.5 * places**2 / (own[:, None] + wide), np.full(count, hidden)]))
+    pairs = np.full((count - 1, each + 1, each + 1), np.exp(-hidden))
+    pairs[:, each, each] = 1.0
+    differ = own[1:] + own[:-1] - 2.0 * np.diag(prior, 1)
+    apart = places[1:, None, :] - places[:-1, :, None]
+    spread = differ[:, None, None] + wide[1:, None, :] + wide[:-1, :, None]
+    pairs[:, :each, :each] = np.exp(-0.5 * apart**2 / spread)
+    forward, backward = unary.copy(), np.ones_like(unary)
+    forward[0] /= forward[0].sum()
+    for k in range(1, count):
+        forward[k] *= forward[k - 1] @ pairs[k - 1]
+        forward[k] /= forward[k].sum()
+    for k in range(count - 2, -1, -1):
+        backward[k] = pairs[k] @ (unary[k + 1] * backward[k + 1])
+        backward[k] /= backward[k].sum()
+    both = forward * backward
+    return np.asarray((both / both.sum(axis=1, keepdims=True))[:, :each])

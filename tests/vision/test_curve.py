@@ -1,0 +1,105 @@
+"""The bare rope in a picture: offsets across it, the free end, and choices between things that look like it."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from hyperflex.core.image import profiles
+from hyperflex.vision import CurveDetector, Renderer, RopeLook, Scene, view_curve
+from hyperflex.vision.curve import marginals
+from hyperflex.vision.renderer.renderer import Occluder
+from tests.vision.ropes import camera, swinging
+
+DARK = np.array([45.0, 45.0, 45.0])
+WIDTH, PIECES, LINES = 0.006, 16, 5  # m
+
+
+def strip(x, centre, width, blur):
+    """Cover of a still strip."""
+    edges = (x[..., None] - centre + 0.5 * width * np.array([1.0, -1.0])) / (np.sqrt(2.0) * blur)
+    return 0.5 * (erf(edges[..., 0]) - erf(edges[..., 1]))
+
+
+@pytest.mark.parametrize("sweep", [(0.0, 0.0), (3.0, 0.0), (-25.0, 0.0), (20.0, 30.0)])
+def test_moving_strips_are_found_on_a_slope(sweep):
+    """The reference averages still strips; 0.02 px is the error of sampling every half pixel."""
+    x, u = 0.5 * np.arange(-120, 121), (np.arange(2000) + 0.5) / 2000 - 0.5
+    centres = 3.3 + sweep[0] * u + 0.5 * sweep[1] * u**2
+    seen = np.mean([strip(x, centre, 2.0, 0.7) for centre in centres], axis=0) * 0.8 + 0.05 + 0.002 * x
+    found = np.empty((1, 2, profiles.COLUMNS))
+    profiles.match_lines(seen[None], np.array([sweep]), np.array([2.0]), 0.7, 0.5, np.array([12.0]), found)
+    assert found[0, 0, profiles.OFFSET] == pytest.approx(3.3, abs=0.02)
+    assert found[0, 0, profiles.AMPLITUDE] == pytest.approx(0.8, rel=0.02)
+
+
+def test_choices_along_the_rope_are_those_of_all_combinations():
+    """Forward and backward sums against the sum over all combinations, to rounding."""
+    rng = np.random.default_rng(1)
+    offsets, ratios = rng.normal(0.0, 2.0, (5, 2)), rng.uniform(1.0, 6.0, (5, 2))
+    ratios[2, 1] = -np.inf
+    variances, prior = rng.uniform(0.1, 0.3, (5, 2)), 4.0 * np.exp(-0.2 * np.subtract.outer(range(5), range(5)) ** 2)
+    total, share = 0.0, np.zeros((5, 2))
+    for choice in itertools.product(range(3), repeat=5):
+        log = 0.0
+        for k, c in enumerate(choice):
+            log += 2.0 if c == 2 else ratios[k, c] - 0.5 * offsets[k, c] ** 2 / (prior[k, k] + variances[k, c])
+            if k and (c == 2) != (choice[k - 1] == 2):
+                log -= 2.0
+            elif k and c != 2:
+                before = choice[k - 1]
+                wide = 2.0 * (prior[k, k] - prior[k, k - 1]) + variances[k, c] + variances[k - 1, before]
+                log -= 0.5 * (offsets[k, c] - offsets[k - 1, before]) ** 2 / wide
+        total += np.exp(log)
+        for k, c in enumerate(choice):
+            if c < 2:
+                share[k, c] += np.exp(log)
+    assert marginals(offsets, ratios, variances, prior, 2.0) == pytest.approx(share / total, abs=1e-12)
+
+
+def seen(t=0.5, away=(0.0, 0.0), std=3.0, speed=6.0, occluders=(), **look):
+    """What the detector finds of a swinging rope that it expects elsewhere, and the true offsets of pieces and end."""
+    view, moving = camera(exposure=0.01), swinging(speed)
+    image = Renderer(view, moving, Scene([], rope_width=WIDTH, occluders=occluders)).image(t)
+    arcs = np.append((np.arange(PIECES * LINES) + 0.5) / (PIECES * LINES), 1.0) * 2.0
+    places = moving.places(t + np.array([-0.005, 0.0, 0.005]), arcs)
+    points = np.array([view.project(each) for each in places]) - np.asarray(away)
+    covariance = std**2 * np.kron(np.ones((PIECES + 1, PIECES + 1)), np.eye(2))
+    expected = view_curve(points, PIECES, covariance, 2.0, 100)
+    found = CurveDetector().find(image, RopeLook(DARK, WIDTH * view.pixels_per_metre, **look), expected)
+    return found, expected.middles[1] @ away, float(expected.end_tangent @ away), points
+
+
+@pytest.mark.parametrize("speed", [0.5, 6.0, 10.0])
+def test_offsets_are_measured_across_and_the_end_along(speed):
+    """Errors within what is stated, and a tenth of a pixel of model error where the rope turns while it is exposed."""
+    found, true, end, _ = seen(away=(3.0, -2.0), speed=speed)
+    assert np.isfinite(found.offsets).sum() >= PIECES - 1
+    error = (found.offsets - true) / np.sqrt(found.variances)
+    assert np.sqrt(np.nanmean(error**2)) < 1.5
+    assert abs(found.end - end) < 4.0 * np.sqrt(found.end_variance)
+
+
+def test_a_hidden_piece_is_not_guessed():
+    hidden = Occluder((-2.0, -1.0), (2.0, -1.0), 0.3)
+    found, true, _, points = seen(occluders=(hidden,), speed=2.0)
+    covered = np.abs(points[1][LINES // 2 : -1 : LINES, 1] - 360.0) < 40.0  # px, y = -1 m is row 360
+    assert covered.sum() >= 2
+    assert np.isnan(found.offsets[covered]).all()
+    far = np.abs(points[1][LINES // 2 : -1 : LINES, 1] - 360.0) > 75.0
+    assert np.isfinite(found.offsets[far]).all()
+    assert np.abs(found.offsets - true)[far].max() < 0.5
+
+
+def test_a_line_of_the_same_colour_does_not_pull_the_rope():
+    away = (4.0, 0.0)
+    clean, true, _, points = seen(away=away, speed=2.0)
+    middle = points[1][len(points[1]) // 2] + away
+    place = ((middle[0] - 640.0) / 300.0, (60.0 - middle[1]) / 300.0)
+    crossing = Occluder((place[0] - 0.3, place[1] - 0.2), (place[0] + 0.3, place[1] + 0.2), WIDTH, tuple(DARK))
+    found, *_ = seen(away=away, speed=2.0, occluders=(crossing,))
+    there = np.isfinite(found.offsets)
+    assert there.sum() >= PIECES - 3
+    assert (np.abs(found.offsets - true) < 4.0 * np.sqrt(found.variances) + 0.3)[there].all()
+    assert np.isfinite(clean.offsets).all()
