@@ -172,7 +172,7 @@ class MarkerMeasurement:
 
 
 def curve_arc_lengths(rope: Rope, pieces: int = 40) -> Array:
-    """Return arc lengths (pieces + 1,), m, at which a bare rope is measured: the middles of pieces, and the free end."""
+    """Return arc lengths (pieces + 1,), m, at which a bare rope is measured: middles of pieces, and the free end."""
     checks.count("pieces", pieces, least=4)
     return np.append((np.arange(pieces) + 0.5) / pieces, 1.0) * rope.total_length
 
@@ -189,7 +189,7 @@ class CurveMeasurement:
     Notes
     -----
     A picture does not show how far the rope is along itself (the aperture problem): each piece of it is measured across
-    the rope, and the free end along it. Where the rope is expected too uncertainly, it is searched in the whole picture.
+    the rope, and the free end along it. If it is expected too uncertainly, it is searched in the whole picture.
     """
 
     LINES = 7  # across a piece
