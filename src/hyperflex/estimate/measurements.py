@@ -186,6 +186,11 @@ class CurveMeasurement:
         How it looks. The estimator's arc lengths are those of :func:`curve_arc_lengths`.
     detector : CurveDetector, optional
 
+    Attributes
+    ----------
+    searched : bool
+        Whether the whole of the last picture was searched: errors of places are then alike along the rope.
+
     Notes
     -----
     A picture does not show how far the rope is along itself (the aperture problem): each piece of it is measured across
@@ -193,8 +198,10 @@ class CurveMeasurement:
     """
 
     LINES = 7  # across a piece
-    LOST = 20.0  # px, median of the standard deviations of the pieces, from which the whole picture is searched
+    LOST = 20.0  # px, median standard deviation of places, from which the whole picture is searched for a rope of which
+    HIDDEN = 0.3  # part is not seen where it is expected
     LENGTH = 0.1  # relative difference from the rope's length at which all of it is found
+    PATIENCE = 16  # frames between searches in vain, at most: one takes as long as many frames
     FOUND_STD = 3.0  # px, of places on a rope that was found in the whole picture
 
     count = None
@@ -202,7 +209,8 @@ class CurveMeasurement:
     def __init__(self, look: RopeLook, detector: CurveDetector | None = None) -> None:
         self.look, self.detector = look, CurveDetector() if detector is None else detector
         self._dense: MarkerModel | None = None
-        self.contrasts = np.zeros(0)
+        self._wait, self._waited = 1, 0
+        self.searched = False
 
     @property
     def radius(self) -> float:
@@ -213,12 +221,14 @@ class CurveMeasurement:
         self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
     ) -> tuple[Array, Array]:
         """Return the rope seen in a frame: each piece across itself, and the free end along itself."""
-        self.look = self.look.in_light_of(image)
-        if expected is None or self._is_lost(expected):
+        self.look, self.searched = self.look.in_light_of(image), True
+        if expected is None:
             return self._found(image, tracker, base)
         view = self._view(tracker, expected)
         seen = self.detector.find(image, self.look, view)
-        self.contrasts = seen.contrasts
+        if np.median(np.sqrt(np.diag(expected.covariance))) > self.LOST and np.isnan(seen.offsets).mean() > self.HIDDEN:
+            return self._found(image, tracker, base)
+        self.searched = False
         points, normals = view.middles
         ways = np.concatenate([normals, view.end_tangent[None]])
         places = np.concatenate([points, view.end[None]]) + np.append(seen.offsets, seen.end)[:, None] * ways
@@ -226,10 +236,6 @@ class CurveMeasurement:
         along = np.stack([-ways[:, 1], ways[:, 0]], axis=1)
         unmeasured = (2.0 * UNMEASURED) ** 2 * np.einsum("kc,kd->kcd", along, along)
         return places, variances[:, None, None] * (np.einsum("kc,kd->kcd", ways, ways) + unmeasured)
-
-    def _is_lost(self, expected: Prediction) -> bool:
-        """Whether the rope is expected too uncertainly."""
-        return bool(np.median(np.sqrt(np.diag(expected.covariance))) > self.LOST)
 
     def _view(self, tracker: RopeTracker, expected: Prediction) -> CurveView:
         """Return where the rope is expected at the begin, in the middle and at the end of the exposure."""
@@ -253,10 +259,16 @@ class CurveMeasurement:
         estimator, camera = tracker.estimator, tracker.adjusted_camera
         arcs = estimator.parameters.arc_lengths(estimator.model.arc_lengths, tracker.values)
         pixels, wide = np.full((len(arcs), 2), np.nan), np.full((len(arcs), 2, 2), np.nan)
+        self._waited += 1
+        if self._waited < self._wait:
+            return pixels, wide
+        self._waited = 0
         try:
             curve = find_rope(image, camera.project(base[None])[0], look=self.look).curve
         except InvalidInput:
+            self._wait = min(2 * self._wait, self.PATIENCE)
             return pixels, wide
+        self._wait = 1
         places = camera.locate(curve)
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
         if abs(along[-1] / arcs[-1] - 1.0) < self.LENGTH:

@@ -64,15 +64,12 @@ class CurveOffsets(NamedTuple):
         Along the middle line of each piece, px and px^2; NaN: not seen.
     end, end_variance : float
         Of the free end along its direction; NaN: not seen.
-    contrasts : (K,) float64
-        Contrast over that of the look, NaN: not seen.
     """
 
     offsets: Array
     variances: Array
     end: float
     end_variance: float
-    contrasts: Array
 
 
 def view_curve(
@@ -194,12 +191,11 @@ class CurveDetector:
         total = np.maximum(chances.sum(axis=1), 1e-9)
         mean = (chances * offsets).sum(axis=1) / total
         wide = (chances * (variances + (offsets - mean[:, None]) ** 2)).sum(axis=1) / total**2
-        best = np.take_along_axis(found[:, :, profiles.AMPLITUDE], chances.argmax(axis=1)[:, None], axis=1)[:, 0]
-        mean, wide, best = (np.where(total > 0.5, each, np.nan) for each in (mean, wide, best))
+        mean, wide = (np.where(total > 0.5, each, np.nan) for each in (mean, wide))
         end = (np.nan, np.nan)
         if np.isfinite(mean[-1]):
             end = self._end(image, look, view, float(mean[-1]), weights[-1])
-        return CurveOffsets(mean, wide, *end, best)
+        return CurveOffsets(mean, wide, *end)
 
     def _rated(self, found: Array) -> tuple[Array, Array, Array]:
         """Return offsets of candidates (K, C), px, log-likelihood ratios to nothing, and variances, px^2."""
