@@ -4,11 +4,12 @@ import numpy as np
 
 from hyperflex.estimate import CurveMeasurement, MovingHorizon, Observations, RopeFilter, RopeTracker, curve_arc_lengths
 from hyperflex.estimate.observations import UNMEASURED, InputFrame
-from hyperflex.vision import Camera, Frame, Renderer, RopeMotion, Scene, find_rope
+from hyperflex.vision import Camera, Frame, Renderer, RopeLook, RopeMotion, Scene
 from tests.estimate.runs import free_swing, rope
 
 WIDTH, SCALE = 0.005, 200.0  # m, px/m
 CAMERA = Camera.facing((640, 480), pixels_per_metre=SCALE, origin=(320.0, 30.0), exposure=0.01)
+LOOK = RopeLook(np.array([45.0, 45.0, 45.0]), WIDTH * SCALE)
 
 
 def test_a_direction_that_is_not_measured_has_no_effect():
@@ -27,17 +28,16 @@ def test_a_direction_that_is_not_measured_has_no_effect():
 
 
 def followed(kind=RopeFilter, frames=12, **options):
-    """A swing of 100 links, from its first frame on; returns errors of joints (T, n + 1), and the tracker."""
-    swing, cable = free_swing(3, 2.0), rope(24)
-    motion = RopeMotion.from_trajectory(swing)
+    """A swing of 100 links, known to a pixel at first; returns errors of joints (T, n + 1), and the tracker."""
+    cable, arcs = rope(24), curve_arc_lengths(rope(24), 20)
+    motion = RopeMotion.from_trajectory(free_swing(3, 2.0))
     renderer = Renderer(CAMERA, motion, Scene([], rope_width=WIDTH, seed=3))
-    first = renderer.image(0.05)
-    look = find_rope(first, CAMERA.project([[0.0, 0.0]])[0], width=WIDTH * SCALE).look
-    tracker = RopeTracker(kind(cable, curve_arc_lengths(cable, 20), camera=CAMERA, **options), CurveMeasurement(look))
+    tracker = RopeTracker(kind(cable, arcs, camera=CAMERA, **options), CurveMeasurement(LOOK))
+    tracker.estimator.update(Observations(0.05, CAMERA.project(motion.places([0.05], arcs)[0]), std=1.0))
     off = []
     for k in range(frames):
-        t = 0.05 + k / 30.0
-        tracked = tracker.look(Frame(t, renderer.image(t) if k else first, k))
+        t = 0.05 + (k + 1) / 30.0
+        tracked = tracker.look(Frame(t, renderer.image(t), k))
         true = motion.places([t], np.append(0.0, np.cumsum(cable.length)))[0, :, :2]
         off.append(np.linalg.norm(tracker.estimator.joints(tracked.state)[0] - true, axis=1))
     return np.array(off), tracker
