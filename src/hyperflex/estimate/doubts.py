@@ -14,6 +14,7 @@ LARGE = 2.0  # errors over those of detection from which the set-up is doubted
 DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted
 SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: three times a detection error
 ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
+ENDLESS = 0.3  # part of the time; if the free end of a bare rope is seen less, it may be elsewhere
 MOVED = 0.02  # of the rope's length, rms, from which a first joint moves
 
 
@@ -31,6 +32,7 @@ class DoubtKind(StrEnum):
     )
     DISTURBED = "the rope moves as if disturbed all along, by {:.2g} rad/s^2 per root of Hz"
     BASE_MOVES = "the rope's first joint moves, by {:.2g} m rms, and its motion is not declared: errors are overstated"
+    END = "the rope's free end is seen in {:.0%} of the frames: the rope may be longer or shorter than given"
     BASE_ELSEWHERE = "the rope's first joint is {:.2g} m from the camera's origin"
 
 
@@ -53,6 +55,7 @@ ADVICE = {
     DoubtKind.NOISE: "take more light, larger markers, or less compression",
     DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point, give the arm's motion (in Python "
     "RopeFilter(motion=, arm=)), or check the camera's scale: a wrong one looks so, too",
+    DoubtKind.END: "check the rope's length, and that nothing hides its end",
     DoubtKind.BASE_ELSEWHERE: "calibrate with the hook's pixel (--origin-pixel)",
 }
 
@@ -65,6 +68,7 @@ def doubts(
     shift: float = 0.0,
     alike: float = 0.0,
     base: Array | None = None,
+    end: float = 1.0,
 ) -> list[Doubt]:
     """Return why a track is doubted.
 
@@ -81,6 +85,8 @@ def doubts(
         Time over which residuals are alike, s.
     base : (T, 2) float64, optional
         Where the first joint was found, if it was not known, m from its declared place.
+    end : float
+        Part of the frames in which the free end of a rope without markers is seen.
     """
     rate, found = swing_rate(rope), []
     if base is not None:
@@ -88,6 +94,8 @@ def doubts(
         if moved >= MOVED * rope.total_length:
             return [Doubt(DoubtKind.BASE_MOVES, moved)]
         found.append(Doubt(DoubtKind.BASE_ELSEWHERE, float(np.linalg.norm(base.mean(axis=0)))))
+    if end < ENDLESS:
+        found.append(Doubt(DoubtKind.END, end))
     if shift >= SHAKING:
         found.append(Doubt(DoubtKind.SHAKE, shift))
     if level >= LARGE:

@@ -59,7 +59,7 @@ class MarkerMeasurement:
     DOUBT = 2.0  # px, standard deviation of a prediction in addition to what the filter states
     SURE = 2.0  # standard deviations by which lengths may differ from what is known
 
-    count = None
+    count, end_seen = None, 1.0
 
     def __init__(self, *detectors: MarkerDetector) -> None:
         self.detectors = detectors
@@ -188,6 +188,8 @@ class CurveMeasurement:
 
     Attributes
     ----------
+    end_seen : float
+        Part of the recent frames in which the free end was seen.
     searched : bool
         Whether the whole of the last picture was searched: errors of places are then alike along the rope.
 
@@ -201,6 +203,7 @@ class CurveMeasurement:
     LOST = 20.0  # px, median standard deviation of places, from which the whole picture is searched for a rope of which
     HIDDEN = 0.3  # part is not seen where it is expected
     LENGTH = 0.1  # relative difference from the rope's length at which all of it is found
+    MEMORY = 60  # frames, of the part in which the end was seen
     PATIENCE = 16  # frames between searches in vain, at most: one takes as long as many frames
     FOUND_STD = 3.0  # px, of places on a rope that was found in the whole picture
 
@@ -210,7 +213,7 @@ class CurveMeasurement:
         self.look, self.detector = look, CurveDetector() if detector is None else detector
         self._dense: MarkerModel | None = None
         self._wait, self._waited = 1, 0
-        self.searched = False
+        self.searched, self.end_seen = False, 1.0
 
     @property
     def radius(self) -> float:
@@ -229,6 +232,7 @@ class CurveMeasurement:
         if np.median(np.sqrt(np.diag(expected.covariance))) > self.LOST and np.isnan(seen.offsets).mean() > self.HIDDEN:
             return self._found(image, tracker, base)
         self.searched = False
+        self.end_seen += (float(np.isfinite(seen.end)) - self.end_seen) / self.MEMORY
         points, normals = view.middles
         ways = np.concatenate([normals, view.end_tangent[None]])
         places = np.concatenate([points, view.end[None]]) + np.append(seen.offsets, seen.end)[:, None] * ways
@@ -312,7 +316,7 @@ class BarMeasurement:
     the difference counts as a standard deviation along it: another bar may cover one of its ends.
     """
 
-    radius = 0.0
+    radius, end_seen = 0.0, 1.0
 
     def __init__(self, detector: BarDetector) -> None:
         self.detector = detector

@@ -47,6 +47,10 @@ class Measurement(Protocol):
     def count(self) -> int | None:
         """How many points are measured; None: as many as the estimator has."""
 
+    @property
+    def end_seen(self) -> float:
+        """Part of the recent frames in which the free end of a rope without markers was seen; else 1."""
+
     def measure(
         self, image: Image, tracker: "RopeTracker", base: Array, expected: Prediction | None
     ) -> tuple[Array, Array]:
@@ -188,7 +192,8 @@ class RopeTracker:
         disturbance = self.estimator.process_noise
         known = float(disturbance.log_std[0]) < self.KNOWN
         density = disturbance.value if known else np.zeros(2)
-        return explained(doubts(self.estimator.process.rope, self.estimator.measurement_noise.value, density))
+        level, end = self.estimator.measurement_noise.value, self.measurement.end_seen
+        return explained(doubts(self.estimator.process.rope, level, density, end=end))
 
     def shape(self, state: RopeState) -> tuple[Array, Array]:
         """Return the rope's joints in a state in the picture (n + 1, 2), px, and their covariances (n + 1, 2, 2)."""

@@ -198,6 +198,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         shift=errors.shift,
         alike=alike,
         base=base if BASE_KINDS.keys() & set(parameters.names) else None,
+        end=tracker.measurement.end_seen,
     )
     named = defaultdict(list)
     for name in PICTURE_KINDS:

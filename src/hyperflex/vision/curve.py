@@ -172,12 +172,15 @@ class CurveDetector:
         seen = np.empty((len(reach), 2 * int(far.max() / STEP) + 1, 3))
         profiles.sample_lines(image, view.points, view.normals, STEP, far, seen)
         across = STEP * (np.arange(seen.shape[1]) - 0.5 * (seen.shape[1] - 1))
+        outside = (np.abs(across) > inner[:, None]) & np.isfinite(seen[:, :, 0])
+        beyond = ~outside.any(axis=1)  # of the picture
+        seen[beyond], outside[beyond] = 0.0, True
         if look.background is None:
-            outside = np.abs(across) > np.minimum(inner, far.max() - profiles.MARGIN)[:, None]
             walls = np.nanmedian(np.where(outside[:, :, None], seen, np.nan), axis=1, keepdims=True)
         else:
             walls = np.empty_like(seen)
             profiles.sample_lines(look.background, view.points, view.normals, STEP, far, walls)
+            walls[beyond] = 0.0
         contrast = look.bgr - np.nanmean(walls, axis=1)
         weights = contrast / np.maximum((contrast**2).sum(axis=1, keepdims=True), 1.0)
         shares = np.einsum("kxc,kc->kx", seen - walls, weights)
