@@ -49,8 +49,11 @@ LOOK = 0.01  # s between two looks at the rope
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(4)  # along a link, at which the air's resistance is summed
 
 
-def model(setup: hf.Setup, step: float) -> Any:
-    """Return the compiled model of a set-up: hinges turn about -y, so that angles agree with hyperflex's."""
+def model(setup: hf.Setup, step: float, spatial: bool = False) -> Any:
+    """Return the compiled model of a set-up: hinges turn about -y, so that angles agree with hyperflex's.
+
+    In space each joint has a second hinge, about x, and links are thin rods.
+    """
     import mujoco
 
     rope, arm = setup.rope, setup.arm
@@ -63,10 +66,12 @@ def model(setup: hf.Setup, step: float) -> Any:
         )
         rest = float(rope.rest_angle[i])
         limit = f'limited="true" range="{rest - most!r} {rest + most!r}"' if math.isfinite(most) else 'limited="false"'
+        law = f'damping="{float(rope.friction[i])!r}" stiffness="{float(rope.stiffness[i])!r}" armature="{ARMATURE!r}"'
+        across = f'<joint type="hinge" axis="1 0 0" {law}/>' if spatial else ""
+        about = (1e-3 if spatial else 1.0) * inertia
         bodies += (
-            f'<body pos="0 0 {drop!r}"><joint type="hinge" axis="0 -1 0" damping="{float(rope.friction[i])!r}" '
-            f'stiffness="{float(rope.stiffness[i])!r}" springref="{rest!r}" armature="{ARMATURE!r}" {limit}/>'
-            f'<inertial pos="0 0 {-com!r}" mass="{mass!r}" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
+            f'<body pos="0 0 {drop!r}"><joint type="hinge" axis="0 -1 0" {law} springref="{rest!r}" {limit}/>{across}'
+            f'<inertial pos="0 0 {-com!r}" mass="{mass!r}" diaginertia="{inertia!r} {inertia!r} {about!r}"/>'
             f'<geom type="capsule" fromto="0 0 0 0 0 {-size!r}" size="{rope.radius!r}" contype="1" conaffinity="2" '
             f'friction="{max(peg.mu for peg in setup.round_pegs)!r} 0 0" {solid}/>'
         )

@@ -60,7 +60,12 @@ def look(
         step = recording.duration / (recording.t.size - 1)
         gaps = recording.gaps / recording.data.size
         result |= {"start_s": recording.t[0], "end_s": recording.t[-1], "rate_hz": 1.0 / step, "gaps": gaps}
-        result |= {"epoch_s": recording.epoch, "out_of_plane_m": recording.out_of_plane, "read": recording.convention}
+        result |= {
+            "epoch_s": recording.epoch,
+            "out_of_plane_m": recording.out_of_plane,
+            "tilt_rad": recording.tilt,
+            "read": recording.convention,
+        }
         rows.append(
             ("samples", f"{recording.t.size}, {recording.t[0]:g} to {recording.t[-1]:g} s, {1.0 / step:.4g} a second")
         )

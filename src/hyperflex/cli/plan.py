@@ -57,7 +57,7 @@ def _rate(option: typer.CallbackParam, value: float) -> float:
 TimeBudget = Annotated[
     float, typer.Option(callback=positive("s"), help="Time for the search and its verification, s, without compiling.")
 ]
-Winding = Annotated[Given, WindCriteria, "turns", "contact", "settle", "holding_force"]
+Winding = Annotated[Given, WindCriteria, "turns", "contact", "settle", "holding_force", "max_sideways", "tilt"]
 
 
 class Problem(NamedTuple):

@@ -33,6 +33,10 @@ def simulate(
     tug: Annotated[
         bool, typer.Option("--tug", help="Pull at a rope that lies on a peg at the end, and report what it holds.")
     ] = False,
+    tilt: Annotated[
+        float | None,
+        typer.Option(help="Degrees by which the rope begins out of the plane: report how far to the side it then is."),
+    ] = None,
     time_budget: Annotated[
         float | None, typer.Option(help="Time for the run, s, without compiling; inf: no limit. [default: 1800]")
     ] = None,
@@ -99,8 +103,26 @@ def simulate(
     more = [(f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _winding(peg)) for peg in result["pegs"]]
     if simulated.arm is None and not np.ptp(found.tip, axis=0).any():
         more.append(("motion", "none: the rope hangs from a point at rest; give [arm] and [motion]"))
+    if tilt is not None:
+        result["sideways"] = _aside(found, math.radians(checks.number("--tilt", tilt, unit="degrees")))
+        ends = "strike" if result["sideways"]["touch_s"] is not None else "end"
+        text = "{most_m:.3g} m to the side at most, {last_m:.3g} m of the tip at the ".format(**result["sideways"])
+        more.append((f"begun {tilt:g} degrees out of the plane", text + ends))
     more.append(("next", f"hyperflex view {out} plays it, hyperflex plot {out} draws it"))
     output.show(result, output.rows("Simulated", result, *more))
+
+
+def _aside(run: "Trajectory", tilt: float) -> dict[str, Any]:
+    """Return how far to the side of its plane the rope of a run is, until it touches an obstacle."""
+    from hyperflex.simulation import sideways
+
+    found = sideways(run, tilt=tilt)
+    return {
+        "tilt_rad": tilt,
+        "touch_s": found.touch,
+        "most_m": np.abs(found.joints).max(),
+        "last_m": abs(found.tip[-1]),
+    }
 
 
 def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> dict[str, Any]:

@@ -10,6 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
@@ -170,6 +173,7 @@ def estimate_success_probability(
     uncertainty: Uncertainty | None = None,
     *,
     samples: int = 40,
+    aside: float = 0.0,
     time_budget: float | Budget | None = None,
     options: SearchOptions | None = None,
 ) -> SuccessProbability:
@@ -182,6 +186,9 @@ def estimate_success_probability(
     uncertainty : Uncertainty, optional
         By default that of a realistic identification. The scenarios of a search are others in any case.
     samples : int
+    aside : float
+        Distance of the rope from the plane at its strike over its angle out of it at the start, m/rad: a scenario with
+        a tilt that leads to more than the criteria's ``max_sideways`` fails.
     time_budget : float or Budget, optional
         Time by the clock, s. Fewer samples are counted if it ends before; it is not used with an executor.
     options : SearchOptions, optional
@@ -194,7 +201,7 @@ def estimate_success_probability(
     options = options or SearchOptions()
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, problem, peg, seed=[STREAM, options.seed])
-    estimate = _Estimate(problem, moves, pieces_in_contact(problem, peg, options.coarse))
+    estimate = _Estimate(problem, moves, pieces_in_contact(problem, peg, options.coarse), aside)
     return count_successes(estimate, scenarios, time_budget, options)
 
 
@@ -213,6 +220,11 @@ def scenario_scores(
     return winding_scores(chain, batch, budget)
 
 
+def strikes_in_plane(problem: Problem, scenarios: Sequence[Scenario], aside: float) -> npt.NDArray[np.bool_]:
+    """Return in which scenarios the rope strikes within ``max_sideways`` (M,); `aside` is in m/rad of the tilt."""
+    return np.array([abs(each.tilt) * aside <= problem.criteria.max_sideways for each in scenarios])
+
+
 @dataclass(frozen=True)
 class _Estimate:
     """Counts the scenarios in which moves succeed; it can be sent to an executor."""
@@ -220,11 +232,13 @@ class _Estimate:
     problem: Problem
     moves: Moves
     pieces: int
+    aside: float = 0.0
 
     def __call__(self, scenarios: Sequence[Scenario], budget: Budget | None = None) -> int:
         ropes, own = [each.rope for each in scenarios], budget or Budget(threads=1)
         found = scenario_scores(self.problem, self.moves, scenarios, ropes, self.pieces, own)
-        return int((found.turns >= self.problem.criteria.turns).sum())
+        winds = found.turns >= self.problem.criteria.turns
+        return int((winds & strikes_in_plane(self.problem, scenarios, self.aside)).sum())
 
 
 def count_successes(

@@ -47,6 +47,11 @@ class WindCriteria:
         Greatest slip on the target in that time, and in a simulated tug, m.
     holding_force : float
         Pull that the wound rope must withstand, N, by a simulated tug.
+    max_sideways : float
+        Greatest distance from the plane at the rope's first touch, m, of the rope from there to its end, if it begins
+        out of the plane by `tilt`: half of the width of the peg that it needs. inf: not checked.
+    tilt : float
+        Angle of the rope out of the plane of the swing at the start, rad.
     behind : sequence of Peg
         Fixed pegs that the rope must run behind on its way from the arm to the target: in the end it touches each of
         them between the arm and its first touch of the target. Neither with an uncertainty nor with a holding force.
@@ -65,6 +70,17 @@ class WindCriteria:
     watch: float = option(2.0, "Time for which the rope must stay wound and hold.", "s", sign="positive")
     max_slip: float = option(5e-3, "Greatest slip on the target in that time.", "m", sign="positive")
     holding_force: float = option(0.0, "Pull that the wound rope must withstand.", "N", sign="nonnegative")
+    max_sideways: float = option(
+        math.inf,
+        "Greatest distance of the rope from the plane at the strike.",
+        "m",
+        sign="positive",
+        infinite=True,
+        shown="any",
+    )
+    tilt: float = option(
+        math.radians(1.0), "Angle of the rope out of the plane at the start.", "rad", sign="nonnegative"
+    )
     behind: tuple[Peg, ...] = ()
 
     def __post_init__(self) -> None:

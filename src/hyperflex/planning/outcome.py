@@ -26,7 +26,7 @@ from hyperflex.planning.verification import (
     spare_clearance,
     verified_setup,
 )
-from hyperflex.simulation import SAMPLE_TIME, simulate
+from hyperflex.simulation import SAMPLE_TIME, sideways, simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
@@ -132,6 +132,10 @@ class CastOutcome(RunOutcome):
     tip_hangs : bool
         Whether the rope's end is lower than the peg's centre all through the watch. One that lies on top of the peg may
         fall to either side.
+    sideways, half_width : float
+        Distances from the plane, m, at the last sample before the first touch of anything, for a rope that begins out
+        of the plane by the criteria's `tilt`: of the first link to touch, and the greatest from there to the rope's
+        end, which half of the peg's width must exceed. NaN if the rope touches nothing.
     runs_behind : tuple of bool
         Whether the rope runs behind each of the set-up's pegs `behind`: all through the watch it touches the peg
         between the arm and its first touch of the target. Empty if the simulation failed.
@@ -148,12 +152,18 @@ class CastOutcome(RunOutcome):
     touch_time: float = np.nan
     contact_angle: float = np.nan
     tip_hangs: bool = True
+    sideways: float = np.nan
+    half_width: float = np.nan
     runs_behind: tuple[bool, ...] = ()
 
     @property
     def success(self) -> bool:
         """Wound and held."""
         return self.wound and self.held and not self.message
+
+    def aside(self, criteria: WindCriteria) -> float:
+        """Return the distance from the plane at the strike over the angle out of it at the start, m/rad; 0 without."""
+        return self.half_width / criteria.tilt if criteria.tilt and math.isfinite(self.half_width) else 0.0
 
     def in_short(self) -> str:
         """Return the most important figures for whoever carries the cast out, with units."""
@@ -223,6 +233,7 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
     apart = way_gaps(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
     led = tuple(bool(each.all()) for each in (apart < winding.TOUCH).T)
+    beside, half_width = _aside(run, criteria.tilt)
     if not touched.any():
         message = "the rope does not touch the peg"
     elif not enough:
@@ -239,6 +250,11 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     elif covered < criteria.contact:
         degrees = np.degrees([covered, criteria.contact])
         message = f"it covers {degrees[0]:.0f} degrees of the peg, {degrees[1]:.0f} required"
+    elif half_width > criteria.max_sideways:
+        tilted = f"for a start {np.degrees(criteria.tilt):.3g} degrees out of the plane"
+        message = (
+            f"it strikes up to {1e3 * half_width:.0f} mm to the side {tilted}, {1e3 * criteria.max_sideways:g} allowed"
+        )
     else:
         message = excess_torque(problem, figures["torque"])
     if not (enough and held) and figures["refused"]:
@@ -254,9 +270,20 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
         contact_angle=covered,
         message=message,
         tip_hangs=bool((above[watched] < 0.0).all()),
+        sideways=beside,
+        half_width=half_width,
         runs_behind=led,
         **figures,
     )
+
+
+def _aside(run: Trajectory, tilt: float) -> tuple[float, float]:
+    """Return `sideways` and `half_width` of a :class:`CastOutcome`, m."""
+    if run.contact_force is None or (touching := run.contact_force.any(axis=2))[:2].any() or not touching.any():
+        return math.nan, math.nan
+    link = int(touching[touching.any(axis=1).argmax()].argmax())
+    beyond = np.abs(sideways(run, tilt=tilt).joints[-1, link:])
+    return float(beyond[:2].mean()), float(beyond.max())
 
 
 def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:

@@ -1,5 +1,6 @@
 """Uncertainty of rope, target and motor, and scenarios sampled from it (domain randomization)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -34,7 +35,7 @@ MIN_LAG = 2e-4  # s; smaller lags are omitted
 class Scenario:
     """One sample of rope, target and motor.
 
-    `lag` is the time constant of the motor's first-order lag, s; `delays` (MOVES,), s, are those of each move's start,
+    `tilt` is the rope's angle out of the plane at the start, rad. `lag` is the time constant of the motor's first-order lag, s; `delays` (MOVES,), s, are those of each move's start,
     < 0 for an early one.
     """
 
@@ -42,6 +43,7 @@ class Scenario:
     peg: Peg
     lag: float
     delays: Array
+    tilt: float = 0.0
 
     def motion(self, moves: Moves, problem: Problem) -> Motion:
         """Return the arm's motion when these moves are commanded."""
@@ -202,6 +204,9 @@ class Uncertainty:
         Standard deviation of each move's start, s; normal, independent; no move starts before the last one has ended.
     place : float
         Standard deviation of each coordinate of the target's place, m; normal, independent.
+    tilt : float
+        Standard deviation of the rope's angle out of the plane at the start, rad; normal. It counts where the criteria
+        have a `max_sideways`. A recording in space gives it: ``recording.tilt``.
     posterior : RopePosterior, optional
         Identified rope: ropes are sampled from its covariance, and then multiplied by the factors above.
     drive : DriveFit, optional
@@ -225,6 +230,7 @@ class Uncertainty:
     lag: float = 0.010
     timing: float = 0.002
     place: float = 0.0
+    tilt: float = math.radians(1.0)
     posterior: RopePosterior | None = None
     drive: DriveFit | None = None
 
@@ -271,6 +277,7 @@ class Uncertainty:
         usual = [f"{name} {100 * getattr(self, name):.2g} %" for name in RELATIVE if getattr(self, name)]
         usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if self._assumed(name)]
         usual += [f"place {1e3 * self.place:.2g} mm"] if self.place else []
+        usual += [f"tilt {math.degrees(self.tilt):.2g} degrees"] if self.tilt else []
         assumed = f"typical of an identification: {', '.join(usual)}" if usual else ""
         assumed = "; ".join(filter(None, (self.drive.describe() if self.drive else "", assumed)))
         if self.posterior is None:
@@ -311,7 +318,8 @@ class Uncertainty:
             rope = rope.replace(radius=planned.radius)
         x, y = np.array([peg.x, peg.y]) + self.place * rng.standard_normal(2)
         target = replace(peg, x=float(x), y=float(y), mu=peg.mu * float(factors[3]))
-        return Scenario(scaled_rope(rope, *factors[:3]), target, lag, delays)
+        tilt = self.tilt * float(rng.standard_normal())
+        return Scenario(scaled_rope(rope, *factors[:3]), target, lag, delays, tilt)
 
 
 def scaled_rope(rope: Rope, length: float, mass: float, friction: float) -> Rope:

@@ -164,7 +164,7 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
             _check_epoch(epoch, declared["time_unit"])
             t, facts["epoch"] = t - t[0], epoch
         if swing is not None:
-            facts["out_of_plane"] = swing.rms * size
+            facts |= {"out_of_plane": swing.rms * size, **({} if swing.lean is None else {"tilt": swing.lean})}
         recording = Recording(
             t=t * time,
             data=data,
@@ -183,16 +183,21 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
 
 
 class _Swing(NamedTuple):
-    """The plane of markers in space: root mean square distance from it (unit of the data), and its tilt, rad."""
+    """The plane of markers in space: root mean square distance from it (unit of the data), and its tilt, rad.
+
+    `lean` is the amplitude of the angle out of it of the lines between markers, rad; None of a marker alone.
+    """
 
     name: str
     rms: float
     tilt: float
+    lean: float | None
 
     def text(self, size: float) -> str:
         """Describe the plane; `size` is the unit of the data, m."""
         tilt = f" ({math.degrees(self.tilt):.1f} degrees from the vertical)" if self.name == "fit" else ""
-        return f"plane {self.name}{tilt}, {1e3 * size * self.rms:.3g} mm rms of motion out of it"
+        lean = "" if self.lean is None else f", {math.degrees(self.lean):.2g} degrees"
+        return f"plane {self.name}{tilt}, {1e3 * size * self.rms:.3g} mm rms of motion out of it{lean}"
 
 
 def _likely(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, list[str]]:
@@ -249,7 +254,10 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     moved -= moved.sum(axis=0) / np.maximum(there.sum(axis=0), 1)  # where a marker sits beside the plane is no motion
     rms = math.sqrt(float((moved[there] ** 2).sum()) / max(int(there.sum()), 1))
     data = np.stack([points @ right, points @ up], axis=-1).reshape(raw.t.size, -1)
-    return replace(raw, data=data, in_space=False), _Swing(name, rms, tilt)
+    slope = np.diff(moved, axis=1)[there[:, 1:] & there[:, :-1]]
+    far = np.linalg.norm(np.diff(points, axis=1), axis=-1)[there[:, 1:] & there[:, :-1]]
+    lean = math.sqrt(2.0 * float(np.mean((slope / far) ** 2))) if slope.size else None
+    return replace(raw, data=data, in_space=False), _Swing(name, rms, tilt, lean)
 
 
 def _check_epoch(epoch: float, unit: str) -> None:

@@ -20,7 +20,7 @@ Kind = Literal["angles", "markers"]
 KINDS: tuple[Kind, ...] = ("angles", "markers")
 FORMAT = "hyperflex recording 1"
 VARIABLE: dict[Kind, str] = {"angles": "angle", "markers": "position"}  # of a NetCDF file
-FACTS = {"epoch": "s", "out_of_plane": "m"}  # numbers about a recording that are attributes in NetCDF
+FACTS = {"epoch": "s", "out_of_plane": "m", "tilt": "rad"}  # numbers about a recording that are attributes in NetCDF
 UNIT = {"angles": "rad", "markers": "m"}
 CONVENTION = {
     "angles": "absolute link angles in rad, 0 hanging, positive towards +x",
@@ -55,6 +55,9 @@ class Recording:
         Time 0 in seconds since 1970, where the file has such stamps.
     out_of_plane : float, m, optional
         Root mean square of the motion out of the plane of the swing, of markers that were measured in space.
+    tilt : float, rad, optional
+        Amplitude of a steady swing whose lines between neighbouring markers lean out of that plane as much, root mean
+        square: the ``tilt`` of a plan. Noise counts, as its standard deviation over the distance of the markers.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class Recording:
     columns: tuple[str, ...] = ()
     epoch: float | None = None
     out_of_plane: float | None = None
+    tilt: float | None = None
 
     def __post_init__(self) -> None:
         kind = cast(Kind, checks.choice("kind", self.kind, KINDS))

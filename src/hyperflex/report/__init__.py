@@ -7,7 +7,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.report.cast import CastReport
     from hyperflex.report.cast_run import cast_run_figure
-    from hyperflex.report.curves import run_figure
+    from hyperflex.report.curves import run_figure, sideways_figure
     from hyperflex.report.drives import drive_figure
     from hyperflex.report.folder import Progress, check_folder, silent, whole_folder
     from hyperflex.report.identification.figures import FittedChannels, fit_figure

@@ -10,12 +10,13 @@ import numpy as np
 
 from hyperflex import winding
 from hyperflex.planning import CastPlan, HoldingForce
-from hyperflex.report.curves import speed_plot
+from hyperflex.report.curves import sideways_figure, speed_plot
 from hyperflex.report.maps import target_map
 from hyperflex.report.page import Picture, Section
 from hyperflex.report.plan import PlanReport
 from hyperflex.report.scene import Line, Overlay, Plot
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, png
+from hyperflex.simulation import sideways
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,6 +40,8 @@ class CastReport(PlanReport[CastPlan]):
         "film": "The planned cast, simulated: arm, rope (ochre), path of the tip (green), target (red).",
         "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
         "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
+        "sideways": "How far out of the plane the rope is, until it strikes, if it begins there by the angle named: "
+        "to first order, simulated.",
         "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
     }
 
@@ -76,8 +79,12 @@ class CastReport(PlanReport[CastPlan]):
         return self.strobe_at(middle, 0.6, 0.8, f"red: {red}", ax)
 
     def figures(self) -> "dict[str, Figure]":
-        """Draw strike, time course, and tug if there was one."""
+        """Draw strike, time course, motion sideways if the rope strikes, and tug if there was one."""
         drawn = {"strike": self.strobe_of_event(), "course": self._course()}
+        if self.outcome.half_width > 0.0:
+            tilt = self.plan.problem.criteria.tilt
+            title = f"Out of the plane by {np.degrees(tilt):.3g} degrees at the start, simulated to first order"
+            drawn["sideways"] = sideways_figure(sideways(self.run, tilt=tilt), title)
         return drawn if self.held is None else drawn | {"tug": tug_figure(self.held)}
 
     def overlay(self) -> Overlay:

@@ -10,6 +10,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.scene import Line, Plot, span
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure
+from hyperflex.simulation import Sideways
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -68,6 +69,25 @@ def time_course(
             axes[0].axvline(start, color=GREY, ls=":")
             place = {"transform": axes[0].get_xaxis_transform(), "va": "top", "fontsize": 8.0}
             axes[0].text(start, 1.0, f" {name}", **place)
+    return figure
+
+
+def sideways_figure(found: Sideways, title: str = "") -> "Figure":
+    """Draw the deviation of middle and tip out of the plane over time, and the rope across the plane at the end."""
+    joints, run = 1e3 * found.joints, found.run
+    ends = "at the end" if found.touch is None else "before the rope touches"
+    with new_figure(8.6, 4.0, title or "Motion out of the plane, simulated to first order") as figure:
+        over, shape = figure.subplots(1, 2, width_ratios=(2.2, 1.0))
+        middle = int(np.searchsorted(run.setup.rope.link_ends, 0.5 * run.setup.rope.total_length)) + 1
+        over.plot(found.t, joints[:, middle], color=GREEN, label="middle")
+        over.plot(found.t, joints[:, -1], color=BLUE, label="tip")
+        over.axhline(0.0, color=GREY, lw=0.8)
+        over.set(xlabel="time, s", ylabel="out of the plane, mm", xlim=(found.t[0], found.t[-1]))
+        over.legend(loc="upper left")
+        shape.plot(joints[-1], np.append(0.0, run.setup.rope.link_ends), color=BLUE)
+        shape.axvline(0.0, color=GREY, lw=0.8)
+        shape.set(xlabel="out of the plane, mm", ylabel="along the rope, m", title=f"{ends}, {found.t[-1]:.2f} s")
+        shape.invert_yaxis()
     return figure
 
 

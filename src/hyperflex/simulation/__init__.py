@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         predictability,
         sensitivities,
     )
+    from hyperflex.simulation.sideways import Sideways, sideways
     from hyperflex.simulation.stepper import Linearization, Stepper, arm_polynomials, commanded_accelerations, setup_for
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

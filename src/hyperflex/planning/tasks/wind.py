@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.model import Peg, Rope
-from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, verify_members
+from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, strikes_in_plane, verify_members
 from hyperflex.planning.moves import PUMPING, Moves
 from hyperflex.planning.options import SearchOptions
 from hyperflex.planning.planner import Candidate, Task, Verified
@@ -211,7 +211,8 @@ class WindTask(Task):
         if found.message or not self.scenarios:
             return found
         values = self._values(one.moves, self.scenarios, budget)
-        share = float((values >= 0.8).mean())
+        aside = 0.0 if found.outcome is None else found.outcome.aside(self.problem.criteria)
+        share = float(((values >= 0.8) & strikes_in_plane(self.problem, self.scenarios, aside)).mean())
         return replace(found, margin=share if found.margin >= 1.0 else 0.7 * share)
 
 

@@ -1,0 +1,286 @@
+"""Planned casts begun out of their plane: predicted by ``hyperflex.sideways``, flown and wound in MuJoCo in space.
+
+python -m benchmarks.sideways FOLDER [FOLDER ...]     plans (``cast.toml``) in them: cost, strike and casts
+python -m benchmarks.sideways FOLDER --part casts     one part; rows that are there are not made again
+
+The chain is that of ``casts_mujoco``, but each joint is two hinges, across the plane and across the link (or a ball, as
+a check). Links are thin rods. The target is a long cylinder: a rope that lies on it further from the plane than half of
+a width would not be held by a target of that width.
+
+- cost: processor time of the planar run and of one tilt.
+- strike: MuJoCo flies the rope from the start, 1 degree out of the plane, and the distance from the plane at the last
+  sample before the first touch, of the link that strikes, is compared with the prediction; no contact.
+- casts: MuJoCo takes over 20 ms before the first touch, in the predicted state, and winds the rope. A run ends a second
+  after the arm has stopped. A cast winds if its turns are then at least 1.25 in the planned direction.
+"""
+
+import argparse
+import json
+import math
+import random
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import casts_mujoco as planar
+from benchmarks import log as lines
+from benchmarks import machine
+
+import hyperflex as hf
+from hyperflex import files
+from hyperflex.checks import Array
+from hyperflex.core.cache import SOURCE_HASH
+from hyperflex.planning import WindCriteria
+
+RESULTS = Path(__file__).parent / "results"
+TILTS = (1.0, 2.0, 3.0)  # degrees; without any, MuJoCo's run stays planar: ``casts_mujoco``
+WIDTHS = (0.05, 0.1, 0.2, 0.4)  # m, of the target
+BEFORE = 0.02  # s before the first touch at which MuJoCo takes over
+PARTS = ("cost", "strike", "casts")
+
+
+def hinge_angles(arm: float, directions: Array) -> Array:
+    """Return the angles (2 n,) of pairs of hinges, rad, of links along unit vectors (n, 3); `arm` is the arm's angle."""
+    frame, found = turn(0, arm), []
+    for along in directions:
+        local = frame.T @ along
+        first, second = math.atan2(local[0], -local[2]), math.asin(local[1])
+        found += [first, second]
+        frame = frame @ turn(0, first) @ turn(1, second)
+    return np.array(found)
+
+
+def turn(kind: int, angle: float) -> Array:
+    """Return the rotation (3, 3) of a hinge about -y (0) or x (1)."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]] if kind == 0 else [[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def in_space(q: Array, lean: Array) -> Array:
+    """Return unit vectors (n, 3) along links at angles q in the plane and `lean` out of it (n,), rad."""
+    c = np.cos(lean)
+    return np.stack([np.sin(q) * c, np.sin(lean), -np.cos(q) * c], axis=1)
+
+
+class Flight:
+    """A rope in space in MuJoCo, on the arm of a set-up, from a state at a time t, s."""
+
+    def __init__(self, setup: hf.Setup, step: float, t: float, state: tuple[Array, Array, Array, Array]) -> None:
+        import mujoco
+
+        self.setup, self.t, self.mujoco = setup, t, mujoco
+        self.model = planar.model(setup, step, spatial=True)
+        self.data = mujoco.MjData(self.model)
+        assert setup.motion is not None
+        arm, rate = (float(each(np.array([t]))[0]) for each in (setup.motion.angle, setup.motion.rate))
+        q, qd, x, v = state
+        tiny = 1e-6
+
+        def angles(dt: float) -> Array:
+            return hinge_angles(arm + dt * rate, in_space(q + dt * qd, x + dt * v))
+
+        self.data.qpos[:] = np.append(arm, angles(0.0))
+        self.data.qvel[:] = np.append(rate, (angles(tiny) - angles(-tiny)) / (2.0 * tiny))
+        self.links, self.tip = slice(2, 2 + setup.rope.n_links), self.model.site("tip").id
+        self.model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        mujoco.mj_forward(self.model, self.data)
+
+    def joints(self) -> Array:
+        """Return the joints (n + 1, 3), m: x, out of the plane, y."""
+        self.mujoco.mj_kinematics(self.model, self.data)
+        return np.vstack([self.data.xpos[self.links], self.data.site_xpos[self.tip]])
+
+    def run(self, until: float) -> None:
+        """Step to a time, s."""
+        step, data, motion = self.model.opt.timestep, self.data, self.setup.motion
+        assert motion is not None
+        count = round((until - self.t) / step)
+        t = self.t + step * np.arange(count + 1)
+        angle, rate, pull = motion.angle(t), motion.rate(t), planar.ARM * motion.acceleration(t + 0.5 * step)
+        for k in range(count):
+            data.qpos[0], data.qvel[0], data.qfrc_applied[0] = angle[k], rate[k], pull[k]
+            if self.setup.rope.drag.any():
+                data.xfrc_applied[self.links] = self.air()
+            self.mujoco.mj_step(self.model, data)
+            if data.ncon:
+                self.model.opt.integrator = self.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.t = float(t[-1])
+
+    def air(self) -> Array:
+        """Return the air's forces and torques (n, 6) on the links, as ``casts_mujoco.air`` in space."""
+        rope, data, links = self.setup.rope, self.data, self.links
+        along, speed = -data.xmat[links].reshape(-1, 3, 3)[:, :, 2], data.cvel[links]
+        place = 0.5 * rope.length[:, None] * (1.0 + planar.POINTS)
+        points = data.xpos[links][:, None] + place[..., None] * along[:, None]
+        centre = data.subtree_com[self.model.body_rootid[self.links.start]]
+        u = speed[:, None, 3:] + np.cross(speed[:, None, :3], points - centre)
+        u -= (u * along[:, None]).sum(axis=2, keepdims=True) * along[:, None]
+        weight = (0.5 * rope.drag * rope.length)[:, None] * planar.WEIGHTS
+        force = -(weight * np.linalg.norm(u, axis=2))[..., None] * u
+        moment = np.cross(points - data.xipos[links][:, None], force)
+        return np.hstack([force.sum(axis=1), moment.sum(axis=1)])
+
+
+def predicted(setup: hf.Setup, tilt: float) -> tuple[Any, int]:
+    """Return the motion sideways of a set-up's run for a tilt, rad, and the link that touches first."""
+    t = np.arange(0.0, setup.duration, planar.LOOK)
+    run = hf.simulate(setup, t_eval=t)
+    assert run.contact_force is not None
+    touching = run.contact_force.any(axis=2)
+    return hf.sideways(run, tilt=tilt), int(touching[touching.any(axis=1).argmax()].argmax())
+
+
+def strike(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
+    """Return distances from the plane before the first touch, m, here and in MuJoCo."""
+    setup = hf.Setup.from_toml(path)
+    found, link = predicted(setup, math.radians(tilt))
+    q, qd = setup.start()
+    flight = Flight(setup.replace(pegs=setup.pegs), step, 0.0, (q, qd, np.full(q.size, math.radians(tilt)), 0.0 * q))
+    flight.model.opt.disableflags |= int(flight.mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    flight.run(float(found.t[-1]))
+    there = flight.joints()
+    apart = np.hypot(*(there[:, [0, 2]] - found.run.joints[found.t.size - 1]).T)
+    return {
+        "t": float(found.t[-1]),
+        "aside": float(found.joints[-1, link : link + 2].mean()),
+        "aside in MuJoCo": float(there[link : link + 2, 1].mean()),
+        "most": float(np.abs(found.joints[-1, link:]).max()),
+        "most in MuJoCo": float(np.abs(there[link:, 1]).max()),
+        "planar error": float(apart[link:].max()),
+    }
+
+
+def cast(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
+    """Return turns in MuJoCo, and how far from the plane the rope then lies on the target, m."""
+    setup = hf.Setup.from_toml(path)
+    found, link = predicted(setup, math.radians(tilt))
+    k = found.t.size - round(BEFORE / planar.LOOK)
+    run = found.run
+    flight = Flight(setup, step, float(run.t[k]), (run.q[k], run.qd[k], found.angles[k], found.rates[k]))
+    assert setup.motion is not None
+    peg, stop = setup.round_pegs[0], float(setup.motion.breaks[-1]) + WindCriteria.settle
+    turns, furthest = [], 0.0
+    while flight.t < stop - 1e-9:
+        flight.run(min(flight.t + planar.LOOK, stop))
+        turns.append(float(planar.swept_turns(flight.joints()[:, [0, 2]], peg)))
+        if flight.data.ncon:
+            furthest = max(furthest, float(np.abs(flight.data.contact.pos[:, 1]).max()))
+    expected = float(planar.swept_turns(run.joints[-1], peg))
+    late = float(np.mean(turns[-30:]))
+    return {
+        "turns": expected,
+        "turns in MuJoCo": late,
+        "winds": bool(abs(late) >= WindCriteria.turns and late * expected > 0.0),
+        "aside": float(np.abs(found.joints[-1, link:]).max()),
+        "furthest": furthest,
+    }
+
+
+def cost(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
+    """Return the processor time, s, of the planar run and of one tilt: the least of five."""
+    setup = hf.Setup.from_toml(path)
+    plain = setup.replace(pegs=(), duration=min(setup.duration, 8.0))
+    t = np.arange(0.0, plain.duration, planar.LOOK)
+    found = {}
+    for which, each in (("cast", setup), ("flight", plain)):
+        t = np.arange(0.0, each.duration, planar.LOOK)
+        run = hf.simulate(each, t_eval=t)
+        found[which] = least(lambda each=each, t=t: hf.simulate(each, t_eval=t))
+        found[f"tilt of the {which}"] = least(lambda run=run: hf.sideways(run, tilt=math.radians(tilt)))
+    return found
+
+
+def least(work: Any) -> float:
+    """Return the least processor time of five calls, s."""
+    times = []
+    for _ in range(5):
+        begin = time.process_time()
+        work()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, help="folders, looked through, or set-ups of plans")
+    parser.add_argument("--part", choices=PARTS, help="by default all")
+    parser.add_argument("--step", type=float, default=planar.STEP, help=f"of MuJoCo, s ({planar.STEP:g})")
+    parser.add_argument("--count", type=int, default=1000, help="casts at most of each part")
+    parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
+    options = parser.parse_args()
+    log = None if options.out == "-" else Path(options.out) / "sideways.jsonl"
+    rows, paths = lines.read(log), dict(planar.plans(options.folders))
+    names = sorted(paths)
+    random.Random(0).shuffle(names)
+    lines.told(rows)
+    made = {(row["part"], row["name"], row["tilt"]) for row in rows}
+    work = {"cost": (cost, TILTS[:1]), "strike": (strike, TILTS[:1]), "casts": (cast, TILTS)}
+    for part in [options.part] if options.part else PARTS:
+        measure, tilts = work[part]
+        for name, tilt in [(name, tilt) for name in names[: options.count] for tilt in tilts]:
+            if (part, name, tilt) in made:
+                continue
+            begin = time.process_time()
+            row = {"part": part, "name": name, "tilt": tilt, **measure(paths[name], name, options.step, tilt)}
+            row |= {"seconds": time.process_time() - begin, "kernels": SOURCE_HASH}
+            rows.append(row)
+            print(json.dumps(row), flush=True)
+            if log is not None:
+                lines.append(log, row)
+    text = page(rows)
+    print(text)
+    if log is not None:
+        files.write_text(log.with_name("sideways.md"), text)
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """Return the page of results."""
+    by = {part: [row for row in rows if row["part"] == part] for part in PARTS}
+    text = ["# Motion out of the plane", "", "All simulated. " + machine.sentence(machine.describe()), ""]
+    if some := by["cost"]:
+        parts = [np.array([row[f"tilt of the {which}"] / row[which] for row in some]) for which in ("flight", "cast")]
+        shown = "; ".join(
+            f"of {which} {np.median(each):.2f} (median), {each.max():.2f} at most"
+            for which, each in zip(("a flight without a target", "the cast with its contact"), parts, strict=True)
+        )
+        text += [
+            "## Cost",
+            "",
+            f"Processor time of one tilt over that of the planar run, {len(some)} casts: {shown}.",
+            "",
+        ]
+    if some := by["strike"]:
+        text += ["## At the strike", "", "1 degree out of the plane at the start; mm from the plane at the last sample"]
+        text += ["before the first touch: of the link that strikes, and the most from there to the end.", ""]
+        text += [
+            "| cast | at, s | link | in MuJoCo | most | in MuJoCo | planar difference, mm |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        keys = ("aside", "aside in MuJoCo", "most", "most in MuJoCo", "planar error")
+        text += [
+            f"| {row['name']} | {row['t']:.2f} | " + " | ".join(f"{1e3 * row[key]:.1f}" for key in keys) + " |"
+            for row in sorted(some, key=lambda row: str(row["name"]))
+        ]
+        off = np.array([abs(row["most"] / row["most in MuJoCo"] - 1.0) for row in some])
+        text += ["", f"The most differs by {100 * np.median(off):.1f} % (median), {100 * off.max():.1f} % at most; "]
+        text += [f"in {int((off <= 0.1).sum())} of {off.size} casts by 10 % or less.", ""]
+    if some := by["casts"]:
+        text += [
+            "## Do casts still wind?",
+            "",
+            "Casts that wind in MuJoCo, by the tilt at the start and the target's width.",
+        ]
+        text += ["", "| tilt, degrees | casts | long target | " + " | ".join(f"{1e3 * w:g} mm" for w in WIDTHS) + " |"]
+        text += ["|---" * (3 + len(WIDTHS)) + "|"]
+        for tilt in TILTS:
+            own = [row for row in some if row["tilt"] == tilt]
+            wide = [sum(row["winds"] and row["furthest"] <= 0.5 * w for row in own) for w in WIDTHS]
+            text += [f"| {tilt:g} | {len(own)} | {sum(row['winds'] for row in own)} | {' | '.join(map(str, wide))} |"]
+        text += ["", "Without a tilt all 42 wind ([planar casts in MuJoCo](casts-mujoco.md)).", ""]
+    return "\n".join([*text, lines.made(rows), "", "Again: `python -m benchmarks.sideways FOLDER`", ""])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""Motion out of the plane of a planar run, to first order: a rope that begins askew, a leaning plane, a draught."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core.chain.sideways import lean as integrate
+from hyperflex.errors import InvalidInput
+from hyperflex.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STEP = 0.01  # s, of the integration at most: half of the 20 ms in which a cast's accelerations change
+GROWTHS = 100  # instants at most at which the growth is computed: each takes a singular value
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sideways:
+    """Motion out of the plane of a run, made by :func:`sideways`; linear in what causes it.
+
+    Attributes
+    ----------
+    run : Trajectory
+        The planar run.
+    t : (T,) float64
+        Times, s: those of the run until it touches an obstacle.
+    angles, rates : (T, n) float64
+        Of the links out of the plane, rad and rad/s.
+    touch : float or None
+        Time of the first sample at which the rope touches an obstacle, s: the motion is known until before it.
+    """
+
+    run: Trajectory
+    t: Array
+    angles: Array
+    rates: Array
+    touch: float | None
+
+    def __repr__(self) -> str:
+        ends = "" if self.touch is None else f"; ends before {self.touch:g} s, where the rope touches an obstacle"
+        most = 1e3 * np.abs(self.joints).max()
+        return f"Sideways({self.t[0]:g} to {self.t[-1]:g} s, up to {most:.3g} mm out of the plane{ends})"
+
+    @cached_property
+    def joints(self) -> Array:
+        """Distances (T, n + 1) of the joints from the plane, m; the last one is the tip's."""
+        places = np.cumsum(self.run.setup.rope.length * self.angles, axis=1)
+        return np.concatenate([np.zeros((self.t.size, 1)), places], axis=1)
+
+    @property
+    def tip(self) -> Array:
+        """Distance (T,) of the tip from the plane, m."""
+        return self.joints[:, -1]
+
+    def growth(self) -> tuple[Array, Array]:
+        """Return times (K,), s, and by how much any deviation at the start has grown at most until then (K,).
+
+        The size of a deviation is the root of the sum of squares over all joints of their distances from the plane, m,
+        and of their velocities, m/s, times the swing time sqrt(length / g), at most 1 s. The growth is the largest
+        singular value of the map from the start's deviations to those at t.
+        """
+        rope, t = self.run.setup.rope, self.t
+        n = rope.n_links
+        swing = min(1.0, math.sqrt(rope.total_length / max(math.hypot(*rope.gravity), 1e-300)))
+        sums = np.tril(np.ones((n, n))) * rope.length
+        unit, none = np.linalg.inv(sums), np.zeros((n, n))  # each joint alone is off the plane
+        x, v = np.hstack([unit, none]), np.hstack([none, unit / swing])
+        rows = np.unique(np.linspace(0, t.size - 1, GROWTHS).astype(int))
+        found = [1.0]
+        for first, last in zip(rows, rows[1:], strict=False):
+            _integrate(self.run, slice(first, last + 1), np.zeros((2, n)), x, v, keep=False)
+            found.append(float(np.linalg.norm(np.concatenate([sums @ x, swing * (sums @ v)]), 2)))
+        return t[rows], np.array(found)
+
+    def plot(self) -> "Figure":
+        """Draw the deviation of tip and middle over time, and its shape at the end: return a Matplotlib figure."""
+        from hyperflex.report import sideways_figure
+
+        return sideways_figure(self)
+
+
+def sideways(
+    run: Trajectory, *, tilt: ArrayLike | None = None, rate: ArrayLike = 0.0, lean: float = 0.0, side: float = 0.0
+) -> Sideways:
+    """Compute how a planar run moves out of its plane, to first order in the angles out of it.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Planar run with a prescribed arm, or without one, from its first sample on. It needs samples every 20 ms or more
+        often: accelerations between them are interpolated.
+    tilt : float or (n,) array_like, optional
+        Angles of the links out of the plane at the first sample, rad, positive towards the viewer. By default `lean`: a
+        rope that hangs at rest hangs along gravity.
+    rate : float or (n,) array_like
+        Their rates, rad/s.
+    lean : float
+        Angle of the plane from gravity, rad: of a shaft that is not level.
+    side : float
+        Force of a draught on each metre of rope across the plane, N/m.
+
+    Returns
+    -------
+    Sideways
+        Until the rope first touches an obstacle.
+
+    Raises
+    ------
+    InvalidInput
+        If the run has a torque-driven arm, friction as the paper prints it, or too few samples before it touches.
+
+    Notes
+    -----
+    Model: docs/models.md, (M.40)-(M.45). Joints resist bending alike in all directions and carry twist; dry friction
+    of a joint that slips resists as viscous friction of its value over the joint's rate. Joint limits and the rope's
+    contact with itself are not seen. Cost: about a quarter of that of the run.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> cast = hf.simulate(cable, hf.arm_swings(t_move=0.73, t_rest=0.53), arm=hf.Arm(length=0.105), duration=3.0)
+    >>> one_degree = hf.sideways(cast, tilt=0.01745)
+    >>> round(float(abs(one_degree.tip).max()), 2)
+    0.06
+    """
+    rope, n = checks.instance("run", run, Trajectory).setup.rope, run.q.shape[1]
+    lean = checks.number("lean", lean, unit="rad")
+    side = checks.number("side", side, unit="N/m")
+    x, v = (
+        checks.array(name, value, (n,), unit=unit, scalar=True).reshape(n, 1).copy()
+        for name, value, unit in (("tilt", lean if tilt is None else tilt, "rad"), ("rate", rate, "rad/s"))
+    )
+    if run.setup.torque is not None:
+        fix = "Give its angle as a motion: hyperflex.sampled_motion(run.t, run.arm_angle)"
+        raise InvalidInput("motion sideways needs a prescribed arm", got="an arm driven by a torque", fix=fix)
+    if rope.friction_model != "relative":
+        allowed = "friction_model='relative'"
+        raise InvalidInput("one-sided joint friction is planar", got=rope.friction_model, allowed=allowed)
+    forces = np.zeros(0) if run.contact_force is None else run.contact_force.any(axis=(1, 2))
+    count = int(forces.argmax()) if forces.any() else run.t.size
+    if count < 2:
+        raise InvalidInput("the run has too few samples before it touches", got=count, allowed="2 or more")
+    weight = math.hypot(*rope.gravity) * lean
+    force, moment = side * rope.length + weight * rope.mass, 0.5 * side * rope.length**2 + weight * rope.mass * rope.com
+    force[-1] += weight * rope.tip_mass
+    moment[-1] += weight * rope.tip_mass * rope.length[-1]
+    angles, rates = _integrate(run, slice(0, count), np.stack([force, moment]), x, v)
+    return Sideways(run, run.t[:count], angles, rates, float(run.t[count]) if count < run.t.size else None)
+
+
+def _integrate(run: Trajectory, rows: slice, load: Array, x: Array, v: Array, keep: bool = True) -> tuple[Array, Array]:
+    """Integrate motions x, v (n, m), which are left at the last of the samples `rows`; return angles, rates (T, n)."""
+    setup, values = run.setup, tuple(each[rows] for each in (run.t, run.q, run.qd, run.qdd))
+    shape = (values[0].size if keep else 0, *x.shape)
+    angles, rates = np.empty(shape), np.empty(shape)
+    parts = max(1, math.ceil(float(np.diff(values[0]).max()) / STEP - 1e-9))
+    integrate(setup.rope.chain(), setup.drive(), values, load, setup.tip_force, x, v, parts, angles, rates)
+    return angles[..., 0], rates[..., 0]
