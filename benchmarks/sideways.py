@@ -10,8 +10,8 @@ a width would not be held by a target of that width.
 - cost: processor time of the planar run and of one tilt.
 - strike: MuJoCo flies the rope from the start, 1 degree out of the plane, and the distance from the plane at the last
   sample before the first touch, of the link that strikes, is compared with the prediction; no contact.
-- casts: MuJoCo takes over 20 ms before the first touch, in the predicted state, and winds the rope. A run ends a second
-  after the arm has stopped. A cast winds if its turns are then at least 1.25 in the planned direction.
+- casts: MuJoCo takes over 20 ms before the first touch, in the predicted state, and winds the rope. A cast winds if it
+  makes 1.25 turns in the planned direction for 0.3 s, until a second after the arm has stopped.
 """
 
 import argparse
@@ -36,12 +36,13 @@ from hyperflex.planning import WindCriteria
 RESULTS = Path(__file__).parent / "results"
 TILTS = (1.0, 2.0, 3.0)  # degrees; without any, MuJoCo's run stays planar: ``casts_mujoco``
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # m, of the target
+STAY = 30  # samples with the turns required, in which a cast counts as wound
 BEFORE = 0.02  # s before the first touch at which MuJoCo takes over
 PARTS = ("cost", "strike", "casts")
 
 
 def hinge_angles(arm: float, directions: Array) -> Array:
-    """Return the angles (2 n,) of pairs of hinges, rad, of links along unit vectors (n, 3); `arm` is the arm's angle."""
+    """Return the angles (2 n,) of pairs of hinges, rad, of links along unit vectors (n, 3) on an arm at an angle."""
     frame, found = turn(0, arm), []
     for along in directions:
         local = frame.T @ along
@@ -54,7 +55,7 @@ def hinge_angles(arm: float, directions: Array) -> Array:
 def turn(kind: int, angle: float) -> Array:
     """Return the rotation (3, 3) of a hinge about -y (0) or x (1)."""
     c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]] if kind == 0 else [[1, 0, 0], [0, c, -s], [0, s, c]])
+    return np.array([[[c, 0, -s], [0, 1, 0], [s, 0, c]], [[1, 0, 0], [0, c, -s], [0, s, c]]][kind])
 
 
 def in_space(q: Array, lean: Array) -> Array:
@@ -160,18 +161,19 @@ def cast(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
     flight = Flight(setup, step, float(run.t[k]), (run.q[k], run.qd[k], found.angles[k], found.rates[k]))
     assert setup.motion is not None
     peg, stop = setup.round_pegs[0], float(setup.motion.breaks[-1]) + WindCriteria.settle
-    turns, furthest = [], 0.0
-    while flight.t < stop - 1e-9:
+    turns, furthest, late = [], 0.0, 0.0
+    expected = float(planar.swept_turns(run.joints[-1], peg))
+    while flight.t < stop - 1e-9 and late * np.sign(expected) < WindCriteria.turns:
         flight.run(min(flight.t + planar.LOOK, stop))
         turns.append(float(planar.swept_turns(flight.joints()[:, [0, 2]], peg)))
         if flight.data.ncon:
             furthest = max(furthest, float(np.abs(flight.data.contact.pos[:, 1]).max()))
-    expected = float(planar.swept_turns(run.joints[-1], peg))
-    late = float(np.mean(turns[-30:]))
+        late = float(sorted(turns[-STAY:], key=abs)[0]) if len(turns) >= STAY else 0.0
     return {
         "turns": expected,
         "turns in MuJoCo": late,
-        "winds": bool(abs(late) >= WindCriteria.turns and late * expected > 0.0),
+        "winds": bool(late * np.sign(expected) >= WindCriteria.turns),
+        "until": flight.t,
         "aside": float(np.abs(found.joints[-1, link:]).max()),
         "furthest": furthest,
     }

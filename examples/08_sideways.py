@@ -1,4 +1,4 @@
-"""A cast begun one degree out of its plane: how far to the side is the rope, and who swings a rope that stays planar?"""
+"""A cast begun one degree out of its plane: how far to the side the rope then is."""
 
 import math
 

@@ -22,7 +22,7 @@ def flown(setup: hf.Setup, tilt: float, ball: bool) -> np.ndarray:
     ):
         kinds = ['type="ball"'] if ball else ['type="hinge" axis="0 -1 0"', 'type="hinge" axis="1 0 0"']
         joints = "".join(f'<joint {kind} damping="{friction}"/>' for kind in kinds)
-        thin = f'diaginertia="{inertia} {inertia} {1e-3 * inertia}"'
+        thin = f'diaginertia="{inertia} {inertia} {(0.1 if ball else 1e-3) * inertia}"'  # friction makes spin stiff
         bodies += f'<body pos="0 0 {drop}">{joints}<inertial pos="0 0 {-com}" mass="{mass}" {thin}/>'
         drop = -length
     model = mujoco.MjModel.from_xml_string(

@@ -10,7 +10,7 @@ import hyperflex as hf
 DEGREE = math.radians(1.0)
 
 
-def swing(duration=2.0, dt=0.01, **changes):
+def swing(duration=1.0, dt=0.01, **changes):
     """A rope of eight links that swings widely from a fixed point, with friction and air."""
     kept = {"length": 1.0, "mass": 0.1, "n_links": 8, "radius": 0.003, "friction": 1e-3, "drag_coefficient": 1.2}
     rope = hf.Rope.uniform(**{**kept, **changes})
@@ -19,24 +19,28 @@ def swing(duration=2.0, dt=0.01, **changes):
 
 
 def test_a_plane_that_is_turned_about_the_vertical_is_the_same_swing():
-    """x = e sin q solves the equations exactly: friction, air and the links' tension are those of the turned plane."""
-    run = swing()
-    want = DEGREE * np.sin(run.q)
-    found = hf.sideways(run, tilt=want[0], rate=DEGREE * np.cos(run.q[0]) * run.qd[0])
-    # steps of 10 ms of a method of order 3; at 5 ms the error is a seventh
-    np.testing.assert_allclose(found.angles, want, atol=0.01 * DEGREE)
-    fine = hf.sideways(fine_run := swing(dt=0.005), tilt=want[0])
-    off = np.abs(found.angles - want).max(), np.abs(fine.angles - DEGREE * np.sin(fine_run.q)).max()
-    assert off[1] < 0.25 * off[0]
+    """x = e sin q solves the equations exactly: tension and air are those of the turned plane.
+
+    Not with friction: the wall does not turn, and its joint holds the twist.
+    """
+    off = []
+    for dt in (0.01, 0.005, 0.0025):
+        run = swing(dt=dt, friction=0.0)
+        want = DEGREE * np.sin(run.q)
+        found = hf.sideways(run, tilt=want[0], rate=DEGREE * np.cos(run.q[0]) * run.qd[0])
+        off.append(np.abs(found.angles - want).max() / DEGREE)
+    assert off[0] < 0.03
+    assert off[1] < 0.4 * off[0]  # order 3: an eighth in the limit
+    assert off[2] < 0.25 * off[1]
 
 
 def test_figures_of_ball_joints():
-    """Six links released at 1.0 to 1.4 rad, half a degree out of the plane: mm at the tip in MuJoCo with ball joints."""
+    """Six links released at 1.0 to 1.4 rad, half a degree out of the plane: mm at the tip with MuJoCo's balls."""
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, friction=2e-4)
     run = hf.simulate(rope, duration=2.01, q0=np.linspace(1.0, 1.4, 6), tol=1e-7)
     found = hf.sideways(run, tilt=0.5 * DEGREE)
-    # printed to 0.1 mm
-    np.testing.assert_allclose(1e3 * found.tip[[25, 50, 100, 200]], [7.0, -3.0, -8.2, 6.6], atol=0.06)
+    # printed to 0.1 mm; pairs of hinges, which carry twist, give 6.966, -3.007, -8.168, 6.663 in MuJoCo
+    np.testing.assert_allclose(1e3 * found.tip[[25, 50, 100, 200]], [7.0, -3.0, -8.2, 6.6], atol=0.08)
 
 
 def test_a_leaning_plane_and_a_draught_hold_a_rope_aside():
@@ -55,20 +59,20 @@ def test_dry_friction_holds_a_joint_that_does_not_turn():
     np.testing.assert_allclose(still.angles, DEGREE, rtol=1e-3)
 
 
-@pytest.mark.parametrize("detuning", [-0.05, 0.25, 0.5])
+@pytest.mark.parametrize("detuning", [-0.05, 0.25, 0.4])
 def test_a_pendulum_near_resonance_leaves_its_plane(detuning):
     """Growth of a spherical pendulum's motion out of the plane it is driven in (Miles, 1962).
 
-    Driven so that it swings as q = A sin(w t), its equation across is x'' + w0^2 [1 + A^2/4 + 3/4 A^2 cos(2 w t)] x = 0
+    Driven so that it swings as q = A cos(w t), its equation across is x'' + w0^2 [1 + A^2/4 - 3/4 A^2 cos(2 w t)] x = 0
     to second order in A. Averaged: growth rate 1/(2 w) sqrt((3/8 A^2 w0^2)^2 - (w0^2 (1 + A^2/4) - w^2)^2), so it grows
     for w^2/w0^2 from 1 - A^2/8, where it swings freely, to 1 + 5/8 A^2.
     """
     length, most = 1.0, 0.2
     w0 = math.sqrt(9.81 / length)
     w = w0 * math.sqrt(1.0 + detuning * most**2)
-    period, cycles, count = 2.0 * math.pi / w, 160, 64
+    period, cycles, count = 2.0 * math.pi / w, 100, 64
     phase = 2.0 * math.pi * np.arange(count) / count
-    q = most * np.sin(phase)
+    q = most * np.cos(phase)
     pull = -length * (-w * w * q + w0 * w0 * np.sin(q)) / np.cos(q)  # acceleration of the pivot for that swing
     waves = np.fft.rfft(pull) / count
     order = np.arange(1, 8)
@@ -79,14 +83,14 @@ def test_a_pendulum_near_resonance_leaves_its_plane(detuning):
     )
     rope = hf.Rope(length=[length], mass=[0.0], inertia=[1e-9], tip_mass=1.0)
     pivot = hf.moving_pivot(t, path, 0.0 * t)
-    run = hf.simulate(rope, pivot, duration=float(t[-1]), qd0=[most * w], t_eval=t, tol=1e-7)
+    run = hf.simulate(rope, pivot, duration=float(t[-1]), q0=[most], t_eval=t, tol=1e-7)
     assert np.abs(run.q[:, 0]).max() == pytest.approx(most, rel=0.01)
     found = hf.sideways(run, tilt=1e-3, rate=0.0)
     size = np.hypot(found.angles[:, 0], found.rates[:, 0] / w)
-    late, last = 60 * count, 160 * count
+    late, last = 60 * count, 100 * count
     rate = math.log(size[last] / size[late]) / (t[last] - t[late])
     theory = math.sqrt((0.375 * most**2 * w0**2) ** 2 - (w0**2 * (1.0 + 0.25 * most**2) - w**2) ** 2) / (2.0 * w)
-    assert rate == pytest.approx(theory, rel=0.06)  # the next order is A^2 = 4 %
+    assert rate == pytest.approx(theory, rel=0.04)  # the next order is A^2 = 4 %
 
 
 def test_growth_is_that_of_the_worst_start():

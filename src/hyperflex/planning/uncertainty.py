@@ -35,8 +35,8 @@ MIN_LAG = 2e-4  # s; smaller lags are omitted
 class Scenario:
     """One sample of rope, target and motor.
 
-    `tilt` is the rope's angle out of the plane at the start, rad. `lag` is the time constant of the motor's first-order lag, s; `delays` (MOVES,), s, are those of each move's start,
-    < 0 for an early one.
+    `lag` is the time constant of the motor's first-order lag, s; `delays` (MOVES,), s, are those of each move's start,
+    < 0 for an early one; `tilt` is the rope's angle out of the plane at the start, rad.
     """
 
     rope: Rope

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from hyperflex.simulation.batch import Batch, BatchFields, BatchState, BatchStepper, simulate_batch
     from hyperflex.simulation.contact import check_outside
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
+    from hyperflex.simulation.out_of_plane import Sideways, sideways
     from hyperflex.simulation.rollouts import (
         Interval,
         Rollout,
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
         predictability,
         sensitivities,
     )
-    from hyperflex.simulation.sideways import Sideways, sideways
     from hyperflex.simulation.stepper import Linearization, Stepper, arm_polynomials, commanded_accelerations, setup_for
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

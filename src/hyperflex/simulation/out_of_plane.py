@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,12 +72,12 @@ class Sideways:
         swing = min(1.0, math.sqrt(rope.total_length / max(math.hypot(*rope.gravity), 1e-300)))
         sums = np.tril(np.ones((n, n))) * rope.length
         unit, none = np.linalg.inv(sums), np.zeros((n, n))  # each joint alone is off the plane
-        x, v = np.hstack([unit, none]), np.hstack([none, unit / swing])
+        x, v = np.vstack([unit.T, none]), np.vstack([none, unit.T / swing])
         rows = np.unique(np.linspace(0, t.size - 1, GROWTHS).astype(int))
         found = [1.0]
-        for first, last in zip(rows, rows[1:], strict=False):
+        for first, last in pairwise(rows.tolist()):
             _integrate(self.run, slice(first, last + 1), np.zeros((2, n)), x, v, keep=False)
-            found.append(float(np.linalg.norm(np.concatenate([sums @ x, swing * (sums @ v)]), 2)))
+            found.append(float(np.linalg.norm(np.hstack([x @ sums.T, swing * (v @ sums.T)]), 2)))
         return t[rows], np.array(found)
 
     def plot(self) -> "Figure":
@@ -135,7 +136,7 @@ def sideways(
     lean = checks.number("lean", lean, unit="rad")
     side = checks.number("side", side, unit="N/m")
     x, v = (
-        checks.array(name, value, (n,), unit=unit, scalar=True).reshape(n, 1).copy()
+        checks.array(name, value, (n,), unit=unit, scalar=True).reshape(1, n).copy()
         for name, value, unit in (("tilt", lean if tilt is None else tilt, "rad"), ("rate", rate, "rad/s"))
     )
     if run.setup.torque is not None:
@@ -157,10 +158,10 @@ def sideways(
 
 
 def _integrate(run: Trajectory, rows: slice, load: Array, x: Array, v: Array, keep: bool = True) -> tuple[Array, Array]:
-    """Integrate motions x, v (n, m), which are left at the last of the samples `rows`; return angles, rates (T, n)."""
+    """Integrate motions x, v (m, n), which are left at the last of the samples `rows`; return angles, rates (T, n)."""
     setup, values = run.setup, tuple(each[rows] for each in (run.t, run.q, run.qd, run.qdd))
     shape = (values[0].size if keep else 0, *x.shape)
     angles, rates = np.empty(shape), np.empty(shape)
     parts = max(1, math.ceil(float(np.diff(values[0]).max()) / STEP - 1e-9))
     integrate(setup.rope.chain(), setup.drive(), values, load, setup.tip_force, x, v, parts, angles, rates)
-    return angles[..., 0], rates[..., 0]
+    return angles[:, 0], rates[:, 0]
