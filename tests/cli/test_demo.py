@@ -16,7 +16,7 @@ from hyperflex.errors import Interrupted
 
 NAMES = {
     *("swing.mp4", "camera.toml", "guess.toml", "tracked.mp4", "seen.png", "markers.nc", "prediction.png"),
-    *("cast.nc", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "rope.toml"),
+    *("cast.nc", "strike.png", "course.png", "sideways.png", "tug.png", "motion.csv", "cast.toml", "rope.toml"),
     *("identification.json", "summary.md", "report.html"),
 }
 

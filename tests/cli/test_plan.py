@@ -30,7 +30,7 @@ ROPES = {"cast": CABLE, "whip": known_whip.ROPE, "insert": known_insert.ROPE}
 MADE = {"cast": planned, "whip": known_whip.planned_whip, "insert": known_insert.planned_insert}
 FILES = {"report.html", "course.png", "motion.csv"}
 NAMES = {
-    "cast": FILES | {"strike.png", "tug.png", "cast.toml", "cast.nc"},
+    "cast": FILES | {"strike.png", "sideways.png", "tug.png", "cast.toml", "cast.nc"},
     "whip": FILES | {"peak.png", "passing.png", "whip.toml", "whip.nc"},
     "insert": FILES | {"entry.png", "gap.png", "insert.toml", "insert.nc"},
 }
@@ -251,7 +251,7 @@ def test_plans_that_do_not_fit_their_files_are_refused(hyperflex, ready, tmp_pat
 @pytest.mark.parametrize(
     ("command", "made", "words", "lacks"),
     [
-        ("cast", lambda: planned(winds=False), "does not touch the peg", {"tug.png"}),
+        ("cast", lambda: planned(winds=False), "does not touch the peg", {"sideways.png", "tug.png"}),
         ("whip", lambda: known_whip.planned_whip(meets=False), "misses the target by 30.0 mm", set()),
         ("whip", known_whip.far_whip, "out of reach: the rope ends 1.40 m short", NAMES["whip"] - {"report.html"}),
         ("insert", lambda: known_insert.planned_insert(enters=False), "touches a wall at", set()),
@@ -310,7 +310,7 @@ def test_a_plan_for_the_nearest_target_is_written(hyperflex, given, ready, tmp_p
     code, said, _ = hyperflex(*given("cast", "--fallback"))
     assert (code, asked["fallback"]) == (4, True)
     assert "Nearest target that works: x = -0.8338 m, y = -1.074 m, 7.12 cm away" in plain(said)
-    assert written(out) == NAMES["cast"] - {"tug.png"} | {"nearest.toml"}
+    assert written(out) == NAMES["cast"] - {"sideways.png", "tug.png"} | {"nearest.toml"}
     assert planning.read_plan(out / "nearest.toml").target == planned().target
     back = planning.read_plan(out / "cast.toml")
     assert (back.fallback.plan.success, back.fallback.failed_plans) == (True, 1)
@@ -353,7 +353,7 @@ def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json,
 @pytest.mark.parametrize(
     ("command", "changes", "lacks"),
     [
-        ("cast", {}, {"strike.png", "course.png", "tug.png"}),
+        ("cast", {}, {"strike.png", "course.png", "sideways.png", "tug.png"}),
         ("cast", {"moves": None, "outcome": None}, NAMES["cast"] - {"report.html"}),
         ("whip", {"outcome": None, "finer_outcome": None}, {"peak.png", "passing.png", "course.png", "whip.nc"}),
     ],

@@ -35,6 +35,14 @@ def test_simulate_writes_the_run_and_sums_it_up(hyperflex, hyperflex_json, setup
     assert (code, {name: result[name] for name in want}) == (0, want)
 
 
+def test_simulate_reports_how_far_to_the_side_a_tilted_rope_is(hyperflex, hyperflex_json, setup):
+    _, result = hyperflex_json(*CALL, "--tilt", "2")
+    found = hf.sideways(hf.simulate(setup), tilt=np.radians(2.0))
+    want = {"most_m": np.abs(found.joints).max(), "last_m": abs(found.tip[-1]), "tilt_rad": np.radians(2.0)}
+    assert result["sideways"] == pytest.approx({**want, "touch_s": None})
+    assert "to the side at most" in hyperflex(*CALL, "--tilt", "2")[1]
+
+
 @pytest.mark.filterwarnings("default:not predictable")
 def test_simulate_says_from_when_on_a_run_cannot_be_trusted(hyperflex, hyperflex_json, setup):
     """With the friction of the set-up to the end, without any not: a tangle; a stricter distance ends it sooner."""

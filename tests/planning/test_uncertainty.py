@@ -16,7 +16,7 @@ from hyperflex.planning.uncertainty import MOVES, Scenario, scaled_rope
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3, tip_mass=0.02)
 CAST_SETUP = Problem(ROPE, hf.Arm(length=0.1), MotorLimits())
 PEG = hf.Peg(0.5, -0.6, 0.03, 0.3)
-NONE = Uncertainty(length=0.0, mass=0.0, friction=0.0, mu=0.0, lag=0.0, timing=0.0)
+NONE = Uncertainty(length=0.0, mass=0.0, friction=0.0, mu=0.0, lag=0.0, timing=0.0, tilt=0.0)
 THROW = Moves(-1, np.array([1.43, -1.07, 1.93, 0.0]), np.array([0.1, 0.3, 0.0, 0.2]), np.array([1.0, 1.0, 1.0, 0.5]))
 
 
@@ -116,7 +116,7 @@ def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path):
     usual = Uncertainty.from_rope_file(tmp_path / "plain.toml")
     assert usual.describe() == Uncertainty().describe()
     assert "typical of an identification" in usual.describe()
-    assert "length 1 %, mass 2 %, friction 20 %, mu 10 %, lag 10 ms, timing 2 ms" in usual.describe()
+    assert "length 1 %, mass 2 %, friction 20 %, mu 10 %, lag 10 ms, timing 2 ms, tilt 1 degrees" in usual.describe()
     told = {"parameters": ["length[0]", "tip_mass"], "covariance": [[1e-6, 0.0], [0.0, 1e-8]], "values": {}}
     files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
     known = Uncertainty.from_rope_file(tmp_path / "fitted.toml")

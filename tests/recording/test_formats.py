@@ -170,6 +170,9 @@ def test_the_plane_of_the_swing_is_fitted(tmp_path, about):
     noisy = read_recording(turned(tmp_path, about, 0.0, 1e-3), **BOTH, plane="fit", up="z")
     assert noisy.out_of_plane == pytest.approx(1e-3, rel=0.05)  # of 800 samples: 2.5 % is one standard deviation
     assert "mm rms of motion out of it" in noisy.convention
+    # the pivot stays, so a line leans by both markers' noise over its length; a swing of that size is root 2 as high
+    assert recording.tilt == pytest.approx(0.0, abs=1e-12)
+    assert noisy.tilt == pytest.approx(np.sqrt(2.0) * np.sqrt(2.0) * 1e-3, rel=0.1)
 
 
 def test_a_leaning_plane_is_said_and_a_lying_one_refused(tmp_path):
@@ -203,9 +206,9 @@ def test_tracks_of_different_units_are_not_mixed(tmp_path):
 
 
 def test_facts_come_back_from_netcdf(tmp_path):
-    Recording([0.0, 1.0], [[0.1], [0.2]], epoch=1.7e9, out_of_plane=0.002).to_netcdf(tmp_path / "r.nc")
+    Recording([0.0, 1.0], [[0.1], [0.2]], epoch=1.7e9, out_of_plane=0.002, tilt=0.03).to_netcdf(tmp_path / "r.nc")
     back = read_recording(tmp_path / "r.nc")
-    assert (back.epoch, back.out_of_plane) == (1.7e9, 0.002)
+    assert (back.epoch, back.out_of_plane, back.tilt) == (1.7e9, 0.002, 0.03)
     assert back.window(0.0, 2.0).epoch == 1.7e9
 
 

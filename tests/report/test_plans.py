@@ -46,10 +46,12 @@ def later_touch():
 PAGES = {  # a report, its figures, and what the page says
     "cast": (
         lambda: CastReport(planned(), planned().measure_holding_force()),
-        {"strike", "course", "tug"},
+        {"strike", "course", "sideways", "tug"},
         (
             "x = -0.834 m, y = -1.07 m; radius 40 mm; 6 swings; begun at 0.48, 1.73, 2.85, 4.35, 5.65, 6.74 s; 616°; "
-            "strikes the target at 7.65 s; 10.7; clear of the arm; withstood ; In short The rope winds 2.36 turns"
+            "strikes the target at 7.65 s; "
+            "If the rope begins 1 degree out of the plane, it strikes; 10.7; clear of the arm; "
+            "withstood ; In short The rope winds 2.36 turns"
         ),
     ),
     "whip": (

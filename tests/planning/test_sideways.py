@@ -1,0 +1,57 @@
+"""Motion out of the plane in plans: what a cast reports, requires, and draws."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.planning import Uncertainty
+from hyperflex.planning.ensemble import strikes_in_plane
+from hyperflex.planning.outcome import evaluate_cast
+from tests.planning.known import PEG, planned, problem
+
+
+def judged(**criteria):
+    """The outcome of the known cast by other criteria."""
+    run, stop = planned().run, float(planned().motion.breaks[-1])
+    return evaluate_cast(replace(problem(), criteria=hf.WindCriteria(**criteria)), PEG, run, stop)
+
+
+def test_a_cast_reports_how_far_to_the_side_it_strikes():
+    seen, run = planned().outcome, planned().run
+    found = hf.sideways(run, tilt=math.radians(1.0))
+    assert found.touch == seen.touch_time
+    assert seen.half_width <= np.abs(found.joints[-1]).max()
+    near = np.abs(found.joints[-1] - seen.sideways).min(), np.abs(found.joints[-1] + seen.sideways).min()
+    assert min(near) < run.setup.rope.length.max() * np.abs(found.angles[-1]).max()  # a joint of the link that strikes
+    assert 0.0 < seen.sideways <= seen.half_width
+    wider = judged(tilt=math.radians(2.0))
+    assert wider.half_width == pytest.approx(2.0 * seen.half_width)
+    assert seen.aside(hf.WindCriteria()) == pytest.approx(wider.aside(hf.WindCriteria(tilt=math.radians(2.0))))
+
+
+def test_a_rope_too_far_aside_fails():
+    most = planned().outcome.half_width
+    assert judged(max_sideways=1.01 * most).success
+    failed = judged(max_sideways=0.99 * most)
+    assert not failed.success
+    assert f"it strikes up to {1e3 * most:.0f} mm to the side" in failed.message
+
+
+def test_a_rope_that_does_not_strike_has_no_side():
+    missed = planned(winds=False).outcome
+    assert math.isnan(missed.half_width)
+    assert missed.aside(hf.WindCriteria()) == 0.0
+
+
+def test_scenarios_draw_tilts_and_fail_by_them():
+    narrow = replace(problem(), criteria=hf.WindCriteria(max_sideways=0.03))
+    draws = Uncertainty(tilt=0.02).sample(400, narrow, PEG)
+    assert np.std([each.tilt for each in draws]) == pytest.approx(0.02, rel=0.15)  # 4 standard deviations
+    within = strikes_in_plane(narrow, draws, 1.5)
+    assert within.mean() == pytest.approx(0.683, abs=0.09)  # within one standard deviation
+    assert strikes_in_plane(problem(), draws, 1.5).all()
+    same = Uncertainty(tilt=0.0).sample(3, narrow, PEG)
+    assert [each.lag for each in same] == [each.lag for each in draws[:3]]
