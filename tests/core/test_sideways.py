@@ -30,8 +30,8 @@ def accelerations(rope, planar, base, x, v, h=0.0, guess=None):
     chain, n = rope.chain(), x.size
     at = np.zeros((ROWS, n))
     out = np.zeros(n) if guess is None else guess.copy()
-    planar_loads(chain, *planar, base, (0.0, 0.0), h, at)
-    side_accelerations(chain, at, h, x, v, np.zeros((2, n)), out, np.zeros((3, n)))
+    planar_loads(chain, *planar, base, (0.0, 0.0), max(h, 1e-30), at)
+    side_accelerations(chain, at, x, v, np.zeros((2, n)), out, np.zeros((3, n)))
     return out
 
 

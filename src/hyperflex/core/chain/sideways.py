@@ -20,8 +20,11 @@ from hyperflex.core.jit import kernel, non_allocating
 
 # rows of the work space of a stage: sines and cosines, rates, stiffness K, torque of each joint and its friction, speed
 # along the link, forces on the link, resistance of the air (three moments), factors of the sweep
-SIN, COS, RATE, STIFF, TORQUE, FRICTION, ALONG, FX, FY, AIR, PULL, BACK, INVERSE = *range(10), 12, 13, 14
-ROWS = 15
+SIN, COS, RATE, STIFF, TORQUE, FRICTION, ALONG, FX, FY, AIR, PULL, BACK, INVERSE, SLOPE, KAPPA = (
+    *range(10),
+    *range(12, 17),
+)
+ROWS = 17
 GAMMA = 0.5 + math.sqrt(3.0) / 6.0  # of the two-stage implicit Runge-Kutta method of order 3 (Crouzeix 1975)
 SLOW = 1e-9  # rad/s: dry friction of a joint that turns slower holds it fast
 
@@ -31,7 +34,7 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
     """Write what the planar motion q, w, a (n,) of a chain is to its motion sideways to the rows of `out` (ROWS, n).
 
     `base` (9,) is the motion of the first joint (``drive.base_state``), `push` a force on the tip, N, as (x, y), h the
-    time, s, over which stiffness and friction are implicit (M.44).
+    time, s, over which stiffness and friction are implicit (M.44); with h = 0 the factors of the sweep in `out` stay.
     """
     n = q.size
     sines(q, out.reshape(-1), 0)
@@ -67,24 +70,28 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
         ma = chain.mass[i] * com
         out[STIFF, i] = chain.inertia[i] * w[i] * w[i] - length * (sin * sx - cos * sy) - com * (sin * fx - cos * fy)
         sx, sy = sx + fx, sy + fy
+        if h == 0.0:
+            continue
         kappa = h * (out[FRICTION, i] + h * chain.stiffness[i])
+        slope = h * h * out[STIFF, i]
         e = ma + length * inert + pull
-        own = chain.inertia[i] + ma * com + h * h * out[STIFF, i] + turn + length * (length * inert + 2.0 * pull)
+        own = chain.inertia[i] + ma * com + slope + turn + length * (length * inert + 2.0 * pull)
         inv = 1.0 / (own + kappa)
         out[PULL, i], out[BACK, i], out[INVERSE, i] = e * inv, kappa * inv, inv
+        out[SLOPE, i], out[KAPPA, i] = slope, kappa
         inert, pull, turn = inert + chain.mass[i] - e * e * inv, e * kappa * inv, own * kappa * inv
 
 
 @non_allocating
-def side_accelerations(chain, at, h, x, v, load, out, work):  # type: ignore[no-untyped-def]
+def side_accelerations(chain, at, x, v, load, out, work):  # type: ignore[no-untyped-def]
     """Accelerations `out` (n,), rad/s^2, of links that lean by x at rates v; (M.41)-(M.44).
 
     Parameters
     ----------
-    at, h : (ROWS, n), s, of ``planar_loads``
+    at : (ROWS, n), of ``planar_loads``
     x, v : (n,) angles out of the plane, rad, and rates, rad/s
     load : (2, n) given forces across the plane, N, and their moments about the links' first joints, N m
-    out : (n,) comes with a guess, for which x and v are those at the end of h
+    out : (n,) comes with a guess, for which x and v are those at the end of its h
     work : (3, n) scratch
     """
     n = x.size
@@ -108,11 +115,10 @@ def side_accelerations(chain, at, h, x, v, load, out, work):  # type: ignore[no-
         i = n - 1 - way
         sin, cos, own = at[SIN, i], at[COS, i], work[0, i]
         along = sin * mx - cos * my + (at[TORQUE, i] - beyond) * x[i]
-        torque = work[2, i] - own - cos * mx - sin * my + at[STIFF, i] * (h * h * out[i] - x[i])
+        torque = work[2, i] - own - cos * mx - sin * my + at[SLOPE, i] * out[i] - at[STIFF, i] * x[i]
         mx, my = along * sin - own * cos, -own * sin - along * cos
         beyond = at[TORQUE, i]
-        kappa = h * (at[FRICTION, i] + h * chain.stiffness[i])
-        back = kappa * (out[i] - (out[i - 1] if i > 0 else 0.0))
+        back = at[KAPPA, i] * (out[i] - (out[i - 1] if i > 0 else 0.0))
         work[2, i] = torque = torque + back - turned - chain.length[i] * pushed
         pushed += at[PULL, i] * torque - work[1, i]
         turned = back - at[BACK, i] * torque
@@ -168,7 +174,7 @@ def lean(chain, drive, values, load, push, x, v, parts, angles, rates):  # type:
                 s = (part + (GAMMA if stage == 0 else 1.0 - GAMMA)) / parts
                 between(values, k, s, planar)
                 motion_at(drive, t[k] + s * (t[k + 1] - t[k]), base)
-                planar_loads(chain, planar[0], planar[1], planar[2], base, push, step, at)
+                planar_loads(chain, planar[0], planar[1], planar[2], base, push, step * (1 - stage), at)
                 known = 0.0 if stage == 0 else (1.0 - 2.0 * GAMMA) * h  # for which the first stage tells
                 for j in range(m):
                     if stage > 0:
@@ -176,7 +182,7 @@ def lean(chain, drive, values, load, push, x, v, parts, angles, rates):  # type:
                     for i in range(n):
                         vs[i] = v[j, i] + known * first[j, i] + step * acc[j, i]
                         xs[i] = x[j, i] + known * (v[j, i] + step * first[j, i]) + step * vs[i]
-                    side_accelerations(chain, at, step, xs, vs, load, acc[j], work)
+                    side_accelerations(chain, at, xs, vs, load, acc[j], work)
                     if stage == 0:
                         first[j] = acc[j]
             for j in range(m):
