@@ -83,7 +83,7 @@ class CastReport(PlanReport[CastPlan]):
         drawn = {"strike": self.strobe_of_event(), "course": self._course()}
         if self.outcome.half_width > 0.0:
             tilt = self.plan.problem.criteria.tilt
-            title = f"Out of the plane by {np.degrees(tilt):.3g} degrees at the start, simulated to first order"
+            title = f"Out of the plane, begun {np.degrees(tilt):.3g}\u00b0 out of it, simulated to first order"
             drawn["sideways"] = sideways_figure(sideways(self.run, tilt=tilt), title)
         return drawn if self.held is None else drawn | {"tug": tug_figure(self.held)}
 
