@@ -279,9 +279,10 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
 
 def _aside(run: Trajectory, tilt: float) -> tuple[float, float]:
     """Return `sideways` and `half_width` of a :class:`CastOutcome`, m."""
-    if run.contact_force is None or (touching := run.contact_force.any(axis=2))[:2].any() or not touching.any():
+    first = 0 if run.contact_force is None else int(run.contact_force.any(axis=2).argmax())
+    row, link = divmod(first, run.q.shape[1])
+    if row < 2:  # it touches nothing, or at once
         return math.nan, math.nan
-    link = int(touching[touching.any(axis=1).argmax()].argmax())
     beyond = np.abs(sideways(run, tilt=tilt).joints[-1, link:])
     return float(beyond[:2].mean()), float(beyond.max())
 
