@@ -231,13 +231,15 @@ def _vision() -> None:
 def _estimate() -> None:
     import numpy as np
 
-    from hyperflex.estimate import TrackingTask
-    from hyperflex.vision import Camera, MarkerColour
+    from hyperflex.estimate import TrackingTask, curve_arc_lengths
+    from hyperflex.vision import Camera, MarkerColour, RopeLook
 
     _, rope, how, _ = _parts()
     camera = Camera.facing((320, 240), pixels_per_metre=150.0, origin=(160.0, 20.0), exposure=0.01, readout=0.01)
     colour = MarkerColour(np.array([40.0, 30.0, 210.0]), area=40.0)
     TrackingTask(rope, np.array([0.25, 0.5, 0.75, 1.0]), camera, [colour], how["arm"]).rehearse()
+    look = RopeLook(np.array([40.0, 40.0, 40.0]), 2.0)
+    TrackingTask(rope, curve_arc_lengths(rope), camera, [], how["arm"], look=look).rehearse()
 
 
 def _parts() -> tuple[Any, Any, dict[str, Any], Any]:
