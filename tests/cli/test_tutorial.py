@@ -1,6 +1,8 @@
 """The tutorials: their commands run as they stand, and find what the pages say."""
 
 import json
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from hyperflex.identification import identify
 from hyperflex.vision import Board, film_board
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "video.md"
-LIVE = PAGE.with_name("live.md")
+LIVE, PLAIN = PAGE.with_name("live.md"), PAGE.with_name("plain.md")
 MICRO = 1e-6
 FIGURES = ("identified/identification.json", "finer/identification.json")
 
@@ -77,3 +79,25 @@ def test_the_film_is_followed_live_as_the_page_says(hyperflex, tmp_path, monkeyp
     assert (told["frames"], told["found"]) == (300, 300)
     assert told["seen"] == pytest.approx(0.993, abs=0.003)
     assert (tmp_path / "live.mp4").stat().st_size > 0
+
+
+@pytest.mark.nightly
+def test_a_rope_without_markers_is_identified_from_a_video_and_a_length(hyperflex_json, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = PLAIN.read_text("utf-8")
+    film = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)[0]
+    made: dict[str, hf.Rope] = {}
+    exec(film, made)
+    track, identification = commands(PLAIN)
+    answers = ("--pivot", "641", "59", "--tip", "found", "--size", "rope", "--mass", "unknown")
+    code, tracked = hyperflex_json(*track, *answers)
+    assert (code, tracked["frames"], tracked["doubts"]) == (0, 300, [])
+    assert shlex.split(tracked["next"])[1:] == identification
+    code, _ = hyperflex_json(*track)  # asks nothing
+    assert code == 0
+    code, found = hyperflex_json(*identification)
+    assert code == 0, found
+    ratio = hf.Rope.from_toml("identified/rope.toml").total_mass / made["rope"].total_mass
+    for name in ("friction", "inertia", "drag"):
+        interval = found["intervals"][f"{name}:shared"]
+        assert interval["low"] < ratio * getattr(made["rope"], name)[1] < interval["high"], name

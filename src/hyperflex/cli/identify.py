@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from hyperflex import files
@@ -126,7 +127,7 @@ def identify(
     """Identify a rope from a recording.
 
     The file or the options must declare units, axes and frame rate; they are never guessed. Markers sit at the joints
-    unless --arc-lengths says otherwise.
+    unless --arc-lengths, or a file of hyperflex track, says otherwise.
 
     The first line of the result is its grade: usable, usable for ratios (masses, inertias and frictions share a factor
     that a free swing does not determine), or do not use, with the reason.
@@ -152,8 +153,12 @@ def identify(
         check_destination(out, ".toml", inputs)
     places = numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
     driven = {**_drive(setup), **torque.read(recording, reading)}
-    placed, options = RecordingSetup(**driven, arc_lengths=places, origin=origin), FitOptions(**fit)
     measured, guess, chosen = reading.read(recording), Rope.from_toml(rope), words(free) or None
+    if places is None and measured.kind == "markers" and recording.suffix.lower() == ".nc":
+        found = np.atleast_1d(files.read_netcdf(recording).attributes.get("arc_lengths", ()))
+        if 2 * found.size == measured.data.shape[1]:  # hyperflex track wrote it: its origin is the first joint
+            places, origin = found.tolist(), origin or (0.0, 0.0)
+    placed, options = RecordingSetup(**driven, arc_lengths=places, origin=origin), FitOptions(**fit)
     for fault in measured.check():
         output.note(str(fault))
     how: dict[str, Any] = {"setup": placed, "options": options, "time_budget": time_budget, "progress": True}

@@ -17,7 +17,7 @@ from hyperflex.options import option, options_of
 if TYPE_CHECKING:
     from hyperflex.model import Peg
 
-_BENDING = 2e-5  # N m^2 s/rad, friction of a joint times the length of a link, of the source paper's cable
+BENDING = 2e-5  # N m^2 s/rad, friction of a joint times the length of a link, of the source paper's cable
 MOTIONS = {
     "swings": """\
 [motion]  # of the arm
@@ -127,7 +127,7 @@ def init(
 def _text(out: Path, answers: Answers, peg: "Peg | None") -> str:
     """Return the set-up with its comments; under an arm at rest the rope begins lifted, so that it moves."""
     values: dict[str, Any] = asdict(answers) | {"name": out.name, "stem": out.stem, "motion": MOTIONS[answers.motion]}
-    values["friction"] = float(f"{_BENDING * answers.links / answers.length:.3g}")
+    values["friction"] = float(f"{BENDING * answers.links / answers.length:.3g}")
     values["start"] = LIFTED.format(q0=", ".join(["0.5"] * answers.links)) if answers.motion == "hold" else ""
     values["pegs"] = NO_PEGS if peg is None else PEGS.format(**asdict(peg))
     return "".join(_aligned(line) for line in SETUP.format(**values).splitlines(keepends=True))

@@ -16,12 +16,14 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
+from hyperflex.cli.plain import CLICKED, Plain, PlainScene, answers_path
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.interruption import stoppable
 
 if TYPE_CHECKING:
     from hyperflex.estimate import (
         Change,
+        ChangeTests,
         EstimatedParameter,
         FrameThread,
         LiveEstimate,
@@ -34,10 +36,9 @@ if TYPE_CHECKING:
     )
     from hyperflex.vision import BarDetector, Frame, Image, MarkerColour, VideoWriter
 
-_CLICKED = 1.0  # px, standard deviation of the hook's pixel, which a person reads from a picture
+_TAPE = 0.1  # of a rope's length, by which it may have been measured wrong
 _SAME = 1e-6  # s, by which two times may differ
 _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame, from a camera and a file, after which an estimate is given anyway
-Pixel = tuple[float, float] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,36 +73,58 @@ class Markers:
         float, typer.Option(help="Least mean time between false alarms of these tests, s.")
     ] = 600.0
 
-    def check(self, out: Path, source: Path, *, bars: bool = False) -> None:
-        """Refuse, before any work, outputs that cannot be written, and missing options."""
+    def check(self, out: Path, source: Path, *, needed: bool = True) -> None:
+        """Refuse, before any work, outputs that cannot be written, and missing options if markers are `needed`."""
         for each, suffix in ((out, ".nc"), (self.preview, ".mp4")):
             check_destination(each, suffix, [source, self.rope, self.camera])
-        needed = {"--rope": self.rope, "--camera": self.camera, "--arc-lengths": self.arc_lengths}
-        if not bars and (missing := [name for name, value in needed.items() if not value]):
-            fix = "Give them, or to track a pendulum whose links are bars --bar and --pivot"
+        options = {"--rope": self.rope, "--camera": self.camera, "--arc-lengths": self.arc_lengths}
+        if needed and (missing := [name for name, value in options.items() if not value]):
+            fix = "Give them; for a rope without markers --length alone; for a pendulum of bars --bar and --pivot"
             raise InvalidInput("a rope with markers needs more options", got="no " + ", ".join(missing), fix=fix)
+
+    def plain(self, plain: Plain, source: Path) -> bool:
+        """Return whether the rope has no markers: its length is given, or answers on its video are kept."""
+        return self.rope is None and (plain.length is not None or answers_path(source).exists())
 
     def task(self, images: "Iterable[Image]", *, origin_doubt: float = 0.0) -> "TrackingTask":
         """Return what is tracked; the markers' colour is that of `images`.
 
         The camera's origin is estimated too if it is known to `origin_doubt`, px, only.
         """
-        from hyperflex.estimate import ChangeTests, EstimatedParameter, TrackingTask
+        from hyperflex.estimate import TrackingTask
         from hyperflex.model import Rope
         from hyperflex.vision import read_camera
 
         lens, line = read_camera(self.camera or ""), Rope.from_toml(self.rope or "")
         arcs = checks.array("--arc-lengths", numbers("--arc-lengths", self.arc_lengths or (), "0.2,0.4,0.6"), (-1,))
+        colours = marker_colours(images, self.click or ())
+        task = TrackingTask(line, arcs, lens, colours, tests=self._tests())
+        doubt = origin_doubt / lens.pixels_per_metre
+        return self._estimating(task, {"offset_x": doubt, "offset_y": doubt} if origin_doubt else {})
+
+    def plain_task(self, scene: PlainScene) -> "TrackingTask":
+        """Return what is tracked of a plain rope."""
+        from hyperflex.estimate import TrackingTask, curve_arc_lengths
+
+        rope = scene.rope
+        tests = self._tests() if self.changes else None  # friction and mass are not known
+        task = TrackingTask(rope, curve_arc_lengths(rope), scene.camera, (), look=scene.found.look, tests=tests)
+        return self._estimating(task, scene.doubts)
+
+    def _tests(self) -> "ChangeTests | None":
+        from hyperflex.estimate import ChangeTests
+
         named = tuple(words([self.changes]))
-        tests = None if named == ("none",) else ChangeTests(named or None, self.false_alarm_interval)
-        estimated = [_parameter(each) for each in words([self.estimate])]
-        if origin_doubt:
-            doubt = origin_doubt / lens.pixels_per_metre
-            unnamed = [name for name in ("offset_x", "offset_y") if all(name != each.name for each in estimated)]
-            estimated += [EstimatedParameter(name, doubt) for name in unnamed]
-        return TrackingTask(
-            line, arcs, lens, marker_colours(images, self.click or ()), parameters=estimated, tests=tests
-        )
+        return None if named == ("none",) else ChangeTests(named or None, self.false_alarm_interval)
+
+    def _estimating(self, task: "TrackingTask", doubts: dict[str, float]) -> "TrackingTask":
+        """Return the task with the parameters of --estimate, and those of these standard deviations."""
+        from hyperflex.estimate import EstimatedParameter
+
+        named = [_parameter(each) for each in words([self.estimate])]
+        names = {each.name for each in named}
+        more = [EstimatedParameter(name, std) for name, std in doubts.items() if name not in names]
+        return replace(task, parameters=[*named, *more])
 
 
 def _parameter(text: str) -> "EstimatedParameter":
@@ -145,7 +168,6 @@ def track(
             "for each link, from the pivot on."
         ),
     ] = None,
-    pivot: Annotated[Pixel, typer.Option(help="Pixel of the first joint, u v, for --bar.")] = None,
     at: Annotated[
         float | None,
         typer.Option(help="Time of the frame of the pixels of --bar or --click, s. [default: the first frame]"),
@@ -154,13 +176,17 @@ def track(
         "markers.nc"
     ),
     *,
+    plain: Plain,
     markers: Markers,
 ) -> None:
-    """Track a rope in a video by its markers and its dynamics.
+    """Track a rope in a video by its dynamics, with markers or without.
 
-    The rope hangs from the origin of the swing plane. Its markers are found and ordered in the first frames; from then
-    on each is searched where the rope's motion predicts it. `hyperflex identify` continues from the file, with the same
-    --arc-lengths and --origin 0 0.
+    A plain rope needs its --length alone: the command asks for what else it needs, in the terminal and in a page of the
+    browser, and keeps the answers in a file beside the video, so that a second run asks nothing. It also writes the
+    rope and the camera, for hyperflex identify and watch.
+
+    A rope with markers hangs from the origin of the swing plane. Its markers are found and ordered in the first frames;
+    from then on each is searched where the rope's motion predicts it. `hyperflex identify` continues from the file.
 
     With --bar and --pivot the command follows the links of a pendulum by their colours and needs neither rope nor
     camera: the file then holds the links' angles.
@@ -170,17 +196,20 @@ def track(
     from hyperflex.vision import track_bars
 
     since, preview = -math.inf if at is None else checks.number("--at", at, unit="s") - _SAME, markers.preview
-    if bar and pivot is None:
+    if bar and plain.pivot is None:
         raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
-    markers.check(out, video, bars=bool(bar))
+    without = not bar and markers.plain(plain, video)
+    markers.check(out, video, needed=not bar and not without)
+    scene = plain.scene(_first_image(video, since), video, _readout_direction(video)) if without else None
     found: Any
     with output.spinner() as said:
         follow: dict[str, Any] = {"preview": preview, "progress": lambda count: said(f"frame {count}")}
         if bar:
             detector = _bar_detector(video, [_pixel("--bar", each) for each in bar], since)
-            found, stopped = output.run(lambda: track_bars(video, detector, pivot or (), **follow))
+            found, stopped = output.run(lambda: track_bars(video, detector, plain.pivot or (), **follow))
         else:
-            task = markers.task(_images_since(video, since), origin_doubt=_CLICKED)
+            images = _images_since(video, since)
+            task = markers.task(images, origin_doubt=CLICKED) if scene is None else markers.plain_task(scene)
             found, stopped = _tracked(video, task, follow)
     kept = output.partial_path(out) if stopped else out
     result = {
@@ -194,11 +223,13 @@ def track(
         result |= {
             "seen_each": found.seen_each,
             "found_at_s": found.found_at,
-            "markers": len(found.arc_lengths),
+            "markers" if scene is None else "places": len(found.arc_lengths),
             "arc_lengths": found.arc_lengths,
         }
         result |= _estimated(found.errors.level, found.parameters, found.changes)
     files.rescued(found.to_netcdf, kept)
+    if scene is not None:
+        result |= scene.write(found, kept)
     doubted = [] if bar else [str(each) for each in found.doubts]
     result["notes"] = [each.replace("arc_lengths", "--arc-lengths") for each in found.notes]
     more = [("change", str(each)) for each in (() if bar else found.changes)]
@@ -212,15 +243,23 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tupl
     """Return a track, and whether it was interrupted.
 
     If the rope begins elsewhere than at the camera's origin, or moves as if disturbed all along, its first joint is
-    estimated as one that moves; that is kept if it does.
+    estimated as one that moves; that is kept if it does. The length of a plain rope, whose picture is as large as it
+    says, is tested in a video of a whole swing: with a length that is estimated too, which is kept if it contradicts
+    the given one.
     """
-    from hyperflex.estimate import BaseElsewhere, DoubtKind, moving_base, track_video
+    from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
 
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
+    longer = replace(task, parameters=[*task.parameters, EstimatedParameter("length", _TAPE)], tests=None)
     try:
         found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
     except BaseElsewhere:
         return output.run(lambda: track_video(video, moving.tracker(), **follow))
+    period = 2.0 * np.pi * np.sqrt(task.rope.total_length / np.hypot(*task.rope.gravity))  # s, of a pendulum so long
+    if task.look is not None and not stopped and found.recording.duration > period:
+        other, stopped = output.run(lambda: track_video(video, longer.tracker(), progress=follow["progress"]))
+        if not stopped and any(each.kind is DoubtKind.LENGTH for each in other.doubts):
+            return other, False
     if stopped or all(each.kind is not DoubtKind.DISTURBED for each in found.doubts):
         return found, stopped
     other, stopped = output.run(lambda: track_video(video, moving.tracker(), **follow))
@@ -255,9 +294,22 @@ def _bar_detector(video: Path, clicks: list[list[float]], since: float) -> "BarD
     """Return a detector of the bars at pixels in the first frame at or after a time."""
     from hyperflex.vision import BarDetector
 
+    return BarDetector.from_clicks(_first_image(video, since), clicks)
+
+
+def _first_image(video: Path, since: float) -> "Image":
+    """Return the first picture of a video from a time on."""
     if (image := next(_images_since(video, since), None)) is None:
         raise InvalidInput("--at is after the end of the video", got=since + _SAME, fix="Give an earlier time")
-    return BarDetector.from_clicks(image, clicks)
+    return image
+
+
+def _readout_direction(video: Path) -> str:
+    """Return in which direction the rows of a sensor follow each other in a video."""
+    from hyperflex.vision import VideoReader
+
+    with VideoReader(video) as reader:
+        return reader.readout_direction
 
 
 def watch(
@@ -271,9 +323,13 @@ def watch(
     duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
     reconnect_timeout: Annotated[float, typer.Option(help="Time for which a lost source is tried again, s.")] = 10.0,
     *,
+    plain: Plain,
     markers: Markers,
 ) -> None:
-    """Follow a rope live by its markers and its dynamics.
+    """Follow a rope live by its dynamics, with markers or without.
+
+    A plain rope needs its --length alone; see `hyperflex track`. Answers about a camera are kept in
+    camera-N.answers.toml in the working folder.
 
     At every frame, and while none arrives, the command reports where the rope is, the age and uncertainty of this
     estimate, and detected changes: a mass at the tip, for example, or a touch. It ends with the source or by Ctrl-C,
@@ -285,17 +341,25 @@ def watch(
     from hyperflex.estimate import PicturePage, Watch, WatchLog, open_frames
     from hyperflex.vision import read_camera
 
-    markers.check(out, Path(source))
+    beside = Path(f"camera-{source}" if source.isdecimal() else source)
+    without = markers.plain(plain, beside)
+    markers.check(out, Path(source), needed=not without)
     until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
         pictures = None if page is None else stack.enter_context(PicturePage(page))
-        lens = read_camera(markers.camera or "")
         frames = stack.enter_context(open_frames(source, paced=page is not None, reconnect_timeout=reconnect_timeout))
-        if not frames.live and frames.image_size != lens.image_size:
-            got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
-            raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
-        task = markers.task(newest_images(frames, reconnect_timeout))
+        images = newest_images(frames, reconnect_timeout)
+        if without:
+            if (image := next(images, None)) is None:
+                raise InvalidInput("no frame was received", fix="Check the source")
+            task = markers.plain_task(plain.scene(image, beside))
+        else:
+            lens = read_camera(markers.camera or "")
+            if not frames.live and frames.image_size != lens.image_size:
+                got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
+                raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
+            task = markers.task(images)
         task.rehearse()
         tracker = task.tracker()
         follow = Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
@@ -336,7 +400,7 @@ def _status(estimate: "LiveEstimate") -> list[str]:
     age = "never seen" if math.isinf(estimate.age) else f"seen {1e3 * estimate.age:.0f} ms ago"
     return [
         f"{estimate.t:.2f} s   {estimate.rate:.1f} frames/s   {late}",
-        f"{estimate.seen} of {estimate.markers} markers, {age}   {sure}",
+        f"{estimate.seen} of {estimate.markers} seen, {age}   {sure}",
     ]
 
 

@@ -16,6 +16,8 @@ SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: t
 ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
 ENDLESS = 0.3  # part of the time; if the free end of a bare rope is seen less, it may be elsewhere
 MOVED = 0.02  # of the rope's length, rms, from which a first joint moves
+SURE = 3.0  # standard deviations of an estimate that a doubt leaves to chance
+LONGER = 0.03  # of the rope's length, from which an estimated one contradicts it: a tape errs by a tenth of that
 
 
 class DoubtKind(StrEnum):
@@ -34,6 +36,7 @@ class DoubtKind(StrEnum):
     BASE_MOVES = "the rope's first joint moves, by {:.2g} m rms, and its motion is not declared: errors are overstated"
     END = "the rope's free end is seen in {:.0%} of the frames: the rope may be longer or shorter than given"
     BASE_ELSEWHERE = "the rope's first joint is {:.2g} m from the camera's origin"
+    LENGTH = "the rope swings as one whose length differs from the given one by {:+.1%}"
 
 
 class Doubt(NamedTuple):
@@ -56,6 +59,7 @@ ADVICE = {
     DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point, give the arm's motion (in Python "
     "RopeFilter(motion=, arm=)), or check the camera's scale: a wrong one looks so, too",
     DoubtKind.END: "check the rope's length, and that nothing hides its end",
+    DoubtKind.LENGTH: "measure the rope's length again, and check the time stamps (slow motion stored at a usual rate)",
     DoubtKind.BASE_ELSEWHERE: "calibrate with the hook's pixel (--origin-pixel)",
 }
 
@@ -69,6 +73,7 @@ def doubts(
     alike: float = 0.0,
     base: Array | None = None,
     end: float = 1.0,
+    longer: tuple[float, float] = (0.0, 0.0),
 ) -> list[Doubt]:
     """Return why a track is doubted.
 
@@ -87,6 +92,8 @@ def doubts(
         Where the first joint was found, if it was not known, m from its declared place.
     end : float
         Part of the frames in which the free end of a rope without markers is seen.
+    longer : (float, float)
+        By which part of itself the rope's length was found longer than given, and its standard deviation.
     """
     rate, found = swing_rate(rope), []
     if base is not None:
@@ -96,6 +103,8 @@ def doubts(
         found.append(Doubt(DoubtKind.BASE_ELSEWHERE, float(np.linalg.norm(base.mean(axis=0)))))
     if end < ENDLESS:
         found.append(Doubt(DoubtKind.END, end))
+    if abs(longer[0]) - SURE * longer[1] >= LONGER:
+        found.append(Doubt(DoubtKind.LENGTH, longer[0]))
     if shift >= SHAKING:
         found.append(Doubt(DoubtKind.SHAKE, shift))
     if level >= LARGE:

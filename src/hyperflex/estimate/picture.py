@@ -3,6 +3,7 @@
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.estimate.measurements import CurveMeasurement
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
 from hyperflex.vision import Image
 
@@ -17,6 +18,8 @@ _SMALLEST, _LARGEST = 1.5, 0.5  # px, and part of the picture's height: half wid
 def draw_frame(image: Image, tracker: RopeTracker, result: TrackedFrame, caption: list[str] | None = None) -> Image:
     """Return a frame with the estimated rope (blue), expected (green) and seen markers (yellow), and 90 % regions.
 
+    Of a rope without markers, the places where it was seen are yellow dots.
+
     Parameters
     ----------
     image : (height, width, 3) uint8
@@ -29,15 +32,20 @@ def draw_frame(image: Image, tracker: RopeTracker, result: TrackedFrame, caption
     import cv2
 
     shown = image.copy()
-    lines = caption or [f"{result.t:.2f} s   {int(result.seen.sum())} of {result.seen.size} markers"]
+    curve = isinstance(tracker.measurement, CurveMeasurement)
+    what = "pieces of the rope" if curve else "markers"
+    lines = caption or [f"{result.t:.2f} s   {int(result.seen.sum())} of {result.seen.size} {what}"]
     if result.state is None:
         lines = [*lines, "searching for the rope"]
     else:
         _draw_rope(shown, *tracker.shape(result.state))
-        for place, wide in zip(result.predicted, result.gates, strict=True):
+        for place, wide in zip(result.predicted, result.gates, strict=True) if not curve else ():
             _draw_region(shown, place, wide, GREEN, 2.0 * tracker.measurement.radius + 2.0)
         for k in np.flatnonzero(result.seen).tolist():
             u, v = np.round(result.pixels[k]).astype(int).tolist()
+            if curve:
+                cv2.circle(shown, (u, v), 2, YELLOW, -1, cv2.LINE_AA)
+                continue
             cv2.drawMarker(shown, (u, v), YELLOW, cv2.MARKER_CROSS, 8, 1, cv2.LINE_AA)
             _write(shown, str(k + 1), (u + 14, v + 4), 0.42, YELLOW)
     for row, line in enumerate(reversed(lines)):

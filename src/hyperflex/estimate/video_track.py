@@ -10,8 +10,10 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import Change
+from hyperflex.estimate.curve_recording import curve_places
 from hyperflex.estimate.doubts import Doubt, advice, doubts
 from hyperflex.estimate.error_levels import RunErrors, run_errors
+from hyperflex.estimate.measurements import CurveMeasurement
 from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.parameters import BASE_KINDS, PICTURE_KINDS
 from hyperflex.estimate.picture import draw_frame
@@ -134,17 +136,19 @@ def track_video(
     from threadpoolctl import threadpool_limits
 
     found: list[_Sighting] = []
-    count = 0
+    count, begun = 0, True
 
     def look(frame: Frame, draw: bool) -> Image | None:
-        nonlocal count
+        nonlocal count, begun
         tracked = tracker.look(frame)
         count += 1
-        if tracked.state is not None:
-            still, begun = tracker.adjusted_camera.project(tracked.places), bool(np.isnan(tracked.predicted).all())
+        begun = begun or bool(np.isnan(tracked.predicted).all())
+        if tracked.state is not None and not getattr(tracker.measurement, "searched", False):
+            still = tracker.adjusted_camera.project(tracked.places)
             pixels, covariances = tracked.pixels, tracked.covariances
             seen = Observations(tracked.t + tracker.delay, pixels, rows=tracker.rows(pixels), covariances=covariances)
             found.append(_Sighting(seen, still, tracker.estimator.x.copy(), begun, tracked.changes))
+            begun = False
         return draw_frame(frame.image, tracker, tracked) if draw else None
 
     def result() -> VideoTrack:
@@ -181,13 +185,16 @@ def _check_timing(camera: Camera, reader: VideoReader) -> None:
 
 def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: VideoReader) -> VideoTrack:
     """Return the track of `count` frames."""
-    estimator, seen = tracker.estimator, np.array([each.seen.seen for each in found])
+    estimator = tracker.estimator
     changes = tuple(change for each in found for change in each.changes)
     begun = [k for k, each in enumerate(found) if each.begun]
     errors = run_errors(estimator, [each.seen for each in found], np.array([each.x for each in found]), begun, changes)
-    parameters, estimates, kept = estimator.parameters, errors.estimates, np.asarray(seen.any(axis=0))
+    parameters, estimates = estimator.parameters, errors.estimates
     prior = dict(zip(parameters.names, parameters.std.tolist(), strict=True))
-    arcs, interval = estimator.model.arc_lengths, (found[-1].seen.t - found[0].seen.t) / (len(found) - 1)
+    curve = isinstance(tracker.measurement, CurveMeasurement)
+    arcs, places, std = (_curve_places if curve else _marker_places)(tracker, found, errors)
+    seen, interval = ~np.isnan(places[:, :, 0]), (found[-1].seen.t - found[0].seen.t) / (len(found) - 1)
+    kept = np.asarray(seen.any(axis=0))
     now = parameters.arc_lengths(arcs, np.where(parameters.std > 0.0, errors.values[-1], 0.0))[kept]
     alike = errors.correlated * interval if errors.correlated > 1.0 else 0.0
     base = np.array([parameters.base_offset(each) for each in errors.values])
@@ -199,6 +206,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         alike=alike,
         base=base if BASE_KINDS.keys() & set(parameters.names) else None,
         end=tracker.measurement.end_seen,
+        longer=estimates["length"] if prior.get("length") else (0.0, 0.0),
     )
     named = defaultdict(list)
     for name in PICTURE_KINDS:
@@ -209,12 +217,18 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
             )
     applied = [f"{what}: {', '.join(each)}" for what, each in named.items()]
     where = ", ".join(f"{arc:.5g}" for arc in now)
-    convention = f"positions in m, x right, y up from the camera's origin, of markers at {where} m along the rope"
+    what = "places of the rope" if curve else "markers"
+    convention = f"positions in m, x right, y up from the camera's origin, of {what} at {where} m along the rope"
+    t = np.array([each.seen.t for each in found]) - parameters.value("delay", errors.values[-1])
+    rows = seen.any(axis=1)
+    data, noise = (each[rows][:, kept].reshape(int(rows.sum()), -1) for each in (places, std))
+    said = "; ".join([convention, *applied])
+    recording = Recording(t[rows], data, kind="markers", noise=noise, convention=said, source=str(reader.path))
     notes = [*reader.notes, *([advice(doubted)] if doubted else []), *applied]
     notes += [
         f"the marker at {arc:g} m was never seen: check its arc length and colour, or omit it from arc_lengths; "
         f"it is not in the file, whose markers are those at {','.join(f'{each:g}' for each in arcs[kept])} m"
-        for arc in arcs[~kept]
+        for arc in arcs[~kept & (not curve)]
     ]
     notes += [
         f"the marker at {arc:g} m was seen in only {100.0 * part:.2g} % of the frames: check its arc length and colour"
@@ -226,15 +240,16 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         stretch = f"lengths in the rope's file times {1.0 + rope['length'][0]:.5g}, " if "length" in rope else ""
         changed = ", ".join(f"{name} {value:.5g} (std {std:.2g})" for name, (value, std) in rope.items())
         new = ",".join(f"{arc:.5g}" for arc in now)
-        notes.append(f"{changed}: of the rope, not of the places. To identify it: {stretch}arc_lengths {new}")
+        use = "" if curve else f". To identify it: {stretch}arc_lengths {new}"
+        notes.append(f"{changed}: of the rope, not of the places{use}")
     unknown = [name for name, (_, std) in estimates.items() if std > UNDETERMINED * prior[name] > 0.0]
     if unknown:
         notes.append(f"the video does not determine {', '.join(unknown)}: as uncertain as before")
     return VideoTrack(
-        _recording(tracker, found, errors, "; ".join([convention, *applied]), str(reader.path)),
+        recording,
         now,
         count,
-        found[0].seen.t - parameters.value("delay", errors.values[-1]),
+        float(t[0]),
         float(seen.mean()),
         estimates,
         errors,
@@ -244,13 +259,11 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     )
 
 
-def _recording(
-    tracker: RopeTracker, found: list[_Sighting], errors: RunErrors, convention: str, source: str
-) -> Recording:
-    """Return the markers of all frames as measured data, with the final estimates and the errors of the run."""
+def _marker_places(tracker: RopeTracker, found: list[_Sighting], errors: RunErrors) -> tuple[Array, Array, Array]:
+    """Return the arc lengths (K,) of the markers, their places in all frames and the errors of these (T, K, 2), m."""
     parameters, readout = tracker.estimator.parameters, tracker.estimator.model.readout
-    seen = np.array([each.seen.seen for each in found])
-    places, noise = np.empty((2, *seen.shape, 2))
+    arcs = tracker.estimator.model.arc_lengths
+    places, noise = np.empty((2, len(found), len(arcs), 2))
     first = 2 * tracker.estimator.n_links
     for k, (frame, final, wide) in enumerate(zip(found, errors.values, errors.covariances, strict=True)):
         before, now = (readout + parameters.value("readout", values) for values in (frame.x[first:], final))
@@ -258,7 +271,15 @@ def _recording(
         camera = parameters.camera_at(tracker.camera, final)
         places[k], wide = camera.locate_with_covariance(frame.seen.places - shift, wide)
         noise[k] = np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
-    t = np.array([each.seen.t for each in found]) - parameters.value("delay", errors.values[-1])
-    rows, columns = seen.any(axis=1), seen.any(axis=0)
-    data, std = (each[rows][:, columns].reshape(int(rows.sum()), -1) for each in (places, noise))
-    return Recording(t[rows], data, kind="markers", noise=std, convention=convention, source=source)
+    return arcs, places, noise
+
+
+def _curve_places(tracker: RopeTracker, found: list[_Sighting], errors: RunErrors) -> tuple[Array, Array, Array]:
+    """Return the same of a rope without markers, see :func:`curve_places`."""
+    first = 2 * tracker.estimator.n_links
+    states = np.array([np.append(frame.x[:first], final) for frame, final in zip(found, errors.values, strict=True)])
+    seen = [
+        Observations(frame.seen.t, frame.seen.places, rows=frame.seen.rows, covariances=wide)
+        for frame, wide in zip(found, errors.covariances, strict=True)
+    ]
+    return curve_places(tracker.estimator, seen, states)

@@ -1,0 +1,118 @@
+"""A plain rope from a video and a length: questions that are open are named, answers are kept, the rope is tracked."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.cli.plain import PlainScene, answers_path
+from hyperflex.errors import InvalidInput
+from hyperflex.files import read_toml, write_toml
+from hyperflex.vision import Board, Camera, Renderer, RopeMotion, Scene, read_camera
+from tests.estimate.runs import free_swing, rope
+
+CAMERA = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.002)
+ANSWERS = ("--pivot", "320", "20", "--tip", "found", "--size", "rope", "--mass", "0.125")
+COUNT = 24  # frames
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A free swing of a finer rope without markers."""
+    swing = free_swing(0, 4.0)
+    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
+    path = tmp_path_factory.mktemp("plain") / "phone.mp4"
+    scene = Scene([], rope_width=0.012)
+    Renderer(CAMERA, motion, scene).write(path, 0.05 + np.arange(COUNT) / 30.0)
+    return path
+
+
+@pytest.fixture
+def folder(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the video alone, in which the commands run."""
+    shutil.copy(video, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_answers_are_kept_and_the_second_run_asks_nothing(hyperflex, hyperflex_json, folder):
+    code, first = hyperflex_json("track", "phone.mp4", "--length", "2.0", *ANSWERS)
+    assert code == 0, first
+    assert first["frames"] == COUNT
+    assert first["doubts"] == []
+    kept = read_toml("phone.answers.toml")["answers"]
+    assert kept == {"length": 2.0, "pivot": [320.0, 20.0], "tip": "found", "size": "rope", "mass": [0.125]}
+    code, out, err = hyperflex("watch", "phone.mp4", "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out.splitlines()[-1])["found"] >= COUNT - 1
+    swing = free_swing(0, 4.0)
+    found = hf.read_recording("markers.nc")
+    near_tip = round(100 * 11.5 / 12)  # joint of the last place
+    truth = np.array([[np.interp(t, swing.t, swing.joints[:, near_tip, c]) for c in range(2)] for t in found.t])
+    assert np.hypot(*(found.data[:, -2:] - truth).T).max() < 0.03
+    assert hf.Rope.from_toml("markers-rope.toml").total_length == pytest.approx(2.0, rel=0.02)
+    assert read_camera("markers-camera.toml").pixels_per_metre == pytest.approx(200.0, rel=0.02)
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
+def test_answers_that_are_missing_are_named_and_nothing_hangs(hyperflex, folder, command):
+    code, out, err = hyperflex(command, "phone.mp4", "--length", "2.0", "--pivot", "320", "20", "--json")
+    assert code == 2
+    assert json.loads(out)["type"] == "InvalidInput"
+    for option in ("--tip found or u,v", "--size rope or u,v,u,v,", "--mass unknown or kg"):
+        assert option in err
+    assert "--pivot" not in err
+    assert not answers_path(Path("phone.mp4")).exists()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"--pivot": ("900", "20")}, "--pivot is not in the picture"),
+        (
+            {"--tip": ("there",)},
+            "--tip does not answer: Where is the rope's free end?: got 'there'. Allowed: found or u,v.",
+        ),
+        ({"--size": ("1,2,3,4",)}, "--size does not answer: What tells the size of the picture?"),
+        ({"--size": ("0,0,100,0,-1.0",)}, "--size"),
+        ({"--size": ("0,0,100,0,1000",)}, "--size makes an impossible picture"),
+        ({"--mass": ("0",)}, "--mass"),
+        ({"--length": ("-1",)}, "--length"),
+    ],
+)
+def test_an_impossible_answer_is_refused(refused, folder, changed, said):
+    given = {"--length": ("2.0",), "--pivot": ("320", "20"), "--tip": ("found",), "--size": ("rope",)}
+    words = [word for name, values in (given | {"--mass": ("1",)} | changed).items() for word in (name, *values)]
+    assert said in refused("track", "phone.mp4", *words)
+    assert not Path("phone.answers.toml").exists()
+
+
+def test_a_file_of_answers_that_is_of_another_video_is_refused(refused, folder):
+    write_toml("phone.answers.toml", {"format": "hyperflex answers 1", "image_size": [64, 48], "answers": {}})
+    assert "is about another video" in refused("track", "phone.mp4", "--length", "2.0")
+    write_toml("phone.answers.toml", {"answers": {}})
+    assert "holds no answers on a video" in refused("track", "phone.mp4", "--length", "2.0")
+
+
+def scene(image: np.ndarray, size: str | list[float]) -> PlainScene:
+    answers = {"pivot": [320.0, 20.0], "tip": "found", "size": size, "mass": "unknown"}
+    return PlainScene(image, 2.0, 0.002, "down", lambda *_: None, answers)
+
+
+def test_the_size_of_the_picture_is_known_by_points_a_sheet_or_a_board():
+    image = np.full((480, 640, 3), 128, np.uint8)
+    assert scene(image, [100.0, 50.0, 100.0, 150.0, 0.5]).camera.pixels_per_metre == pytest.approx(200.0)
+    corners = [100.0, 100.0, 142.0, 100.0, 142.0, 159.4, 100.0, 159.4]
+    assert scene(image, corners).camera.pixels_per_metre == pytest.approx(200.0, rel=1e-3)
+    with pytest.raises(InvalidInput, match="no chessboard was found"):
+        _ = scene(image, [7.0, 5.0, 0.03]).camera
+    board = Board((7, 5), 0.1).draw(20)
+    image[100:200, 200:340] = board[..., None]
+    image[90:100, 190:350] = image[200:210, 190:350] = image[90:210, 190:200] = image[90:210, 340:350] = 255
+    camera = scene(image, [7.0, 5.0, 0.1]).camera
+    assert camera.pixels_per_metre == pytest.approx(200.0, rel=0.01)
+    assert camera.project([[0.0, 0.0]])[0] == pytest.approx([320.0, 20.0], abs=1e-6)
+    assert abs(camera.plane_view.roll) < 2.0
