@@ -187,7 +187,7 @@ class PlainScene:
 
         size, (height, width) = self.answers["size"], self.image.shape[:2]
         numbers = [] if isinstance(size, str) else size
-        timing = {"exposure": self.exposure, "readout_direction": self.readout_direction}
+        timing: dict[str, Any] = {"exposure": self.exposure, "readout_direction": self.readout_direction}
         if len(numbers) == 3:
             return self._on_board(Camera.pinhole((width, height), **timing), *numbers)
         if len(numbers) == 5:
