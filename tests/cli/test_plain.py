@@ -16,7 +16,7 @@ from tests.estimate.runs import free_swing, rope
 
 CAMERA = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.002)
 ANSWERS = ("--pivot", "320", "20", "--tip", "found", "--size", "rope", "--mass", "0.125")
-COUNT = 24  # frames
+COUNT = 12  # frames
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """``hyperflex track`` and ``watch``: a video to the motion of its rope or bars, and a rope followed live."""
 
 import math
+import re
 import time
 from array import array
 from collections import Counter
@@ -341,7 +342,7 @@ def watch(
     from hyperflex.estimate import PicturePage, Watch, WatchLog, open_frames
     from hyperflex.vision import read_camera
 
-    beside = Path(f"camera-{source}" if source.isdecimal() else source)
+    beside = Path(source) if Path(source).exists() else Path(re.sub(r"\W+", "-", f"camera-{source}"))
     without = markers.plain(plain, beside)
     markers.check(out, Path(source), needed=not without)
     until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
