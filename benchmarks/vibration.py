@@ -4,7 +4,7 @@ python -m benchmarks.vibration            results in benchmarks/results/vibratio
 python -m benchmarks.vibration --seed 3   other ropes
 
 Chains of 1 to 10 links, of random length, mass and friction, are vibrated along three lines by a pivot or by an arm: at
-the frequency from which averaging is said to hold, and at half of it. The run lasts six periods of a pendulum of the
+the frequency from which averaging is said to hold, and at half of it. The run lasts four periods of a pendulum of the
 rope's length. In ten postures the tip is pushed both ways. All simulated.
 """
 
@@ -50,7 +50,7 @@ def tilts(rng: np.random.Generator) -> list[str]:
             speed = rng.uniform(1.7, 3.0) * math.sqrt(9.81 * rope.total_length)
             for part in (1.0, 0.5):
                 held = vibrated(rope, arm, line, speed, part)
-                run = held.simulate(6.0 * math.tau / slow)
+                run = held.simulate(4.0 * math.tau / slow)
                 x, y = (run.tip - run.base).mean(axis=0)
                 error = math.remainder(math.atan2(x, -y) - held.tilt, math.tau) / held.tilt
                 rows.append(

@@ -303,7 +303,7 @@ def vibration_posture(
     rising, falling = v * np.sqrt(np.linspace(0.0, 1.0, 41)), model.from_top(max(v, 1e-9))
     found: list[Array] = []
     for line, velocities in ((model.direction, falling), (rest, rising)):
-        for start in (line, line + math.pi):
+        for start in (line, line + (math.pi if line <= 0.0 else -math.pi)):
             path = list(model.follow(np.full(n, start), velocities))
             if len(path) == len(velocities):
                 found.append(path[-1][1])
