@@ -110,6 +110,15 @@ def test_a_planned_tilt_is_that_of_a_run(n, arm):
     assert tilt_of(held.simulate(1.0)) == pytest.approx(1.9, rel=0.02)
 
 
+def test_the_arm_drags_the_first_joint_by_its_friction():
+    """In a rough hinge the arm turns the rod a little as it moves it, which changes the mean tilt."""
+    rough, arm = ROD.replace(friction=[0.3]), hf.Arm(length=0.3)
+    held = nearest(hf.vibration_posture(rough, 0.012, 80.0, 2.2, arm=arm), 2.0)
+    pivot = nearest(hf.vibration_posture(rough, 0.012, 80.0, 2.2), 2.0)
+    assert abs(held.tilt - pivot.tilt) > 0.02
+    assert tilt_of(held.simulate(0.5)) == pytest.approx(held.tilt, rel=0.003)
+
+
 def test_it_says_where_averaging_does_not_hold():
     """A strong and slow vibration: what is averaged away is as large as what remains."""
     slow = hf.vibration_posture(ROD, 0.2, 4.0, 1.8)[0]
