@@ -151,8 +151,12 @@ def _best(paths: list[Path]) -> Array:
 
 def _check_alone(paths: list[Path], apart: float) -> None:
     """Refuse a rope if another path, further apart than some px for a while, is half as likely from there on."""
-    best = paths[0]
+    best, ends = paths[0], [paths[0].places[-1]]
     for other in paths[1:]:
+        end = other.places[-1]
+        if other.scores[-1] < LEAST_SCORE or np.linalg.norm(np.array(ends) - end, axis=1).min() < apart:
+            continue
+        ends.append(end)
         gaps = np.linalg.norm(other.places[:, None] - best.places, axis=2)
         away = gaps.min(axis=1) > apart
         if away.any():
