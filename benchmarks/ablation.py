@@ -132,7 +132,7 @@ def page(rows: list[dict[str, Any]], about: dict[str, str]) -> str:
     for row in rows:
         sets.setdefault((row["rope"].startswith("random"), row["seed"], row["limit"]), []).append(row)
     for (random, seed, limit), some in sets.items():
-        ropes = "ropes drawn at random, targets that are planned as it is" if random else "the five ropes"
+        ropes = "random ropes, variants on targets that as-is plans" if random else "the five ropes"
         text += f"\n## Seed {seed}, {ropes}, {limit:g} s\n\n{table(some)}\n{lines.made(some, 'planner')}\n"
     return f"{text}\n{machine.sentence(about)}\n\nAgain: `python -m benchmarks.ablation`\n"
 
