@@ -2,6 +2,7 @@
 
 python -m benchmarks.markerless 10                    all cases, ten seeds each (about three hours on one core)
 python -m benchmarks.markerless 10 --case clutter     one case; --first 3 begins with seed 3
+python -m benchmarks.markerless wrong                 set-ups that are wrong: what is reported
 python -m benchmarks.markerless page                  the page from what there is
 
 Ropes of 100 links, 5 mm thick, 1280 x 720 pixels over 4.5 m, rendered, written as MP4 (x264, crf 23) and read again;
@@ -15,11 +16,12 @@ of the last ten frames.
 import argparse
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from benchmarks import log, machine
 from scipy import stats
@@ -28,9 +30,10 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.estimate import CurveMeasurement, RopeFilter, RopeTracker, curve_arc_lengths
-from hyperflex.vision import Camera, Frame, Occluder, Renderer, RopeMotion, Scene, VideoReader, find_rope
-from tests.estimate.runs import ARM, FINE, RATE, SWINGS, free_swing, rope
+from hyperflex.errors import InvalidInput
+from hyperflex.estimate import CurveMeasurement, RopeFilter, RopeTracker, curve_arc_lengths, track_video
+from hyperflex.vision import Camera, Frame, Occluder, Renderer, RopeMotion, Scene, VideoReader, VideoWriter, find_rope
+from tests.estimate.runs import ARM, FINE, LENGTH, RATE, SWINGS, free_swing, rope
 
 RESULTS = Path(__file__).parent / "results" / "markerless.jsonl"
 LINKS, WIDTH, SCALE = 50, 0.005, 1280 / 4.5  # m, px/m
@@ -170,19 +173,74 @@ def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Fra
     }
 
 
+WRONG = {  # what is wrong, and the scale of the declared rope
+    "nothing": 1.0,
+    "no rope": 1.0,
+    "two ropes": 1.0,
+    "the rope leaves the view": 1.0,
+    "10 % too long": 1.1,
+    "10 % too short": 0.9,
+    "mirrored, the arm's motion known": 1.0,
+    "the camera pans": 1.0,
+    "the camera shakes": 1.0,
+}
+
+
+def reported(wrong: str, seed: int) -> dict[str, Any]:
+    """Track a video of 4 s with a wrong set-up; return what is reported, and how far the free end is off at the end."""
+    case, rng = Case(cast=wrong.startswith("mirrored")), np.random.default_rng((seed, 9))
+    motion, scale = motion_of(case, seed), 800.0 if "view" in wrong else SCALE
+    camera = Camera.facing((1280, 720), pixels_per_metre=scale, origin=(640.0, 60.0), exposure=case.exposure)
+    scene = Scene(
+        np.zeros(0),
+        rope_width=0.0 if wrong == "no rope" else WIDTH,
+        rope_colour=DARK,
+        occluders=(Occluder((0.0, 0.0), (0.5, -1.7), WIDTH, DARK),) if wrong == "two ropes" else (),
+        seed=seed,
+    )
+    renderer, cable = Renderer(camera, motion, scene), rope(LINKS, WRONG[wrong])
+    given = {"motion": SWINGS, "arm": ARM} if case.cast else {}
+    estimator = RopeFilter(cable, curve_arc_lengths(cable), camera=camera, **given)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rope.mp4"
+        with VideoWriter(path, camera.image_size, 23) as video:
+            for t in START + np.arange(0.0, 4.0, 1.0 / case.rate):
+                shift = {"the camera pans": (25.0 * t, 0.0), "the camera shakes": rng.normal(0.0, 2.5, 2)}.get(wrong)
+                image = renderer.image(t)
+                if shift is not None:
+                    moved = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+                    image = cv2.warpAffine(image, moved, camera.image_size, borderMode=cv2.BORDER_REPLICATE)
+                video.write(np.ascontiguousarray(image[:, ::-1]) if case.cast else image, t)
+        try:
+            with VideoReader(path) as frames:
+                first = next(iter(frames))
+            pivot = camera.project(estimator.process.base(first.time)[:1])[0]
+            look = find_rope(first.image, pivot, width=WIDTH * scale).look
+            said = "; ".join(map(str, track_video(path, RopeTracker(estimator, CurveMeasurement(look))).doubts))
+        except InvalidInput as refusal:
+            return {"reported": str(refusal).partition(":")[0], "off": None}
+    true = motion.places([estimator.state.t], [LENGTH * min(1.0, WRONG[wrong])])[0, 0, :2]
+    return {"reported": said, "off": float(np.linalg.norm(estimator.tip(estimator.state)[0] - true))}
+
+
 def main() -> None:
     """Run what is asked for, and write a line for each; or the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("seeds", help="how many seeds, or: page")
+    parser.add_argument("seeds", help="how many seeds, or: wrong, page")
     parser.add_argument("--case", default="", help="those whose name contains it")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
-    for name in [] if options.seeds == "page" else [each for each in CASES if options.case in each]:
-        for seed in range(options.first, options.first + int(options.seeds)):
-            row = {"case": name, "seed": seed, **run(name, seed), "kernels": SOURCE_HASH}
-            log.append(options.out, row)
-            print(row, flush=True)
+    todo: list[tuple[str, int, Callable[[str, int], dict[str, Any]]]] = []
+    if options.seeds == "wrong":
+        todo = [(name, options.first, reported) for name in WRONG if options.case in name]
+    elif options.seeds != "page":
+        seeds = range(options.first, options.first + int(options.seeds))
+        todo = [(name, seed, run) for name in CASES if options.case in name for seed in seeds]
+    for name, seed, work in todo:
+        row = {"case": name, "seed": seed, **work(name, seed), "kernels": SOURCE_HASH}
+        log.append(options.out, row)
+        print(row, flush=True)
     files.write_text(options.out.with_suffix(".md"), page(log.read(options.out)))
 
 
@@ -218,6 +276,12 @@ def page(rows: list[log.Row]) -> str:
             f"{np.median(table['ms']):.1f}",
         ]
         lines.append(f"| {' | '.join(map(str, cells))} |")
+    lines += ["", "## Wrong set-ups: what is reported", "", "| wrong | reported | end off, m |", "|---|---|---|"]
+    for (name, _), row in sorted(kept.items(), key=lambda item: [*CASES, *WRONG].index(item[0][0])):
+        if name in WRONG:
+            lines.append(
+                f"| {name} | {row['reported'] or '-'} | {'-' if row['off'] is None else format(row['off'], '.2g')} |"
+            )
     return "\n".join([*lines, "", f"{log.made(kept.values())} {machine.sentence(machine.describe())}\n"])
 
 
