@@ -25,24 +25,23 @@ PEG, START = hf.Peg(0.5, -0.2, 0.03), np.array([0.0, 0.0])
 RADIUS, MIDDLE = PEG.radius + ROPE.radius, np.array([PEG.x, PEG.y])
 
 
-def wound(side: int) -> tuple[Array, float]:
-    """Return the markers of a taut rope wound so about the peg that 10 cm of it hang down, and its true turns."""
+def wound(side: int, away: Array = START - MIDDLE, hangs: float = 0.1) -> tuple[Array, float]:
+    """Return the markers of a taut rope wound so about the peg that so much, m, hangs off it, and its true turns."""
     middle = MIDDLE
-    away = START - middle
     far = float(np.hypot(*away))
     straight = math.sqrt(far**2 - RADIUS**2)
     angle = math.atan2(away[1], away[0]) + side * math.acos(RADIUS / far)  # where it meets the peg
-    on = 1.0 - straight - 0.1
+    on = 1.0 - straight - hangs
     places = []
     for arc in ARCS.tolist():
         if arc <= straight:
             meets = middle + RADIUS * np.array([math.cos(angle), math.sin(angle)])
-            places.append(START + arc / straight * (meets - START))
+            places.append(middle + away + arc / straight * (meets - middle - away))
             continue
         turned = angle + side * min(arc - straight, on) / RADIUS
         out = np.array([math.cos(turned), math.sin(turned)])
         places.append(middle + RADIUS * out + max(0.0, arc - straight - on) * side * np.array([-out[1], out[0]]))
-    turns = math.acos(RADIUS / far) + on / RADIUS + math.atan(0.1 / RADIUS)
+    turns = math.acos(RADIUS / far) + on / RADIUS + math.atan(hangs / RADIUS)
     return np.array(places), side * turns / math.tau
 
 
@@ -55,7 +54,7 @@ def turns_of(places: Array, side: int = 1) -> tuple[float, float]:
 @pytest.mark.parametrize("side", [-1, 1])
 def test_turns_are_counted_by_markers_whose_order_is_not_known(side: int) -> None:
     places, turns = wound(side)
-    assert turns_of(places, side) == pytest.approx((turns, turns + side * 0.05), abs=1e-3)
+    assert turns_of(places, side) == pytest.approx((turns, turns), abs=1e-3)
     slack = places + 0.004 * np.random.default_rng(1).standard_normal(places.shape)
     assert turns_of(slack, side)[0] == pytest.approx(turns, abs=0.02)
 
@@ -66,11 +65,35 @@ def test_markers_on_the_peg_that_hide_each_other_leave_a_turn_in_doubt(side: int
     away = places[np.hypot(*(places - MIDDLE).T) > 0.05]
     best, most = turns_of(away, side)
     assert len(away) == 5
-    assert 1.5 < side * best < side * turns < side * most < side * turns + 0.1
+    assert 1.5 < side * best < side * turns
+    assert most == pytest.approx(turns, abs=0.01)
+
+
+def test_verdicts_on_random_pictures() -> None:
+    """Markers off by 2 mm, of which those on the peg hide each other, some are not seen and some seen are none.
+
+    Of 300 such, 244 verdicts are right, 7 wrong and the others not known. With a fifth of the 10 mm 195 and 27, with
+    five times the slack 225 and 7, five times the cost of a marker that is not seen 240 and 16, and as much for one on
+    the peg 228 and 6, a fifth of that of a spot that is no marker 234 and 4.
+    """
+    rng, known = np.random.default_rng(5), []
+    while len(known) < 100:
+        far, turned, hangs = rng.uniform(0.3, 0.75), rng.uniform(-math.pi, math.pi), rng.uniform(0.02, 0.25)
+        away, side = far * np.array([math.cos(turned), math.sin(turned)]), int(rng.choice([-1, 1]))
+        if far + hangs > 0.97 or abs(abs((true := wound(side, away, hangs))[1]) - 1.25) < 0.05:
+            continue
+        places, turns = true[0] - MIDDLE + 0.002 * rng.standard_normal((10, 2)), true[1]
+        on = np.hypot(*places.T) < 1.3 * RADIUS
+        spots = places[rng.uniform(size=10) > np.where(on, 0.4, 0.05)]
+        spots = np.vstack([spots, rng.uniform(-0.5, 0.5, (int(rng.uniform() < 0.1), 2))])
+        best, most = (abs(each) >= 1.25 for each in wound_turns(ARCS, RADIUS, side, away, rng.permutation(spots)))
+        known.append(None if most and not best else best == (abs(turns) >= 1.25))
+    assert sum(each is False for each in known) <= 5
+    assert sum(each is True for each in known) >= 75
 
 
 def test_a_rope_that_hangs_free_or_passes_the_peg_has_no_turns() -> None:
-    assert turns_of(ARCS[:, None] * np.array([0.0, -1.0])) == pytest.approx((0.222, 0.272), abs=0.001)
+    assert turns_of(ARCS[:, None] * np.array([0.0, -1.0])) == pytest.approx((0.222, 0.222), abs=0.001)
     passes = ARCS[:, None] * np.array([PEG.x, PEG.y + RADIUS + 0.01]) / math.hypot(PEG.x, PEG.y)
     best, most = turns_of(passes)
     assert abs(best) < 0.5

@@ -10,6 +10,7 @@ from hyperflex.hardware import Drive, DriveRecord, Goal, Reading, plan_test_moti
 from hyperflex.model import MotorLimits
 
 STEP = 1e-5  # s
+COGS, SLOW = 42, 0.3  # a turn, as of a motor with 14 poles and 12 slots whose cogs are partly balanced; rad/s
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class Truth:
     jitter: float = 1e-3
     tells_torque: bool = True
     torque_noise: float = 0.01
+    cogging: float = 0.0  # N m, COGS times a turn
+    sticking: float = 0.0  # part by which dry friction is greater near rest, at less than SLOW
     seed: int = 0
 
     @property
@@ -50,14 +53,15 @@ class Truth:
 def _run(state, steps, aim, rate, c):
     """Advance (angle, speed, torque, load angle) by steps of the twin under a held goal."""
     y, v, tau, o = state
-    inertia, friction, dry, weight, kp, kd, loop, stall, fastest, most, gap = c
+    inertia, friction, dry, weight, kp, kd, loop, stall, fastest, most, gap, cogging, sticking = c
     for _ in range(steps):
         wanted = kp * (aim - y) + kd * (rate - v)
         top, bottom = min(most, stall * (1.0 - v / fastest)), max(-most, stall * (-1.0 - v / fastest))
         tau += STEP / loop * (min(top, max(bottom, wanted)) - tau)
-        push = tau - friction * v - weight * math.sin(y)
+        push = tau - friction * v - weight * math.sin(y) - cogging * math.sin(COGS * y)
         free = v + STEP * push / inertia
-        v = math.copysign(max(0.0, abs(free) - STEP * dry / inertia), free)
+        rough = dry * (1.0 + sticking * math.exp(-((v / SLOW) ** 2)))
+        v = math.copysign(max(0.0, abs(free) - STEP * rough / inertia), free)
         y += STEP * v
         o = min(y + 0.5 * gap, max(y - 0.5 * gap, o))
     return y, v, tau, o
@@ -90,7 +94,8 @@ class Twin:
         t = self.truth
         loop = (t.kp, t.kd) if self.enabled else (0.0, 0.0)
         limits = t.stall, t.free_speed, t.max_torque
-        c = (t.inertia, t.friction, t.dry_friction, t.weight, *loop, t.current_loop, *limits, t.backlash)
+        beyond = t.backlash, t.cogging, t.sticking
+        c = (t.inertia, t.friction, t.dry_friction, t.weight, *loop, t.current_loop, *limits, *beyond)
         while self._at < until:
             while self._queue and self._queue[0][0] <= self._at:
                 self._goal = self._queue.pop(0)[1:]

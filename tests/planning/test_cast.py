@@ -30,6 +30,8 @@ from hyperflex.planning import (
     plan_cast,
     read_plan,
     read_reach_map,
+    replan_cast,
+    scaled_rope,
     verify_cast,
 )
 from hyperflex.planning.casting import CastRequest, fewer_turns, plan_each
@@ -65,6 +67,22 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     finer = Problem(with_links(CORD, 38), ARM)
     assert verify_cast(finer, PEG, cast.motion, contact_step=1e-4).success
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
+
+
+def test_a_plan_goes_on_from_states_that_were_measured(cast):
+    """Of a rope that is longer than the plan's: the first moves are made again, and it winds."""
+    moves, problem = cast.moves, replace(cast.problem, rope=scaled_rope(CORD, 1.02, 1.0, 1.0))
+    stops = [moves.first(k).stops(problem.limits) for k in range(1, moves.ends.size)]
+    stops = [each for each in stops if each < cast.outcome.strike_time]
+    run = hf.simulate(problem.rope, cast.motion, arm=ARM, duration=stops[-1], t_eval=[0.0, *stops])
+    seen = [(moves.first(k), hf.RopeState(t, run.q[k], run.qd[k])) for k, t in enumerate(stops, 1)]
+    found = replan_cast(
+        replace(cast, problem=problem), [moves], seen, anew=False, time_budget=processor(30.0), options=SearchOptions()
+    )
+    assert found.success, found.message
+    assert found.moves.begins_with(seen[0][0])
+    assert found.outcome.run.t[-1] < cast.outcome.run.t[-1]  # from there on
+    assert verify_cast(problem, PEG, found.motion).success
 
 
 def test_a_cast_goes_through_its_file(cast, tmp_path):

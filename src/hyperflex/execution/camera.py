@@ -60,9 +60,9 @@ def measured_length() -> list[EstimatedParameter]:
 def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spots: Array) -> tuple[float, float]:
     """Return by how many turns a rope is wound about a peg at the origin, from its markers, whose order is not known.
 
-    Paths along the rope from marker to marker are compared, straight or round the peg, by how much longer or shorter
-    they are than the rope between the markers, by how far they cut into the peg, and by the markers that are not seen:
-    those on the peg hide each other. A path's turns are exact, but for the place of the peg. A wound rope may often be
+    Paths along the rope from marker to marker are compared, straight or round the peg, by the squares of how much
+    longer (over 10 mm) or shorter (over 15 %: a slack rope) they are than the rope between the markers, and of how far
+    they cut into the peg (over 10 mm), and by the markers that are not seen: those on the peg hide each other. A path's turns are exact, but for the place of the peg. A wound rope may often be
     explained with a turn less as well, one that is not wound hardly ever with a turn more.
 
     Parameters
@@ -102,6 +102,7 @@ def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spot
     turned = np.concatenate([(about - math.tau * (about > math.pi))[None], round_peg])
     length = np.concatenate([np.sqrt(square)[None], tangent + tangent[:, None] + radius * on])
     cost = np.concatenate([(cut[None] / 0.01) ** 2, np.where(on > 0.0, 0.0, np.inf)])
+    unseen, hidden, stray = 3.0, 2.5, 8.0  # costs of a marker, of one on the peg at the end, and of a spot that is none
     arcs = np.append(arc_lengths, 0.0)  # the last one is the start's, whose number is -1
     paths = np.zeros((1, 4 + len(where)))  # cost, angle, last spot, number of its marker, and which spots are used
     paths[0, 3:5] = -1.0, 1.0
@@ -109,8 +110,8 @@ def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spot
         last, before = paths[:, 2:4].T.astype(int)
         gap = (arc - arcs[before])[:, None]
         over = length[:, last] - gap
-        allowed = np.where(over > 0.0, 0.01 + 0.03 * gap, 0.15 * gap)  # m, of a rope that is taut, and of a slack one
-        total = cost[:, last] + (over / allowed) ** 2 + 3.0 * (number - 1 - before)[:, None]  # each not seen
+        allowed = np.where(over > 0.0, 0.01, 0.15 * gap)  # m, of a rope that is taut, and of a slack one
+        total = cost[:, last] + (over / allowed) ** 2 + unseen * (number - 1 - before)[:, None]
         how, path, spot = np.nonzero((total < np.inf) & (paths[:, 4:] == 0.0))
         longer = paths[path]
         longer[:, 0] += total[how, path, spot]
@@ -118,15 +119,15 @@ def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spot
         longer[:, 2], longer[:, 3] = spot, number
         longer[np.arange(spot.size), 4 + spot] = 1.0
         paths = np.concatenate([longer, paths])
-        paths = paths[np.argsort(paths[:, 0] + 3.0 * (number - paths[:, 3]), kind="stable")[:200]]
+        paths = paths[np.argsort(paths[:, 0] + unseen * (number - paths[:, 3]), kind="stable")[:200]]
     last, number = paths[:, 2:4].T.astype(int)
     missed, unused = arc_lengths.size - 1 - number, (paths[:, 4:] == 0.0).sum(axis=1)
     wrapped = (arc_lengths[-1] - arcs[number] - tangent[last]) / radius  # rad, of an end that is not seen, on the peg
     end = np.where(missed * wrapped > 0.0, 0.0, np.inf)
     turns = np.append(paths[:, 1], paths[:, 1] + meets[last] + wrapped) / math.tau
-    total = np.append(4.0 * missed, 2.0 * missed + end) + np.tile(paths[:, 0] + 8.0 * unused, 2)
+    total = np.append(unseen * missed, hidden * missed + end) + np.tile(paths[:, 0] + stray * unused, 2)
     best = total.argmin()
-    most = turns[total < total[best] + 2.0 * math.log(10.0)].max() + 0.05  # by which the place of the peg may be wrong
+    most = turns[total < total[best] + 2.0 * math.log(10.0)].max()
     return side * float(turns[best]), side * float(most)
 
 

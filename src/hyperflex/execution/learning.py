@@ -1,17 +1,16 @@
 """Learning from each cast: parameters of rope and motor, and the motion, until the rope winds.
 
-After each cast two things are updated. The *parameters*: factors on the rope's length, friction and air drag, and the
-motor's lag, fitted to the cast's free flight with what was known before as the prior. Each stretch of it is flown from
-the state that was measured at a rest of the arm: what the model lacks does not add up over the cast.
+A Kalman filter follows the rope of the cast through its free flight, with the rope's length, friction and air drag as
+unknown constants. So the *parameters* are known after it, with what was known before as the prior; and the *state* at
+each rest of the arm, where disturbances of the motion absorb what no parameter explains.
 
-The *motion*: iterative learning at the critical instant. Five times a second the measured state is compared with the
-model's, flown from the one before. The next casts are flown with the same differences added on the way: so the model
-makes the last cast exactly as it was measured, and is as wrong for others near it. In this model strokes and rests are
-corrected, by damped Gauss-Newton steps, until the strike is the state that is known to wind. These moves and variations
-of them then strike in contact, and the least change that winds is made next.
+A cast that missed is planned again with this rope: it begins with the same moves, which lead to the state that was
+measured at a rest of the arm, and goes on from there in another way. So the model need only be right for the last part
+of the next cast.
 """
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,46 +22,29 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, InvalidInput
-from hyperflex.identification import perturbed
+from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import Peg, Rope, parse_label, unit_across, unit_along
+from hyperflex.model import Rope
 from hyperflex.motion import Motion, lagged
 from hyperflex.options import check as check_options
 from hyperflex.options import option
 from hyperflex.planning import (
-    MODEL,
     CastPlan,
-    FollowOptions,
-    Goal,
     Moves,
     Problem,
     RolloutBatch,
     SearchOptions,
-    WindingScores,
-    features,
-    find_strikes,
+    fly_to_strikes,
     obstacle_gaps,
     refuse_behind,
-    scaled_rope,
-    shoot,
-    wound_after,
+    replan_cast,
 )
 from hyperflex.recording import Recording
-from hyperflex.sensors import lever_arms
 from hyperflex.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-ASIDE = (
-    (0.0, 0.0),
-    (1.0, 0.0),
-    (-1.0, 0.0),
-    (0.0, 1.0),
-    (0.0, -1.0),
-)  # where a target may stand, in errors of the model
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +62,12 @@ class CastLog:
         Measured arm angle at the recording's times, rad; NaN in gaps. Without it the motor's lag is not learned.
     wound : bool, optional
         Whether the rope wound; None if nobody knows, which does not count as a success.
-    turns : float, optional
-        Most turns that it made about the target at any time: the winding rope's friction is learned from them.
     """
 
     recording: Recording
     arc_lengths: npt.ArrayLike | None = None
     arm_angle: npt.ArrayLike | None = None
     wound: bool | None = None
-    turns: float | None = None
 
     def __post_init__(self) -> None:
         t = checks.instance("recording", self.recording, Recording).t
@@ -110,77 +89,54 @@ class LearningOptions:
     Parameters
     ----------
     parameters, motion : bool
-        Whether the parameters of rope and motor are learned, and whether the motion is corrected.
+        Whether the parameters of rope and motor are learned, and whether the motion is corrected from what was measured
+        at the rests of the arm; without it a cast is planned again from the start.
     wins : int
         Casts in a row that must wind.
-    prior : mapping of str to float
-        What is learned of the rope, in the words of :func:`hyperflex.identify` ("friction:factor", "length:factor",
-        "drag:factor", ...), each with the standard deviation of its logarithm before the first cast; a rope without
-        drag, or friction, has none to learn. The motor's lag is learned wherever the arm's angle is measured.
-    span : float
-        Time that the model is flown from a measured state to fit the parameters, s.
-    model_error : float
-        Error of the model's positions, m, that no parameter explains. It is correlated over a flight, so that each
-        coordinate of a marker counts as one measurement of this standard deviation and the noise. A rope that comes
-        nearer to the target than this counts as striking it, and the target may be aside by so much.
-    between : float
-        Time between two measured states, s.
-    strike_window : float
-        Time about such a state, s, from which it is measured.
-    min_samples : int
-        Samples in this window that a marker needs.
-    speeds : tuple of float
-        Speeds at the strike at which is aimed, times those of the state that winds.
-    caution : float
-        Weight of changes of the motion, in its scales, against the distance from the state that winds.
-    tried, rounds, checked : int
-        Variations of the moves that are tried in contact after a miss; rounds in which the best are varied again; how
-        many of the best these are, and are also tried with shorter links, and with the target aside.
-    sure : float
-        Part of these trials in which the rope must wind, less the costs of the change: no further rounds then.
+    prior : sequence of EstimatedParameter
+        What is learned of the rope, and how well it is known before the first cast; a rope without drag, or friction,
+        has none to learn.
+    struck : float
+        Distance from the target, m, in which a rope counts as striking it: its free flight has ended.
+    span, settled : float
+        Time before the strike, s, from which is learned; and time after its begin from which states are known.
+    apart : float
+        Time between the samples that are used, s: more take longer, and tell little more.
+    varied : int
+        Variations of the last moves that are tried before others.
     spread : (least, greatest)
-        Standard deviations of these variations, in scales.
-    score : float
-        What a score of as many turns as are required counts, in casts that wind.
-    change, away : float
-        What a change by one scale costs, and one scale of distance from the state that winds, in casts that wind.
-    correction : FollowOptions
-        Scales of errors and changes, Gauss-Newton steps, their differences, and the window about the strike.
+        Standard deviations of these variations: strokes, rad, and rests, in periods of the rope's swing.
+    spare : float
+        Turns that the model must make beyond those that are required.
+    planning : float
+        Time to plan a cast again, s, at most.
+    clock : callable
+        That counts it, s; ``time.process_time`` counts processor time, on a machine that others use.
     threads : int, optional
     """
 
     parameters: bool = option(True, "learn the parameters of rope and motor")
-    motion: bool = option(True, "correct the motion")
+    motion: bool = option(True, "go on from what was measured")
     wins: int = option(3, "casts in a row that must wind", sign="positive")
-    prior: Mapping[str, float] = field(
-        default_factory=lambda: {"length:factor": 0.02, "friction:factor": 0.2, "drag:factor": 0.5}
+    prior: Sequence[EstimatedParameter] = (
+        EstimatedParameter("length", 0.02),
+        EstimatedParameter("friction", 0.2),
+        EstimatedParameter("drag", 0.5),
     )
-    span: float = option(1.0, "time flown from a measured state to fit the parameters", unit="s", sign="positive")
-    model_error: float = option(
-        0.02, "error of the model's positions that no parameter explains", unit="m", sign="positive"
-    )
-    between: float = option(0.2, "time between two measured states", unit="s", sign="positive")
-    strike_window: float = option(0.12, "time about a state in which it is measured", unit="s", sign="positive")
-    min_samples: int = option(5, "samples in this time that a marker needs", sign="positive")
-    speeds: tuple[float, ...] = option((1.0, 1.2), "speeds at the strike, times those that wind", sign="positive")
-    caution: float = option(0.3, "weight of changes of the motion", sign="nonnegative")
-    tried: int = option(48, "variations of the moves tried after a miss", sign="nonnegative")
-    rounds: int = option(5, "rounds in which the best are varied", sign="nonnegative")
-    checked: int = option(8, "of these, tried with the target aside", sign="positive")
-    sure: float = option(0.8, "part of these trials in which the rope must wind", sign="nonnegative")
-    spread: tuple[float, float] = option((0.02, 0.5), "standard deviations of the variations", sign="positive")
-    score: float = option(0.5, "what the score of a cast counts", sign="nonnegative")
-    change: float = option(0.03, "cost of a change by one scale", sign="nonnegative")
-    away: float = option(0.03, "cost of one scale of distance from the state that winds", sign="nonnegative")
-    correction: FollowOptions = field(default_factory=lambda: FollowOptions(rounds=8))
+    struck: float = option(0.02, "distance at which the rope strikes", unit="m", sign="nonnegative")
+    span: float = option(4.0, "time before the strike from which is learned", unit="s", sign="positive")
+    settled: float = option(0.5, "time after which states are known", unit="s", sign="nonnegative")
+    apart: float = option(0.04, "time between the samples that are used", unit="s", sign="positive")
+    varied: int = option(32, "variations of the last moves that are tried first", sign="nonnegative")
+    spread: tuple[float, float] = option((0.01, 0.3), "standard deviations of these variations", sign="positive")
+    spare: float = option(0.0, "turns beyond those that are required", sign="nonnegative")
+    planning: float = option(30.0, "time to plan a cast again", unit="s", sign="positive")
+    clock: Callable[[], float] = time.monotonic
     threads: int | None = None
 
     def __post_init__(self) -> None:
         check_options(self, "")
-        for word, std in checks.mapping("prior", self.prior).items():
-            checks.number(f"prior of {word}", std, sign="positive")
-            if (label := parse_label(word)) is None or label.law != "factor":
-                raise InvalidInput("prior has an unknown word", got=word, allowed="factors, as 'friction:factor'")
+        checks.sequence("prior", self.prior, "a sequence of EstimatedParameter")
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,17 +150,13 @@ class Attempt:
     moves : Moves
         As commanded.
     wound : bool or None
-    distance : float
-        Of the measured state at the strike from the one that this cast aimed at, root mean square over the markers, in
-        scales of position and speed; NaN if it was not measured.
     position, speed : float
-        The same in m and in m/s.
+        Of the measured joints at the strike from those of the strike that this cast aimed at, root mean square, m and
+        m/s; NaN if they were not measured.
     factors : dict of str to float
-        Learned factors after this cast, by the words of the prior.
+        Learned factors after this cast, by the names of the prior.
     lag : float
         Learned lag of the motor, s.
-    residual : float
-        Root mean square of what the model leaves of this cast's flight after learning, m.
     problem : str
         Why nothing could be learned; empty if something was.
     """
@@ -212,12 +164,10 @@ class Attempt:
     number: int
     moves: Moves
     wound: bool | None
-    distance: float = math.nan
     position: float = math.nan
     speed: float = math.nan
     factors: Mapping[str, float] = field(default_factory=dict)
     lag: float = 0.0
-    residual: float = math.nan
     problem: str = ""
 
     def __str__(self) -> str:
@@ -225,11 +175,10 @@ class Attempt:
         head = f"cast {self.number}: {ended}"
         if self.problem:
             return f"{head}; nothing learned: {self.problem}"
-        known = [f"{word.partition(':')[0]} {value - 1.0:+.1%}" for word, value in self.factors.items()]
+        known = [f"{name} {value - 1.0:+.1%}" for name, value in self.factors.items()]
         known.append(f"lag {1e3 * self.lag:.0f} ms")
-        left = f"the model is off by {1e3 * self.residual:.0f} mm in flight"
         strike = f"{1e3 * self.position:.0f} mm and {self.speed:.2g} m/s from the strike aimed at"
-        return f"{head}, {strike}; {', '.join(known)}; {left}"
+        return f"{head}, {strike}; {', '.join(known)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,8 +282,7 @@ def learn_cast(
 
     Notes
     -----
-    A cast that winds leaves the motion as it is. Of contact it is only learned with how much friction the winding rope
-    makes as many turns as were seen. Tested in simulation only.
+    A cast that winds leaves the motion as it is. Of contact nothing is learned. Tested in simulation only.
     """
     checks.instance("plan", plan, CastPlan)
     problem, moves = plan.problem, plan.required(plan.moves, "motion")
@@ -355,96 +303,32 @@ def learn_cast(
             if report is not None:
                 report(learner.attempts[-1])
     ended = stop.status or (Status.FAILED if error else None)
-    now = learner.model
-    done = tuple(learner.attempts)
-    return stop.deliver(LearningResult(learner.moves, now.problem, now.lag, done, learner.options.wins, ended, error))
-
-
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """The model so far: a problem with the learned rope, its target, and the motor's lag, s."""
-
-    problem: Problem
-    peg: Peg
-    lag: float = 0.0
-
-    def motion(self, moves: Moves) -> Motion:
-        """Return the arm's motion when these moves are commanded."""
-        return lagged(moves.motion(self.problem.limits), self.lag)
-
-    def with_rope(self, rope: Rope) -> "_Model":
-        """Return the same with another rope."""
-        return replace(self, problem=replace(self.problem, rope=rope))
+    done, known = tuple(learner.attempts), learner.plan.problem
+    return stop.deliver(LearningResult(learner.moves, known, learner.lag, done, learner.options.wins, ended, error))
 
 
 class _Flown(NamedTuple):
-    """The free flight of a log: times (T,), s; places (T, K, 2), m, of markers at parts (K,) of the rope's length.
+    """The free flight of a log: times (T,), s, and places (T, K, 2), m, of markers with their errors (T, K), m."""
 
-    `noise` (T, K, 2) is in m; `strike` is its end, s.
-    """
-
-    moves: Moves
     t: Array
     places: Array
-    noise: Array
-    parts: Array
-    strike: float
-
-
-class _Node(NamedTuple):
-    """A measured state of a cast, and how far, (n,), rad and rad/s, it is from the model's, from the node before."""
-
-    state: RopeState
-    turn: Array
-    spin: Array
-
-
-class _Start(NamedTuple):
-    """Where moves may begin to differ from those of a cast: after some that are made, from the first of some nodes."""
-
-    made: int
-    nodes: Sequence[_Node]
-
-    @property
-    def state(self) -> RopeState:
-        """The state of the first node."""
-        return self.nodes[0].state
-
-
-class _Cast(NamedTuple):
-    """Moves, flown from a start of the last cast."""
-
-    moves: Moves
-    start: _Start
-
-
-class _Shot(NamedTuple):
-    """Moves, the time at which they pass the goal nearest, s, and how far they and their change are, over scales."""
-
-    moves: Moves
-    t: float
-    residuals: Array
+    std: Array
 
 
 class _Learner:
-    """The moves to be made next, the model, and the casts so far."""
+    """The moves to be made next, the plan with the rope as it is known, the motor's lag, s, and the casts so far."""
 
     def __init__(self, plan: CastPlan, moves: Moves, options: LearningOptions) -> None:
-        self.plan, self.moves, self.options = plan, moves, options
-        self.budget = Budget(threads=options.threads)
-        self.model = _Model(plan.problem, plan.target)
+        self.plan, self.moves, self.options, self.lag = plan, moves, options, 0.0
         self.attempts: list[Attempt] = []
-        words = [(word, std, parse_label(word)) for word, std in options.prior.items()]
-        self._prior = {
-            word: std for word, std, label in words if label and np.any(getattr(plan.problem.rope, label.name))
-        }
-        self._logs = np.zeros(len(self._prior))  # logarithms of the factors
-        goal = Goal.of(plan.problem, plan.target, moves, options.correction)
+        self._rope = plan.problem.rope  # as it was planned
+        self._prior = [each for each in options.prior if np.any(getattr(self._rope, each.name))]
+        self._prior = self._prior if options.parameters else []
+        self._rest = RopeState(0.0, *plan.problem.start)
+        goal = self._strike(self._rest)
         if goal is None:
             raise InvalidInput("the planned moves do not strike", fix="Plan again")
-        self._planned = goal  # that winds in the model it was planned with
-        self._damping = 1.0  # of the rope as it winds, times its friction
-        self._random = np.random.default_rng(0)
+        self._goal = goal
 
     @property
     def done(self) -> bool:
@@ -452,360 +336,137 @@ class _Learner:
         last = self.attempts[-self.options.wins :]
         return len(last) == self.options.wins and all(each.wound for each in last)
 
-    @property
-    def goal(self) -> Goal:
-        """The state that winds, of the rope as it is known now."""
-        return self._planned.at(self.plan.problem.rope, self.model.problem.rope)
-
     def learn(self, log: CastLog) -> None:
         """Learn from a cast with the present moves."""
-        made, number, parts, options = self.moves, len(self.attempts) + 1, self._parts(log), self.options
+        made, number = self.moves, len(self.attempts) + 1
+        position, speed, problem, arcs = math.nan, math.nan, "", self._arcs(log)
         try:
-            cast = self._flight(log, parts, self._planned.t)
+            position, speed = self._learn(log, arcs)
         except InvalidInput as error:
-            known = self._known()
-            self.attempts.append(
-                Attempt(number, made, log.wound, problem=error.what, factors=known, lag=self.model.lag)
-            )
-            return
-        if options.parameters:
-            self._learn_parameters(log, cast)
-        starts = self._starts(cast, self._follow(cast))
-        _, away = self._passed([_Cast(made, starts[-1])], self.goal)
-        position, speed = (float(np.linalg.norm(each)) for each in np.split(away.reshape(-1, 4), 2, axis=1))
-        if not log.wound:
-            self._improve(starts if options.motion else [_Start(0, self._rest())], log.turns)
-        t = cast.t[cast.t > 0.0]
-        left = self._places(cast, self._rest()[0].state, t)[0] - cast.places[-t.size :]
-        self.attempts.append(
-            Attempt(
-                number,
-                made,
-                log.wound,
-                math.hypot(position, speed),
-                options.correction.position_scale * position,
-                options.correction.speed_scale * speed,
-                factors=self._known(),
-                lag=self.model.lag,
-                residual=math.sqrt(2.0 * float(np.nanmean(left**2))),
-            )
+            problem = error.what
+        factors = {each.name: 1.0 + each.value for each in self._prior}
+        self.attempts.append(Attempt(number, made, log.wound, position, speed, factors, self.lag, problem))
+
+    def _learn(self, log: CastLog, arcs: Array) -> tuple[float, float]:
+        """Learn, and plan again after a miss; return how far the strike is from its goal, m and m/s."""
+        problem, moves, goal = self.plan.problem, self.moves, self._goal
+        commanded = moves.motion(problem.limits)
+        lag = self.lag
+        if self.options.parameters and log.arm_angle is not None:
+            lag = _fitted_lag(commanded, log.recording.t, np.asarray(log.arm_angle))
+        motion = lagged(commanded, lag)
+        cast = self._flight(log, problem.arm.tip(motion.angle(log.recording.t)), goal.t + lag)
+        estimator = RopeFilter(self._rope, arcs, motion=motion, arm=problem.arm, parameters=self._prior)
+        stops = moves.starts(problem.limits)[:-1] + moves.timing(problem.limits)[1][:-1]
+        late = (stops + lag > cast.t[0] + self.options.settled) & (stops + lag < cast.t[-1])
+        made, stops = 1 + np.flatnonzero(late), stops[late]
+        end = min(goal.t + lag, float(cast.t[-1]))
+        *rests, struck = _states(estimator, cast, [*(stops + lag), end])
+        base, velocity = problem.arm.tip_motion(motion, np.array([struck.t]))
+        aimed, aimed_velocity = problem.arm.tip_motion(commanded, np.array([goal.t]))
+        old = problem.rope
+        rope = estimator.parameters.rope_at(estimator.x[2 * old.n_links :])
+        apart = rope.joints(struck.q, base[0]) - old.joints(goal.q, aimed[0])
+        faster = rope.joint_velocities(struck.q, struck.qd, velocity[0]) - old.joint_velocities(
+            goal.q, goal.qd, aimed_velocity[0]
         )
+        self.lag = lag
+        self.plan = replace(self.plan, problem=replace(problem, rope=rope))
+        self._prior = [EstimatedParameter(each.name, each.std, estimator.values[each.name][0]) for each in self._prior]
+        if not log.wound:
+            seen = [
+                (moves.first(k), replace(each, t=t))
+                for k, each, t in zip(made.tolist(), rests, stops.tolist(), strict=True)
+            ]
+            self._improve(seen if self.options.motion else [])
+        return tuple(float(np.sqrt((each**2).sum(axis=1).mean())) for each in (apart, faster))
+
+    def _improve(self, seen: Sequence[tuple[Moves, RopeState]]) -> None:
+        """Plan again from what was seen."""
+        options, random = self.options, np.random.default_rng(len(self.attempts))
+        period, count = self.plan.problem.period, self.moves.ends.size
+        start = list[Moves]()
+        for k, size in enumerate(np.geomspace(*options.spread, options.varied).tolist()):
+            made = seen[max(0, len(seen) - 1 - k % 3)][0].ends.size if seen else 0
+            later = np.tile(np.arange(count) >= made, 2)
+            scale = size * np.repeat([1.0, period], count)
+            start.append(self.moves.varied(random.standard_normal(2 * count) * later * scale))
+        search = SearchOptions(seed=len(self.attempts), threads=options.threads)
+        problem = self.plan.problem
+        asked = replace(problem.criteria, turns=problem.criteria.turns + options.spare)
+        later = max(problem.time, self._goal.t + 2.0 * period)
+        wanted = replace(self.plan, problem=replace(problem, criteria=asked, time=later))
+        found = replan_cast(wanted, start, seen, anew=options.parameters, time_budget=options.planning, options=search)
+        if found.moves is None:
+            return
+        before, moves = self.moves, found.moves
+        self.moves = moves
+        state = [self._rest, *(state for made, state in seen if moves.begins_with(made))][-1]
+        goal = self._strike(state)
+        if goal is None:
+            self.moves = before
+        else:
+            self._goal = goal
+
+    def _strike(self, state: RopeState) -> RopeState | None:
+        """Return the state at which the present moves strike in the model, flown from a state; None if they do not."""
+        problem, peg = self.plan.problem, self.plan.target
+        motion = self.moves.motion(problem.limits)
+        batch = RolloutBatch.from_state([problem.rope], [peg], [motion], state)
+        found = fly_to_strikes(problem, peg, batch, Budget(), max(problem.time, float(motion.breaks[-1]) + 0.5))
+        t = state.t + float(found.t[0])
+        return RopeState(t, found.q[0], found.qd[0]) if math.isfinite(t) else None
 
     # ------------------------------------------------------------------ what was measured
 
-    def _parts(self, log: CastLog) -> Array:
-        """Return where the markers are, as parts (K,) of the rope's length."""
-        rope, recording = self.plan.problem.rope, log.recording
-        joints = np.append(0.0, rope.link_ends)
-        where = joints if log.arc_lengths is None else np.asarray(log.arc_lengths)
-        count = recording.n_links + 1
+    def _arcs(self, log: CastLog) -> Array:
+        """Return where the markers are, m along the rope as planned (K,)."""
+        joints, count = np.append(0.0, self._rope.link_ends), log.recording.n_links + 1
         if log.arc_lengths is None and count != joints.size:
             raise InvalidInput(
-                "the log is of a rope with other links", got=count - 1, allowed=f"{rope.n_links}, or arc_lengths"
+                "the log is of a rope with other links", got=count - 1, allowed=f"{joints.size - 1}, or arc_lengths"
             )
-        return np.asarray(where / rope.total_length)
+        return joints[1:] if log.arc_lengths is None else np.asarray(log.arc_lengths)
 
-    def _flight(self, log: CastLog, parts: Array, expected: float) -> _Flown:
+    def _flight(self, log: CastLog, base: Array, expected: float) -> _Flown:
         """Return the free flight of a log, its strike about when expected, s; InvalidInput if there is too little."""
-        rope, arm, recording, options = self.model.problem.rope, self.model.problem.arm, log.recording, self.options
+        rope, recording, peg = self.plan.problem.rope, log.recording, self.plan.target
         t = recording.t
         noise = np.zeros(recording.data.shape) if recording.noise is None else recording.noise
-        base = arm.tip(self.model.motion(self.moves).angle(t))
         if recording.kind == "angles":
-            places = rope.joints(recording.data, base)
-            lever = np.sqrt(np.append(np.zeros((t.size, 1)), np.cumsum((noise * rope.length) ** 2, axis=1), axis=1))
-            noise = np.repeat(lever[:, :, None], 2, axis=2)
+            places = rope.joints(recording.data, base)[:, 1:]
+            std = np.sqrt(np.cumsum((noise * rope.length) ** 2, axis=1))
         else:
-            places, noise = (each.reshape(t.size, -1, 2) for each in (recording.data, noise))
+            places = recording.data.reshape(t.size, -1, 2)
+            std = noise.reshape(t.size, -1, 2).max(axis=2)
+            if log.arc_lengths is None:
+                places, std = places[:, 1:], std[:, 1:]
         line = np.concatenate([base[:, None], places], axis=1)
-        near = obstacle_gaps((self.model.peg,), line[:, :-1], line[:, 1:]).reshape(t.size, -1)
-        touched = np.nan_to_num(near, nan=np.inf).min(axis=1) < rope.radius + options.model_error
+        near = obstacle_gaps((peg,), line[:, :-1], line[:, 1:]).reshape(t.size, -1)
+        touched = np.nan_to_num(near, nan=np.inf).min(axis=1) < rope.radius + self.options.struck
         touched &= t > 0.5 * expected  # a rope that hangs in front of the target does not strike it
-        strike = float(t[touched.argmax()]) if touched.any() else expected + options.correction.window
-        strike = min(strike, expected + options.correction.window)
-        flown = (t >= 0.0) & (t < strike)
-        near_strike = flown & (t >= strike - options.strike_window)
-        seen = np.isfinite(places[near_strike]).all(axis=2).sum(axis=0) >= options.min_samples
-        if not seen.any():
-            raise InvalidInput(
-                f"no marker has {options.min_samples} samples in the {options.strike_window:g} s before the strike"
-            )
-        return _Flown(self.moves, t[flown], places[flown], noise[flown], parts, strike)
-
-    # ------------------------------------------------------------------ parameters
-
-    def _known(self) -> dict[str, float]:
-        """Return the learned factors."""
-        return dict(zip(self._prior, np.exp(self._logs).tolist(), strict=True))
-
-    def _rope(self, logs: Array) -> Rope:
-        """Return the planned rope with the logarithms of its factors."""
-        words = dict(zip(self._prior, np.eye(logs.size), strict=True))
-        return perturbed(self.plan.problem.rope, words, logs)
-
-    def _learn_parameters(self, log: CastLog, cast: _Flown) -> None:
-        """Fit lag and factors to a cast, with the prior; twice, since measured states depend on the rope a little."""
-        from scipy.optimize import least_squares
-
-        if log.arm_angle is not None:
-            motion = self.moves.motion(self.model.problem.limits)
-            self.model = replace(self.model, lag=_fitted_lag(motion, log.recording.t, np.asarray(log.arm_angle)))
-        spreads = np.array(list(self._prior.values()))
-        for _ in range(2 if spreads.size else 0):
-            starts = self._starts(cast, self._follow(cast))
-
-            def left(every: Array, starts: Sequence[_Start] = starts) -> Array:
-                ropes = [self._rope(logs) for logs in every]
-                parts = [self._residuals(cast, each.state, ropes) for each in starts]
-                return np.concatenate([*parts, every / spreads], axis=1)
-
-            def slopes(logs: Array, left: Callable[[Array], Array] = left) -> Array:
-                steps = self.options.correction.difference * np.diag(spreads)
-                begin, *ends = left(np.vstack([logs, logs + steps]))
-                return np.asarray((np.array(ends) - begin).T / np.diag(steps))
-
-            self._logs = least_squares(
-                lambda logs, left=left: left(logs[None])[0], self._logs, slopes, x_scale=spreads, xtol=1e-3
-            ).x
-            self.model = self.model.with_rope(self._rope(self._logs))
-
-    def _residuals(self, cast: _Flown, state: RopeState, ropes: Sequence[Rope]) -> Array:
-        """Return the errors of ropes from a state of a cast, over their standard deviations (M, m)."""
-        some = (cast.t > state.t) & (cast.t <= state.t + self.options.span)
-        places, _, _ = self._places(cast, state, cast.t[some], ropes)
-        known = np.isfinite(cast.places[some])
-        left = (places - cast.places[some]) / np.hypot(self.options.model_error, cast.noise[some])
-        left = np.where(known, np.nan_to_num(left, nan=1e3), 0.0)
-        return np.asarray((left / np.sqrt(np.maximum(known.sum(axis=0), 1))).reshape(len(ropes), -1))
-
-    # ------------------------------------------------------------------ the flight
-
-    def _rest(self) -> list[_Node]:
-        """Return the rope at rest."""
-        q, qd = self.model.problem.start
-        return [_Node(RopeState(0.0, q, qd), np.zeros(q.size), np.zeros(q.size))]
-
-    def _run(
-        self,
-        motions: Sequence[Motion],
-        q: Array,
-        qd: Array,
-        since: float,
-        t: Array,
-        ropes: Sequence[Rope] | None = None,
-    ) -> tuple[Array, Array]:
-        """Simulate free flights from states (M, n) at a time, s; return q and qd (M, T, n) at times t (T,), s."""
-        problem, threads = self.model.problem, self.budget.threads
-        batch = RolloutBatch(
-            ropes or [problem.rope] * len(motions), [], [each.shifted(-since) for each in motions], q, qd
-        )
-        run = batch.run(
-            problem.arm, t - since, tol=MODEL.tol, keep=("q", "qd"), time_budget=self.budget, threads=threads
-        )
-        return run.q, run.qd
-
-    def _places(
-        self, cast: _Flown, state: RopeState, t: Array, ropes: Sequence[Rope] | None = None
-    ) -> tuple[Array, Array, Array]:
-        """Return places of the markers (M, T, K, 2), m, angles and rates (M, T, n) of ropes from a state of a cast."""
-        model = self.model
-        every, motion = ropes or [model.problem.rope], model.motion(cast.moves)
-        q, qd = (np.tile(each, (len(every), 1)) for each in (state.q, state.qd))
-        q, qd = self._run([motion] * len(every), q, qd, state.t, t, every)
-        base = model.problem.arm.tip(motion.angle(t))[:, None]
-        arms = [lever_arms(rope, cast.parts * rope.total_length)[1] for rope in every]
-        return np.stack([base + arm @ unit_along(each) for arm, each in zip(arms, q, strict=True)]), q, qd
-
-    def _follow(self, cast: _Flown) -> list[_Node]:
-        """Return the states of a cast: the model from each one to the next, corrected by lines through its markers."""
-        options, rope, nodes = self.options, self.model.problem.rope, self._rest()
-        order = np.argsort(cast.parts)
-        order = order[cast.parts[order] > 0.0]
-        where, joints = np.append(0.0, cast.parts[order]), np.append(0.0, rope.link_ends) / rope.total_length
-        share = np.stack([np.interp(joints, where, one) for one in np.eye(where.size)], axis=1)  # (n + 1, K + 1)
-        half = 0.5 * options.strike_window
-        while (now := nodes[-1].state.t + options.between) <= cast.t[-1]:
-            near = np.abs(cast.t - min(now, cast.t[-1] - half)) <= half + 1e-9
-            near &= cast.t > nodes[-1].state.t
-            t = np.union1d(cast.t[near], now)
-            places, q, qd = (each[0] for each in self._places(cast, nodes[-1].state, t))
-            left = cast.places[near] - places[np.isin(t, cast.t[near])]
-            error = np.zeros((2, where.size, 2))  # of places, m, and speeds, m/s
-            for j, k in enumerate(order, 1):
-                seen = np.isfinite(left[:, k]).all(axis=1)
-                enough = seen.sum() >= options.min_samples
-                line = np.polyfit(cast.t[near][seen] - now, left[seen, k], 1)[::-1] if enough else error[:, j - 1]
-                error[:, j] = line  # what was not seen is as wrong as the next marker towards the arm
-            k = int(np.searchsorted(t, now))
-            turned, spun = _turned(rope, q[k], qd[k], *(share @ error))
-            nodes.append(_Node(RopeState(now, turned, spun), turned - q[k], spun - qd[k]))
-        return nodes
-
-    def _starts(self, cast: _Flown, nodes: Sequence[_Node]) -> list[_Start]:
-        """Return where the moves of a cast may begin to differ: one for each that begins before its strike."""
-        limits, moves, t = self.model.problem.limits, cast.moves, np.array([each.state.t for each in nodes])
-        begins = moves.starts(limits)
-        stops = np.append(0.0, begins + moves.timing(limits)[1])  # of the move before
-        count = max(1, int((begins < min(cast.strike, self._planned.t)).sum()))
-        first = np.searchsorted(t, stops[:count] + 1e-9, side="right") - 1
-        return [_Start(k, nodes[j:]) for k, j in enumerate(first.tolist())]
-
-    def _fly(self, casts: Sequence[Moves], start: _Start, t: Array) -> tuple[Array, Array]:
-        """Return flights of casts from a start at times t (T,), s: at each node, the model is as wrong as it was."""
-        motions, nodes = [self.model.motion(each) for each in casts], start.nodes
-        q, qd = (np.tile(each, (len(casts), 1)) for each in (start.state.q, start.state.qd))
-        found = list[tuple[Array, Array]]()
-        for node, after in zip(nodes, [*nodes[1:], None], strict=True):
-            since, until = node.state.t, float(t[-1]) if after is None else after.state.t
-            if min(until, t[-1]) <= since:
-                break
-            inside = t[(t > since) & (t <= until)]
-            grid = np.union1d(inside, until)
-            rows, rates = self._run(motions, q, qd, since, grid)
-            if after is not None:
-                rows[:, -1], rates[:, -1] = rows[:, -1] + after.turn, rates[:, -1] + after.spin
-            some = np.isin(grid, inside)
-            found.append((rows[:, some], rates[:, some]))
-            q, qd = np.nan_to_num(rows[:, -1]), np.nan_to_num(rates[:, -1])
-        rows, rates = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
-        return rows, rates
-
-    # ------------------------------------------------------------------ motion
-
-    def _improve(self, starts: Sequence[_Start], turns: float | None) -> None:
-        """Choose the next moves: the least change that winds most surely, from one of some starts."""
-        options, peg = self.options, self.model.peg
-        if options.parameters and turns is not None:
-            self._learn_damping(_Cast(self.moves, starts[-1]), turns)
-        some = [starts[-(2**k)] for k in range(len(starts).bit_length())]
-        goals = [self.goal.faster(each) for each in options.speeds]
-        corrected = [self._corrected(start, goal) for start in some for goal in goals]
-        casts = corrected + self._variations([*corrected, *(_Cast(self.moves, start) for start in some)])
-        best, value = self._best(casts)
-        for _ in range(options.rounds):
-            if value >= options.sure:
-                break
-            best, value = self._best([*best, *self._variations(best)])
-        pegs = [replace(peg, x=peg.x + a * options.model_error, y=peg.y + b * options.model_error) for a, b in ASIDE]
-        around = self._values([each for each in best for _ in pegs], pegs * len(best)).reshape(len(best), -1)
-        fine = self._values(best, [peg] * len(best), SearchOptions.pieces)
-        self.moves = best[int(np.minimum(fine, around.mean(axis=1)).argmax())].moves
-
-    def _learn_damping(self, cast: _Cast, turns: float) -> None:
-        """Choose how much more friction the winding rope has, so that the model makes as many turns as were seen."""
-        factors, made = np.geomspace(1.0, 256.0, 17), list[float]()
-        for self._damping in factors.tolist():
-            made.append(float(self._contacts([cast], [self.model.peg])[0].most[0]))
-        self._damping = float(factors[int(np.abs(np.array(made) - turns).argmin())])
-
-    def _best(self, casts: Sequence[_Cast]) -> tuple[list[_Cast], float]:
-        """Return the best of some casts in contact, and the value of the first."""
-        values = self._values(casts, [self.model.peg] * len(casts))
-        order = np.argsort(-values, kind="stable")[: self.options.checked]
-        return [casts[k] for k in order], float(values[order[0]])
-
-    def _scale(self, moves: Moves) -> Array:
-        """Return the scales of parameters (2 k,) of moves: strokes, rad, and rests, s."""
-        options = self.options.correction
-        return np.repeat([options.stroke_scale, options.rest_scale], moves.ends.size)
-
-    def _variations(self, some: Sequence[_Cast]) -> list[_Cast]:
-        """Return casts whose strokes and rests differ at random from some, by little and by more."""
-        count, found = self.options.tried // len(some), list[_Cast]()
-        for moves, start in some:
-            spreads: Array = np.geomspace(*self.options.spread, count)
-            scale = self._scale(moves) * (np.tile(np.arange(moves.ends.size), 2) >= start.made)
-            changes = self._random.standard_normal((count, scale.size)) * spreads[:, None] * scale
-            found += [_Cast(moves.varied(each), start) for each in changes]
-        return found
-
-    def _values(self, casts: Sequence[_Cast], pegs: Sequence[Peg], pieces: int = 1) -> Array:
-        """Return how surely casts (M,) wind, each round its peg, less what their change and distance cost."""
-        options, scale = self.options, self._scale(self.moves)
-        found, away = self._contacts(casts, pegs, pieces)
-        change = np.array([np.linalg.norm((each.parameters - self.moves.parameters) / scale) for each, _ in casts])
-        required = self.model.problem.criteria.turns
-        winds = (found.turns >= required) + options.score * np.clip(found.score / required, -1.0, 1.0)
-        return np.asarray(winds - options.change * change - options.away * away)
-
-    def _contacts(self, casts: Sequence[_Cast], pegs: Sequence[Peg], pieces: int = 1) -> tuple[WindingScores, Array]:
-        """Return what becomes of casts (M,) in contact, each link in so many pieces, and how far they pass the goal."""
-        model, problem = self.model, self.model.problem
-        cut = replace(problem, rope=scaled_rope(problem.rope, 1.0, 1.0, self._damping)).cut(pieces)
-        scores, away = WindingScores(*np.zeros((4, len(casts)))), np.zeros(len(casts))
-        for start in {id(each): each for _, each in casts}.values():
-            rows = [k for k, (_, each) in enumerate(casts) if each is start]
-            moves = [casts[k].moves for k in rows]
-            motions, since = [model.motion(each) for each in moves], start.state.t
-            end = max(problem.time, *(float(each.breaks[-1]) + 0.5 for each in motions))
-            t: Array = since + MODEL.step * np.arange(1.0, math.ceil((end - since) / MODEL.step))
-            q, qd = self._fly(moves, start, t)
-            away[rows] = [np.linalg.norm(self._pass(self.goal, *each, t)[1]) for each in zip(moves, q, qd, strict=True)]
-            some = [pegs[k] for k in rows]
-            batch = RolloutBatch.from_state([problem.rope] * len(rows), some, motions, start.state)
-            found = find_strikes(problem, model.peg, batch, t - since, q, qd)
-            found = replace(found, q=np.repeat(found.q, pieces, axis=1), qd=np.repeat(found.qd, pieces, axis=1))
-            wound = wound_after(cut, replace(batch, ropes=[cut.rope] * len(rows)), found, self.budget)
-            for name, each in vars(wound).items():
-                getattr(scores, name)[rows] = each
-        return scores, away
-
-    def _pass(self, goal: Goal, moves: Moves, q: Array, qd: Array, t: Array) -> tuple[float, Array]:
-        """Return when a flight (T, n) passes a goal nearest, s, and how far, (4 n,), over scales."""
-        options, problem = self.options.correction, self.model.problem
-        near = np.abs(t - goal.t) <= options.window + 1e-9
-        motion = self.model.motion(moves)
-        return goal.passed(t[near], features(problem.rope, problem.arm, motion, t[near], q[near], qd[near], options))
-
-    def _passed(self, casts: Sequence[_Cast], goal: Goal) -> tuple[Array, Array]:
-        """Return when casts (M,) from the same start pass a goal nearest, s, and how far, (M, 4 n), over scales."""
-        start, window = casts[0].start, self.options.correction.window
-        t: Array = np.linspace(-window, window, 2 * math.ceil(window / MODEL.step) + 1) + goal.t
-        t = t[t > start.state.t]
-        flights = self._fly([each.moves for each in casts], start, t)
-        found = [self._pass(goal, each.moves, q, qd, t) for each, q, qd in zip(casts, *flights, strict=True)]
-        times, away = zip(*found, strict=True)
-        return np.array(times), np.stack(away)
-
-    def _corrected(self, start: _Start, goal: Goal) -> _Cast:
-        """Return the last moves, corrected so that the model meets a goal.
-
-        Strokes and rests that begin before the strike are free; the first move after it keeps its time from it.
-        """
-        options, limits, moves = self.options, self.model.problem.limits, self.moves
-        count, begins = moves.ends.size, moves.starts(limits)
-        begun = max(int((begins < goal.t).sum()), start.made + 1)
-        free = np.concatenate([each + np.arange(start.made, begun) for each in (0, count)])
-        scale = self._scale(moves)[free]
-
-        def shots(some: Sequence[Moves]) -> list[_Shot | None]:
-            times, away = self._passed([_Cast(each, start) for each in some], goal)
-            costs = [(each.parameters - moves.parameters)[free] * (options.caution / scale) for each in some]
-            return [_Shot(*each) for each in zip(some, times, np.hstack([away, costs]), strict=True)]
-
-        def fly(shot: _Shot, changes: Sequence[Array], _: Sequence[float]) -> list[_Shot | None]:
-            some = np.zeros((len(changes), 2 * count))
-            some[:, free] = changes
-            found = [shot.moves.varied(each) for each in some]
-            return shots([replace(each, ends=np.clip(each.ends, *limits.angles)) for each in found])
-
-        (first,) = shots([moves])
-        assert first is not None  # noqa: S101 all have residuals
-        best, _ = shoot(first, scale, fly, options.correction.rounds, options.correction.difference, self.budget)
-        if begun == count:
-            return _Cast(best.moves, start)
-        rests, now = best.moves.rests.copy(), best.moves.starts(limits)
-        rests[begun] += (begins[begun] - goal.t) - (now[begun] - best.t)
-        return _Cast(replace(best.moves, rests=rests), start)
+        strike = min(float(t[touched.argmax()]) if touched.any() else math.inf, expected + 0.3)
+        flown = (t >= max(0.0, strike - self.options.span)) & (t < strike)
+        if not np.isfinite(places[flown & (t > strike - 0.12)]).any():
+            raise InvalidInput("no marker was seen in the 0.12 s before the strike")
+        some = np.flatnonzero(flown)
+        apart = max(1, round(self.options.apart / float(np.median(np.diff(t[some])))))
+        some = some[(some.size - 1) % apart :: apart]
+        return _Flown(t[some], places[some], np.maximum(std[some], 1e-3))
 
 
-def _turned(rope: Rope, q: Array, qd: Array, error: Array, speed_error: Array) -> tuple[Array, Array]:
-    """Return angles, rad, and rates, rad/s, (n,) whose joints are elsewhere by (n + 1, 2), m, and m/s."""
-    error, speed_error = (np.diff(each, axis=0) / rope.length[:, None] for each in (error, speed_error))
-    along, across = unit_along(q), unit_across(q)
-    to, speed = along + error, qd[:, None] * across + speed_error
-    turned = q + np.arctan2((to * across).sum(axis=1), (to * along).sum(axis=1))
-    return turned, (speed * unit_across(turned)).sum(axis=1) / np.hypot(*to.T)
+def _states(estimator: RopeFilter, cast: _Flown, times: Sequence[float]) -> list[RopeState]:
+    """Let a filter follow a cast; return its states at some times, s, or at the end where that is sooner."""
+    from threadpoolctl import threadpool_limits
+
+    found, wanted = dict[float, RopeState](), sorted(times)
+    with threadpool_limits(1):  # matrices are small: threads would wait for each other
+        for t, places, std in zip(*cast, strict=True):
+            while wanted and wanted[0] <= t and estimator.t is not None:
+                at = wanted.pop(0)
+                found[at] = estimator.state_at(max(at, estimator.t))
+            estimator.update(Observations(t, places, std))
+    return [found.get(each, estimator.state) for each in times]
 
 
 def _fitted_lag(motion: Motion, t: Array, angle: Array) -> float:

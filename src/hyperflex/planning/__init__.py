@@ -6,7 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.model import MotorLimits
-    from hyperflex.planning.casting import plan_cast
+    from hyperflex.planning.casting import plan_cast, replan_cast
     from hyperflex.planning.clearance import obstacle_gaps
     from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.plan_files import AnyPlan, read_limits, read_plan
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
-    from hyperflex.planning.rollouts import MODEL, RolloutBatch, WindingScores, find_strikes, wound_after
+    from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
     from hyperflex.planning.shooting import shoot
     from hyperflex.planning.tasks.insert import (
         InsertOutcome,

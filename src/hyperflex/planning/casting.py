@@ -11,6 +11,7 @@ from hyperflex import checks, winding
 from hyperflex.budget import Budget
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
+from hyperflex.interfaces import RopeState
 from hyperflex.interruption import Stop, interruptible, stoppable
 from hyperflex.model import Arm, MotorLimits, Peg, Rope, Setup, cuts
 from hyperflex.motion import hold_arm
@@ -23,6 +24,7 @@ from hyperflex.planning.feasibility import (
     nearest_feasible,
     search_time,
 )
+from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, SearchOptions, WindCriteria, refuse_behind
 from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.plan import CastPlan, FallbackTarget
@@ -312,6 +314,45 @@ def plan_cast(
 def _plan_list(request: CastRequest, targets: Sequence[Peg]) -> list[CastPlan]:
     plans, stop = plan_each(request, targets)
     return stop.deliver([plans[number] for number in sorted(plans)])
+
+
+@interruptible(CastPlan)
+def replan_cast(
+    plan: CastPlan,
+    start: Sequence[Moves],
+    seen: Sequence[tuple[Moves, RopeState]],
+    *,
+    anew: bool = True,
+    time_budget: float | Budget | None = 60.0,
+    options: SearchOptions | None = None,
+) -> CastPlan:
+    """Plan a cast anew that goes on from what was measured of one: its first moves are made again.
+
+    Parameters
+    ----------
+    plan : CastPlan
+        Of the problem, with the rope as it is known now, and the target.
+    start : sequence of Moves
+        Moves to begin with.
+    seen : sequence of (Moves, RopeState)
+        The last of the moves that were made, one more each time, and the rope's state when the arm stopped after them.
+    anew : bool
+        Whether to plan from the start as well, if some were seen.
+    time_budget, options
+        As of :func:`plan_cast`.
+
+    Returns
+    -------
+    CastPlan
+        With whole moves from rest; times of its outcomes count from the last measured state that it goes on from.
+    """
+    chosen = options or SearchOptions()
+    budget = Budget.of(time_budget, threads=chosen.threads)
+    task = WindTask(plan.problem, plan.target, chosen, None, start, seen, anew)
+    planner = Planner(task, budget, chosen.improve)
+    with stoppable() as stop:
+        planner.run()
+    return stop.deliver(_plan(task, plan.feasibility, planner, budget, bool(stop.received)))
 
 
 def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, CastPlan], Stop]:

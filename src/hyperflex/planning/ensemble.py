@@ -58,7 +58,9 @@ class Spare:
 SPARE = Spare()
 
 
-def verify_members(problem: Problem, finer: Sequence[Problem], peg: Peg, one: Candidate, budget: Budget) -> Verified:
+def verify_members(
+    problem: Problem, finer: Sequence[Problem], peg: Peg, one: Candidate, budget: Budget, since: float = 0.0
+) -> Verified:
     """Verify moves on the rope as planned, and on the same with shorter links, in one or more ways.
 
     Ways after the first are for a rope that comes off the target after its first touch and winds later: what it does in

@@ -88,6 +88,12 @@ class Moves:
         """Return the first moves, `count` of them."""
         return Moves(self.side, self.ends[:count], self.rests[:count], self.speeds[:count])
 
+    def begins_with(self, others: "Moves") -> bool:
+        """Whether the first moves are the same as all of some others."""
+        count = others.ends.size
+        mine, same = self.first(count), self.side == others.side and self.ends.size >= count
+        return same and np.array_equal([*mine.parameters, *mine.speeds], [*others.parameters, *others.speeds])
+
     def then(self, end: float, rest: float, speed: float = 1.0) -> "Moves":
         """Return the same moves and one more to arm angle `end`, rad, after a rest, s, at a fraction of full speed."""
         longer = (self.ends, end), (self.rests, rest), (self.speeds, speed)

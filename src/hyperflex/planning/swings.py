@@ -47,6 +47,12 @@ class Swing:
         """Return the swing so many strokes before, the first one at most."""
         return self if strokes == 0 or self.parent is None else self.parent.ancestor(strokes - 1)
 
+    def last_of(self, some: Sequence["Swing"]) -> "Swing | None":
+        """Return the last of some swings that this one continues; None if there is none."""
+        if any(self is one for one in some):
+            return self
+        return None if self.parent is None else self.parent.last_of(some)
+
 
 @dataclass(frozen=True, eq=False)
 class Strike(Candidate):
@@ -106,6 +112,11 @@ class SwingSearch:
         Sides on which the arm may begin.
     random : numpy.random.Generator
     options : SearchOptions
+    seen : sequence of Swing
+        The last of the first moves of a cast as it was measured, each a stroke longer than its parent: the search goes
+        on from the last, and begins again from any of them, as well.
+    anew : bool
+        Whether it also begins from the start, if there are any that were seen.
 
     Attributes
     ----------
@@ -116,7 +127,14 @@ class SwingSearch:
     """
 
     def __init__(
-        self, chains: Sequence[Problem], peg: Peg, sides: list[int], random: np.random.Generator, options: SearchOptions
+        self,
+        chains: Sequence[Problem],
+        peg: Peg,
+        sides: list[int],
+        random: np.random.Generator,
+        options: SearchOptions,
+        seen: Sequence[Swing] = (),
+        anew: bool = True,
     ) -> None:
         # Without limits of its own: a joint of the given rope bends further than one between shorter links may
         finer = (replace(one, rope=one.rope.replace(max_bend=np.inf)) for one in chains[1:])
@@ -125,15 +143,18 @@ class SwingSearch:
         self.runs = self.passes = 0
         none, states = np.zeros(0), tuple(State(0.0, *one.start) for one in self.chains)
         self.begin = [Swing(Moves(side, none, none), states) for side in sides]
+        self.seen = seen
         self._range = stroke_range(self.problem.limits.angles)
-        self._lanes = [_Lane(speed, self.begin) for speed in options.speeds]
+        levels = [[one] for one in seen]
+        self._lanes = [_Lane(speed, self.begin) for speed in options.speeds] if anew or not seen else []
+        self._lanes += [_Lane(speed, levels[-1], levels[:-1]) for speed in options.speeds[: len(seen)]]
         self._misses: list[Strike] = []
 
     def start(self, moves: Sequence[Moves], budget: Budget) -> list[Strike]:
-        """Return the predictable strikes of whole moves, simulated from the start."""
-        first = {swing.moves.side: swing for swing in self.begin}
-        some = [one for one in moves if one.side in first]
-        return self._strikes([_Try(first[one.side], one, self.problem.time, True) for one in some], budget)[0]
+        """Return the predictable strikes of whole moves, simulated from the last swing that was seen with them."""
+        pairs = [(swing, one) for one in moves for swing in [*self.begin, *self.seen] if one.begins_with(swing.moves)]
+        last = {id(one): (swing, one) for swing, one in pairs}.values()
+        return self._strikes([_Try(swing, one, self.problem.time, True) for swing, one in last], budget)[0]
 
     def extend(self, budget: Budget) -> list[Strike]:
         """Continue the swings of a speed by a stroke; return predictable strikes.

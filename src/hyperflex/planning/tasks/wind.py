@@ -3,11 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, strikes_in_plane, verify_members
 from hyperflex.planning.moves import PUMPING, Moves
@@ -23,7 +25,7 @@ from hyperflex.planning.rollouts import (
     robust_values,
     simulate_contact,
 )
-from hyperflex.planning.swings import DELAY, State, Strike, SwingSearch
+from hyperflex.planning.swings import DELAY, State, Strike, Swing, SwingSearch
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
@@ -58,6 +60,12 @@ class WindTask(Task):
         With it candidates are compared, and verified, in sampled scenarios as well.
     start : sequence of Moves
         Moves to begin with.
+    seen : sequence of (Moves, RopeState)
+        The last of the first moves of a cast, one more each time, and the state of the rope after them, as it was
+        measured: the search goes on from these as well. What is simulated, and verified, begins with the last that
+        applies.
+    anew : bool
+        Whether the search begins from the start, too, if there are any that were seen.
 
     Attributes
     ----------
@@ -75,6 +83,8 @@ class WindTask(Task):
         options: SearchOptions,
         uncertainty: Uncertainty | None = None,
         start: Sequence[Moves] = (),
+        seen: Sequence[tuple[Moves, RopeState]] = (),
+        anew: bool = True,
     ) -> None:
         self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
         self.sides = free_sides(problem, problem.beside(peg))
@@ -83,7 +93,11 @@ class WindTask(Task):
         pieces = max(options.pieces, cuts + 1)
         self.contact, self.finer = problem.cut(cuts), problem.cut(pieces)
         chains = self.model, self.model.cut(pieces)
-        self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options)
+        made = list[Swing]()
+        for moves, now in seen:
+            states = tuple(State(now.t, *(np.repeat(x, parts) for x in (now.q, now.qd))) for parts in (1, pieces))
+            made.append(Swing(moves, states, parent=made[-1] if made else None))
+        self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options, made, anew)
         self.order = 1 + np.random.default_rng([options.seed, 1]).permutation(len(FINISHES) - 1)  # of the last moves
         self._again = list[Strike]()  # to be tried with other last moves
         self.scenarios: list[Scenario] = []
@@ -205,9 +219,13 @@ class WindTask(Task):
 
     def verify(self, one: Candidate, budget: Budget) -> Verified:
         """Verify moves in an ensemble: as planned, with shorter links, and in scenarios."""
-        pieces = self.options.pieces
-        finer = [self.model.cut(each) for each in (pieces, pieces - 1) if each > 0]
-        found = verify_members(self.problem, finer, self.peg, one, budget)
+        pieces, problem, model, since = self.options.pieces, self.problem, self.model, 0.0
+        if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
+            since, q, qd = last.states[0]
+            given: dict[str, Any] = {"side": one.moves.side, "q0": tuple(q), "qd0": tuple(qd)}
+            problem, model = replace(problem, **given), replace(model, **given)
+        finer = [model.cut(each) for each in (pieces, pieces - 1) if each > 0]
+        found = verify_members(problem, finer, self.peg, one, budget, since)
         if found.message or not self.scenarios:
             return found
         values = self._values(one.moves, self.scenarios, budget)
