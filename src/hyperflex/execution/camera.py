@@ -62,8 +62,9 @@ def wound_turns(arc_lengths: Array, radius: float, side: int, start: Array, spot
 
     Paths along the rope from marker to marker are compared, straight or round the peg, by the squares of how much
     longer (over 10 mm) or shorter (over 15 %: a slack rope) they are than the rope between the markers, and of how far
-    they cut into the peg (over 10 mm), and by the markers that are not seen: those on the peg hide each other. A path's turns are exact, but for the place of the peg. A wound rope may often be
-    explained with a turn less as well, one that is not wound hardly ever with a turn more.
+    they cut into the peg (over 10 mm), and by the markers that are not seen: those on the peg hide each other. A path's
+    turns are exact, but for the place of the peg. A wound rope may often be explained with a turn less as well, one
+    that is not wound hardly ever with a turn more.
 
     Parameters
     ----------

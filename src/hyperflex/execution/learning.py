@@ -25,7 +25,7 @@ from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import Rope
+from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, lagged
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -106,8 +106,6 @@ class LearningOptions:
         Variations of the last moves that are tried before others.
     spread : (least, greatest)
         Standard deviations of these variations: strokes, rad, and rests, in periods of the rope's swing.
-    spare : float
-        Turns that the model must make beyond those that are required.
     planning : float
         Time to plan a cast again, s, at most.
     clock : callable
@@ -129,7 +127,6 @@ class LearningOptions:
     apart: float = option(0.04, "time between the samples that are used", unit="s", sign="positive")
     varied: int = option(32, "variations of the last moves that are tried first", sign="nonnegative")
     spread: tuple[float, float] = option((0.01, 0.3), "standard deviations of these variations", sign="positive")
-    spare: float = option(0.0, "turns beyond those that are required", sign="nonnegative")
     planning: float = option(30.0, "time to plan a cast again", unit="s", sign="positive")
     clock: Callable[[], float] = time.monotonic
     threads: int | None = None
@@ -349,64 +346,54 @@ class _Learner:
 
     def _learn(self, log: CastLog, arcs: Array) -> tuple[float, float]:
         """Learn, and plan again after a miss; return how far the strike is from its goal, m and m/s."""
-        problem, moves, goal = self.plan.problem, self.moves, self._goal
+        problem, moves, goal, lag = self.plan.problem, self.moves, self._goal, self.lag
         commanded = moves.motion(problem.limits)
-        lag = self.lag
         if self.options.parameters and log.arm_angle is not None:
             lag = _fitted_lag(commanded, log.recording.t, np.asarray(log.arm_angle))
         motion = lagged(commanded, lag)
         cast = self._flight(log, problem.arm.tip(motion.angle(log.recording.t)), goal.t + lag)
         estimator = RopeFilter(self._rope, arcs, motion=motion, arm=problem.arm, parameters=self._prior)
         stops = moves.starts(problem.limits)[:-1] + moves.timing(problem.limits)[1][:-1]
-        late = (stops + lag > cast.t[0] + self.options.settled) & (stops + lag < cast.t[-1])
-        made, stops = 1 + np.flatnonzero(late), stops[late]
+        known = (stops + lag > cast.t[0] + self.options.settled) & (stops + lag < cast.t[-1])
         end = min(goal.t + lag, float(cast.t[-1]))
-        *rests, struck = _states(estimator, cast, [*(stops + lag), end])
-        base, velocity = problem.arm.tip_motion(motion, np.array([struck.t]))
-        aimed, aimed_velocity = problem.arm.tip_motion(commanded, np.array([goal.t]))
-        old = problem.rope
-        rope = estimator.parameters.rope_at(estimator.x[2 * old.n_links :])
-        apart = rope.joints(struck.q, base[0]) - old.joints(goal.q, aimed[0])
-        faster = rope.joint_velocities(struck.q, struck.qd, velocity[0]) - old.joint_velocities(
-            goal.q, goal.qd, aimed_velocity[0]
+        struck, *rests = _states(estimator, cast, [end, *(stops[known] + lag)])
+        rope = estimator.parameters.rope_at(estimator.x[2 * self._rope.n_links :])
+        measured, aimed = (
+            _joints(*each, problem.arm) for each in ((rope, motion, struck), (problem.rope, commanded, goal))
         )
-        self.lag = lag
-        self.plan = replace(self.plan, problem=replace(problem, rope=rope))
+        self.lag, self.plan = lag, replace(self.plan, problem=replace(problem, rope=rope))
         self._prior = [EstimatedParameter(each.name, each.std, estimator.values[each.name][0]) for each in self._prior]
         if not log.wound:
-            seen = [
-                (moves.first(k), replace(each, t=t))
-                for k, each, t in zip(made.tolist(), rests, stops.tolist(), strict=True)
-            ]
+            counts = (1 + np.flatnonzero(known)).tolist()
+            seen = [(moves.first(k), replace(one, t=stops[k - 1])) for k, one in zip(counts, rests, strict=True)]
             self._improve(seen if self.options.motion else [])
-        return tuple(float(np.sqrt((each**2).sum(axis=1).mean())) for each in (apart, faster))
+        position, speed = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in measured - aimed)
+        return position, speed
 
     def _improve(self, seen: Sequence[tuple[Moves, RopeState]]) -> None:
-        """Plan again from what was seen."""
-        options, random = self.options, np.random.default_rng(len(self.attempts))
-        period, count = self.plan.problem.period, self.moves.ends.size
+        """Plan again, with variations of the present moves after one of the last three rests first."""
+        options, number, problem = self.options, len(self.attempts), self.plan.problem
+        random, count = np.random.default_rng(number), self.moves.ends.size
         start = list[Moves]()
         for k, size in enumerate(np.geomspace(*options.spread, options.varied).tolist()):
             made = seen[max(0, len(seen) - 1 - k % 3)][0].ends.size if seen else 0
-            later = np.tile(np.arange(count) >= made, 2)
-            scale = size * np.repeat([1.0, period], count)
-            start.append(self.moves.varied(random.standard_normal(2 * count) * later * scale))
-        search = SearchOptions(seed=len(self.attempts), threads=options.threads)
-        problem = self.plan.problem
-        asked = replace(problem.criteria, turns=problem.criteria.turns + options.spare)
-        later = max(problem.time, self._goal.t + 2.0 * period)
-        wanted = replace(self.plan, problem=replace(problem, criteria=asked, time=later))
-        found = replan_cast(wanted, start, seen, anew=options.parameters, time_budget=options.planning, options=search)
+            scale = size * np.repeat([1.0, problem.period], count) * np.tile(np.arange(count) >= made, 2)
+            start.append(self.moves.varied(random.standard_normal(2 * count) * scale))
+        later = max(problem.time, self._goal.t + 2.0 * problem.period)
+        found = replan_cast(
+            replace(self.plan, problem=replace(problem, time=later)),
+            start,
+            seen,
+            anew=options.parameters,
+            time_budget=Budget(options.planning, clock=options.clock),
+            options=SearchOptions(seed=number, threads=options.threads),
+        )
         if found.moves is None:
             return
-        before, moves = self.moves, found.moves
-        self.moves = moves
-        state = [self._rest, *(state for made, state in seen if moves.begins_with(made))][-1]
+        before, self.moves = self.moves, found.moves
+        state = [self._rest, *(state for made, state in seen if found.moves.begins_with(made))][-1]
         goal = self._strike(state)
-        if goal is None:
-            self.moves = before
-        else:
-            self._goal = goal
+        self.moves, self._goal = (before, self._goal) if goal is None else (found.moves, goal)
 
     def _strike(self, state: RopeState) -> RopeState | None:
         """Return the state at which the present moves strike in the model, flown from a state; None if they do not."""
@@ -453,6 +440,12 @@ class _Learner:
         apart = max(1, round(self.options.apart / float(np.median(np.diff(t[some])))))
         some = some[(some.size - 1) % apart :: apart]
         return _Flown(t[some], places[some], np.maximum(std[some], 1e-3))
+
+
+def _joints(rope: Rope, motion: Motion, state: RopeState, arm: Arm) -> Array:
+    """Return places, m, and velocities, m/s, (2, n + 1, 2) of a rope's joints under a motion of the arm."""
+    base, velocity = (each[0] for each in arm.tip_motion(motion, np.array([state.t])))
+    return np.stack([rope.joints(state.q, base), rope.joint_velocities(state.q, state.qd, velocity)])
 
 
 def _states(estimator: RopeFilter, cast: _Flown, times: Sequence[float]) -> list[RopeState]:
