@@ -1,6 +1,7 @@
 """Identification of a drive, against a finer one: current loop, encoder steps, jitter, torque and speed limits."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ def truths(truth: Truth) -> dict[str, float]:
 def test_lag_and_rate_limit_are_found(fit):
     """Within 1 ms and 2 %: what a cast feels; an encoder step is 1.5 mrad, and stamps jitter by 1 ms."""
     assert fit.success
+    assert not fit.doubt
     assert fit.lag == pytest.approx(Truth().lag, abs=1e-3)
     assert fit.values["rate_limit"] == pytest.approx(Truth().rate_limit, rel=0.02)
     assert fit.values["inertia"] == pytest.approx(Truth().inertia, rel=0.1)
@@ -54,6 +56,19 @@ def test_twenty_drives():
         known = truths(truth)
         inside += [fit.intervals[name][0] <= known[name] <= fit.intervals[name][1] for name in known]
     assert np.mean(inside) >= 0.93
+
+
+@pytest.mark.nightly
+def test_a_drive_outside_the_model_class_is_doubted():
+    """Cogging of 2 % of the torque at stall, and twice the dry friction near rest; what a cast feels is right."""
+    right = drawn(40)
+    assert not identify_drive(record_of(right)).doubt
+    truth = replace(right, cogging=0.02 * right.stall, sticking=1.0)
+    fit = identify_drive(record_of(truth))
+    assert "cogging" in fit.doubt
+    assert "more friction near rest" in fit.doubt
+    assert fit.lag == pytest.approx(truth.lag, abs=1e-3)
+    assert fit.values["rate_limit"] == pytest.approx(truth.rate_limit, rel=0.02)
 
 
 def test_lag_of_the_model_is_its_delay_at_constant_speed():

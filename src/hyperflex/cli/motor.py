@@ -161,12 +161,13 @@ def identify(
     rows.append(("replies lost, left out", f"{lost} of {record.angle.size}"))
     if "rate_limit" not in fit.values:
         rows.append(("rate limit", f"not reached: above {fit.reached[0]:.3g} rad/s"))
-    result = {"values": fit.values, "intervals": fit.intervals, "reached": fit.reached}
+    result = {"values": fit.values, "intervals": fit.intervals, "reached": fit.reached, "doubt": fit.doubt}
     result |= {"lost_replies": lost, "files": written}
     output.show(
         result,
         Rows("Identified drive, SI units, 95 % intervals", rows),
         fit.message or f"Written to {out}.",
+        *([f"Doubt: {fit.doubt}"] if fit.doubt else []),
         code=output.ExitCode.NOT_USABLE if fit.message else 0,
     )
 

@@ -84,7 +84,7 @@ class DriveFit:
         dry_friction and weight_torque. What the test motion did not show is missing. So is the delay where only the
         lag is known, which is the sum of delay, hold and loop.
     intervals : dict of str to (float, float)
-        95 % intervals of the values, if the drive obeys the model: cogging, for example, is not counted.
+        95 % intervals of the values, if the drive obeys the model: see `doubt`.
     reached : (float, float)
         Greatest speed, rad/s, and acceleration, rad/s^2, of the goals: limits that are missing lie above.
     residual : float
@@ -94,6 +94,9 @@ class DriveFit:
         Not in files.
     message : str
         Why it must not be used; empty if it may.
+    doubt : str
+        What the torques show that the model lacks, cogging or friction that is greater near rest: then intervals are
+        too narrow. Empty if they show nothing; a drive that does not tell its torque never does.
     """
 
     values: dict[str, float]
@@ -103,6 +106,7 @@ class DriveFit:
     model: DriveModel
     record: DriveRecord | None = None
     message: str = ""
+    doubt: str = ""
 
     @property
     def success(self) -> bool:
@@ -143,6 +147,7 @@ class DriveFit:
             "reached": list(self.reached),
             "residual": self.residual,
             "message": self.message,
+            "doubt": self.doubt,
             "model": asdict(self.model),
         }
         files.write_toml(path, {TABLE: table})
@@ -160,6 +165,7 @@ class DriveFit:
                 DriveModel(**{name: float(value) for name, value in table["model"].items()}),
                 None,
                 str(table["message"]),
+                str(table.get("doubt", "")),
             )
         except (AttributeError, IndexError, KeyError, TypeError, ValueError):
             fix = "Make one with hyperflex motor identify"
@@ -369,6 +375,25 @@ class _Fit:
             return f"the model misses the measured angles by {residual:.3g} rad: is the record of this motion?"
         return "" if self.converged else "the fit has not converged: record another test motion"
 
+    def _doubt(self) -> str:
+        """Return what the torques show that the model lacks.
+
+        Cogging: the periodogram of their residuals over the angle has a peak that one of a hundred thousand of white
+        noise has. Friction near rest: they are along the motion where it is slow, by three standard deviations.
+        """
+        if not self.told:
+            return ""
+        _, speed, torque, _ = self.predicted(self.values)
+        moving, orders = np.isfinite(self.sigma_torque), np.arange(1, 121)  # a turn
+        away, rate = ((self.torques - torque) / self.sigma_torque)[moving], speed[moving]
+        power = np.abs(np.exp(1j * np.outer(orders, self.angles[moving])) @ away) ** 2
+        slow = np.sign(rate) * np.exp(-((rate / (0.05 * np.abs(rate).max())) ** 2))
+        cogs = power.max() / np.median(power) * math.log(2.0) > math.log(1e5 * orders.size)
+        sticks = slow @ away > 3.0 * np.linalg.norm(slow)
+        found = [f"cogging, some {orders[power.argmax()]} times a turn"] * bool(cogs)
+        found += ["more friction near rest"] * bool(sticks)
+        return f"the torques show {' and '.join(found)}: the intervals are too narrow" if found else ""
+
     def weigh(self) -> None:
         """Estimate the deviation of each reading, which grows with how fast it changes: its time is off by `late`, s.
 
@@ -406,7 +431,8 @@ class _Fit:
         model = self.model(self.values | unseen)
         angle = self.predicted(self.values)[0]
         residual = float(np.sqrt(np.mean((self.angles - angle) ** 2)))
-        return DriveFit(known, intervals, self.reached, residual, model, self.record, self._message(residual))
+        told = self._message(residual), self._doubt()
+        return DriveFit(known, intervals, self.reached, residual, model, self.record, *told)
 
     def _derived(self) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Return what a user wants to know, and its derivatives by what was fitted."""
