@@ -66,8 +66,8 @@ def verify_members(
     Ways after the first are for a rope that comes off the target after its first touch and winds later: what it does in
     between depends on little, so that two runs may agree by chance. The rope with shorter links has viscous friction in
     place of dry friction, which makes runs expensive. The first member to fail ends the other, and the less expensive
-    one begins first. A candidate whose runs take more than three quarters of the remaining time fails. Where the problem
-    begins in the middle of the moves, `since` is the time there, s.
+    one begins first. A candidate whose runs take more than three quarters of the remaining time fails. Where the
+    problem begins in the middle of the moves, `since` is the time there, s.
     """
     motion, share = one.moves.motion(problem.limits, since), budget.share(0.75)
     members = [(problem, DEFAULT_CONTACT_STEP), *((each, 2.0 * DEFAULT_CONTACT_STEP) for each in finer)]
