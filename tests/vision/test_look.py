@@ -86,3 +86,9 @@ def test_a_calibrated_width_is_kept_and_its_colour_learned():
     assert look.width == 3.6
     wrong = replace(look, bgr=look.bgr + 40.0)
     assert np.abs(wrong.learned(images[0], curve, 0.25).bgr - look.bgr).max() == pytest.approx(30.0, abs=0.5)
+
+
+def test_a_point_is_no_curve():
+    """As is left of a faint rope that ends where it begins."""
+    with pytest.raises(InvalidInput, match="no line"):
+        RopeLook.from_curve(np.full((40, 40, 3), 128, np.uint8), [[20.0, 20.0]])

@@ -92,6 +92,8 @@ class RopeLook:
         The third of the curve that stands out most is used: where the rope moves, blur makes it wider and fainter.
         """
         line = checks.array("curve", curve, (-1, 2), unit="px")
+        if len(line) < 2:
+            raise InvalidInput("the curve is no line", got=line.tolist(), allowed="two points or more")
         reach = 8.0 + 3.0 * (6.0 if width is None else width)
         across = np.arange(-reach, reach + 0.25, 0.5)
         outside = np.broadcast_to(np.abs(across) > 0.5 * reach, (len(line), across.size))
