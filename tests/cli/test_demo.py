@@ -117,7 +117,7 @@ def test_the_demo_ends_wound_and_held_and_its_page_says_so(demo_report):
         assert words in plain
     # Whether the rope of the recording winds too is told as it is: it is no promise of a plan on an identified rope.
     assert demo_report.verdicts[1][0] == demo_report.proof.success
-    assert len(re.findall(r"<figure[ >]", plain)) == 6 + (demo_report.run is not None)
+    assert len(re.findall(r"<figure[ >]", plain)) == 7 + (demo_report.run is not None)
     assert page.count("<iframe sandbox=") == 1  # the cast plays
     assert re.findall(r"<h2>([^<]*)</h2>", page)[:2] == ["The cast", "In short"]  # what the reader came for
     assert str(path.parent) not in plain

@@ -130,7 +130,7 @@ def sideways(
     >>> cast = hf.simulate(cable, hf.arm_swings(t_move=0.73, t_rest=0.53), arm=hf.Arm(length=0.105), duration=3.0)
     >>> one_degree = hf.sideways(cast, tilt=0.01745)
     >>> round(float(abs(one_degree.tip).max()), 2)
-    0.06
+    0.07
     """
     rope, n = checks.instance("run", run, Trajectory).setup.rope, run.q.shape[1]
     lean = checks.number("lean", lean, unit="rad")
