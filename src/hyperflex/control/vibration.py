@@ -396,7 +396,7 @@ def plan_vibration(
     of : {"chain", "tip"}
         Whether the tilt is that of the line from the first joint to the tip, or that of the last link.
     stiffness : float, optional
-        Required stiffness of the tip, N/m, in the direction `push`.
+        Least stiffness of the tip, N/m, in the direction `push`.
     push : float, optional
         Direction of the stiffness, rad, as the angle of a link; by default across the tilt.
     frequency : float, optional
@@ -417,7 +417,7 @@ def plan_vibration(
     Notes
     -----
     A posture counts as held if it returns from small displacements at least half as fast as a pendulum of the rope's
-    length would, or if it is as stiff as required.
+    length would, and if it is at least as stiff as required.
 
     Examples
     --------
@@ -495,13 +495,12 @@ class _Family:
         return model.posture(q, v)
 
     def margin(self, held: VibrationPosture | None, wanted: float | None, push: float) -> float:
-        """Return the logarithm of a posture's stiffness over what is required; -inf if it is not held."""
+        """Return the logarithm of what a posture has over what is required; -inf if it is not held."""
         if held is None or not held.stable:
             return -math.inf
-        if wanted is not None:
-            return math.log(max(held.stiffness(push), 1e-300) / wanted)
+        stiff = math.inf if wanted is None else math.log(max(held.stiffness(push), 1e-300) / wanted)
         squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(self.rope, held.q), held.hessian))
-        return math.log(max(float(squares.real.min()), 1e-300) / (math.pi * self.slow) ** 2)
+        return min(stiff, math.log(max(float(squares.real.min()), 1e-300) / (math.pi * self.slow) ** 2))
 
     def weakest(self, frequency: float, wanted: float | None, push: float) -> VibrationPosture | None:
         """Return the member of the least velocity that is stable and stiff enough; None if there is none."""
