@@ -189,7 +189,9 @@ def page(rows: list[dict[str, Any]]) -> str:
                 counts = Counter(row["result"] for row in own)
                 right, wrong = counts.pop("right", 0), counts.pop("wrong", 0)
                 refused = "; ".join(f"{number}: {name}" for name, number in counts.items()) or "none"
-                off = 100.0 * np.array([[row["curve"], row["end"]] for row in own if row["result"] == "right"])
+                off = 100.0 * np.array(
+                    [[row["curve"], row["end"]] for row in own if row["result"] == "right"] or [[np.nan] * 2]
+                )
                 figures = f"{np.median(off[:, 0]):.2f} | {off[:, 0].max():.2f} | {np.median(off[:, 1]):.2f}"
                 spent = np.median([row["seconds"] for row in own])
                 name = look + (", by MuJoCo" if kind == "MuJoCo" else "")

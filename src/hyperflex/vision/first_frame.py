@@ -17,6 +17,7 @@ from hyperflex.vision.video import Image
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
 SLENDER = 15.0  # widths that a rope is long at least
 FADED = 0.15  # share of a pixel at the free end: a fainter one is lost in noise
+UNCLEAR = 0.05  # part of a path's evidence that may lie beyond the rope's end
 MISFIT = 0.1  # by which the length of a curve may differ from the rope's
 
 
@@ -27,6 +28,7 @@ class Reason(StrEnum):
     TWO = "two ropes are seen, or one in two ways"
     OUTSIDE = "the rope leaves the view"
     BLURRED = "the rope is too blurred"
+    END = "it is not clear where the rope ends"
     LENGTH = "the curve has another length than the rope"
 
 
@@ -35,6 +37,7 @@ _FIXES = {
     Reason.TWO: "Take the other rope away, or click the free end",
     Reason.OUTSIDE: "Move the camera back, until the whole rope is in view",
     Reason.BLURRED: "Take a frame in which the rope is slow, or a shorter exposure",
+    Reason.END: "Take a frame in which the free end is slow and before a plain wall",
     Reason.LENGTH: "Check the length, the scale of the camera and the pivot; nothing may hide the free end",
 }
 
@@ -134,6 +137,10 @@ def find_rope(
     fits = length is None or abs(found.length / length - 1.0) <= MISFIT
     if end < (FADED if fits else 0.5):
         raise NoRope(Reason.BLURRED, round(end, 2), "a larger part of its contrast where it ends")
+    beyond = float(paths[0].scores[-1] - paths[0].scores[np.linalg.norm(paths[0].places - curve[-1], axis=1).argmin()])
+    if length is None and beyond > UNCLEAR * paths[0].scores[-1]:
+        got = f"{100.0 * beyond / paths[0].scores[-1]:.0f} % of the evidence beyond {np.round(curve[-1]).tolist()} px"
+        raise NoRope(Reason.END, got, f"at most {100.0 * UNCLEAR:g} %")
     if not fits:
         raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{length:.0f} px within {100.0 * MISFIT:g} %")
     if found.length < SLENDER * look.width:

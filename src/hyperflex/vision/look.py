@@ -13,6 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.vision.ridges import Ridges
 from hyperflex.vision.video import Image
 
+_BLUR = 14.0  # px to both sides of a rope, which blur may reach
 CLICKED = 6.0  # px that a click may be off
 SHARPNESS = 0.6  # px, standard deviation of the picture of a point: lens, pixel and compression
 _NOISE = 1.5  # levels, least noise of a channel
@@ -253,6 +254,8 @@ def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[A
     InvalidInput
         If no rope stands out along the path.
     """
+    from scipy.ndimage import median_filter
+
     curve = equal_steps(path)
     for extend in (0.0, 20.0, 20.0):
         look = RopeLook.from_curve(image, curve, width)
@@ -260,20 +263,15 @@ def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[A
             last = curve[-1] - curve[-min(12, len(curve))]
             ahead = curve[-1] + np.arange(1.0, extend)[:, None] * last / max(float(np.hypot(*last)), 1e-9)
             curve = np.concatenate([curve, ahead])
-        across = np.arange(-0.5 * look.width - 6.0, 0.5 * look.width + 6.1, 0.5)
-        places = places_across(curve, across)
-        shares = look.shares(image, places, np.abs(across) > 0.5 * look.width + 2.0, across)
-        values = np.nan_to_num(shares.values)
-        clear = np.nan_to_num(np.median(shares.std, axis=1), nan=1.0) < 0.3
-        mass = np.where(clear, values.sum(axis=1) * 0.5 / look.width, 0.65)
+        narrow, wide = (_covered(image, curve, look, *sides) for sides in ((2.0, 6.0), (_BLUR, _BLUR + 4.0)))
+        near, far = (median_filter(each.mass, 61, mode="nearest") for each in (narrow, wide))  # px: blur varies slowly
+        blurred = (near < 0.8) & (np.abs(far - 1.0) < 0.2) & (extend > 0.0)  # more than a rope: a shadow is in it
+        mass, peak, aside = (np.where(blurred, *pair) for pair in zip(wide, narrow, strict=True))
         # the end: where what is seen until there, less two thirds of a rope (a shadow is less), is most
-        last = int(np.argmax(np.cumsum(np.clip(mass, 0.0, 1.0) - 0.65)))
-        weights = np.clip(values, 0.0, 1.0) * clear[:, None]
-        aside = (weights @ across)[: last + 1] / np.maximum(weights.sum(axis=1)[: last + 1], 1.0)
-        curve = _smooth(
-            curve[: last + 1] + (places[: last + 1, -1] - places[: last + 1, 0]) / np.ptp(across) * aside[:, None]
-        )
-    end = values[max(0, last - 20) : last + 1].max(axis=1)
+        last = int(np.argmax(np.cumsum(np.clip(mass, 0.0, 1.0) - 0.65))) if extend else len(curve) - 1
+        shifted = places_across(curve, np.array([0.0, 1.0]))[: last + 1]
+        curve = _smooth(shifted[:, 0] + (shifted[:, 1] - shifted[:, 0]) * aside[: last + 1, None])
+    end = peak[max(0, last - 20) : last + 1]
     return equal_steps(curve), look, float(np.median(end))
 
 
@@ -353,6 +351,26 @@ def _gain_between(before: Image, after: Image) -> Array:
     if not exposed.any():
         return np.ones(3)
     return np.asarray(np.median(after[exposed] / before[exposed].astype(np.float64), axis=0))
+
+
+class _Cover(NamedTuple):
+    """What lines across a curve show of a rope (K,): widths of it, its greatest share, where its middle is."""
+
+    mass: Array
+    peak: Array
+    aside: Array  # px
+
+
+def _covered(image: Image, curve: Array, look: RopeLook, beside: float, side: float) -> _Cover:
+    """Return what is seen of a rope across a curve (K, 2), to `side`, px; the wall begins `beside` it, px."""
+    reach = 0.5 * look.width + side
+    across = np.arange(-reach, reach + 0.1, 0.5)
+    shares = look.shares(image, places_across(curve, across), np.abs(across) > 0.5 * look.width + beside, across)
+    values = np.nan_to_num(shares.values)
+    clear = np.nan_to_num(np.median(shares.std, axis=1), nan=1.0) < 0.3  # else the wall is like the rope
+    weights = np.clip(values, 0.0, 1.0) * clear[:, None]
+    aside = (weights @ across) / np.maximum(weights.sum(axis=1), 1.0)
+    return _Cover(np.where(clear, values.sum(axis=1) * 0.5 / look.width, 0.6), values.max(axis=1), aside)
 
 
 def _smooth(curve: Array, std: float = 4.0) -> Array:

@@ -26,6 +26,7 @@ _WALL = 0.5  # evidence of a step from which it counts for a rope, not for a wal
 _BEAM = 500  # paths that are followed
 _PATIENCE = 12.0  # score that a path may lose before it ends: some 20 steps over a wall
 _ALIKE = 0.4  # of the usual contrast: with less a wall is like the rope
+_BLURRED = 57  # px, twice the width of a blurred rope
 _FAINT = 0.1  # share of a rope, of which less is nothing
 _MEMORY = 0.1  # weight of a step in the mean contrast of a path
 _OTHER = 0.4  # weight of a response in other colours than the path's
@@ -61,13 +62,13 @@ class Mixture:
 
     Notes
     -----
-    The wall is the median of a square some three times as wide as the rope.
+    The wall is the median of a square three times as wide as the rope and twice as wide as it is when it is blurred.
     """
 
     def __init__(self, image: Image, bgr: Array, width: float) -> None:
         import cv2
 
-        side = 2 * round(1.5 * width) + 5
+        side = 2 * round(1.5 * width) + _BLURRED
         wall = cv2.medianBlur(image, side).astype(np.float32)
         off, contrast = cv2.GaussianBlur(image, (3, 3), 0) - wall, bgr.astype(np.float32) - wall
         self._size = np.maximum(np.linalg.norm(contrast, axis=2), 1.0)
@@ -226,7 +227,7 @@ class Ridges:
                     each.reshape(gained.shape) for each in rope.compare((where / self.shrink).reshape(-1, 2))
                 )
                 gained = np.where(bare, np.minimum(gained, -_WALL), gained) - doubt
-                gained = np.where(alike, np.maximum(gained, 0.0), gained)
+                gained = np.where(alike, np.maximum(gained, -0.2 * _WALL), gained)
             gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
             gained -= _GROWTH * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
