@@ -63,6 +63,53 @@ def test_the_upright_rod_stands_beyond_its_threshold(side):
     assert [each.stable for each in upright] == [side > 1.0]
 
 
+def floquet(amplitude: float, frequency: float) -> float:
+    """Return the slow frequency of the upright rod, Hz, from the exact equation of its small motion; NaN if it falls."""
+    from scipy.integrate import solve_ivp
+
+    arm, omega, period = 0.2, math.tau * frequency, 1.0 / frequency  # J / p of a rod is 2/3 of its length
+
+    def rates(t, y):
+        return [y[1], (G - amplitude * omega**2 * math.cos(omega * t)) / arm * y[0]]
+
+    ends = [solve_ivp(rates, (0.0, period), start, rtol=1e-9, atol=1e-12).y[k, -1] for k, start in enumerate(np.eye(2))]
+    cosine = 0.5 * sum(ends)
+    return math.acos(cosine) / math.tau / period if abs(cosine) < 1.0 else math.nan
+
+
+def upright(strength: float, frequency: float) -> hf.VibrationPosture:
+    amplitude = strength * math.sqrt(4.0 / 3.0 * G * 0.3) / (math.tau * frequency)
+    return nearest(hf.vibration_posture(ROD.replace(friction=[1e-6]), amplitude, frequency, math.pi), math.pi)
+
+
+@pytest.mark.parametrize("strength", [1.02, 1.2, 3.0])
+def test_what_holds_an_upright_rod_agrees_with_floquet(strength):
+    """Near the threshold gravity takes most of what the vibration makes, and its error counts against the rest."""
+    held = upright(strength, 1.001 * upright(strength, 40.0).least_frequency)
+    assert held.holds
+    assert held.frequencies[0] == pytest.approx(floquet(held.amplitude, held.frequency), rel=0.05)
+
+
+def test_a_slow_vibration_near_the_threshold_is_no_hold():
+    held = upright(1.02, 1.15)  # five times as fast as the slow motion, which vanishes at the threshold
+    assert held.stable
+    assert not held.holds
+    assert math.isnan(floquet(held.amplitude, held.frequency))
+
+
+@pytest.mark.parametrize("tilt", [0.001, 3.1, 3.13, 3.14])
+def test_a_tilt_near_the_vertical_can_be_held(tilt):
+    plan = hf.plan_vibration(ROD, tilt)
+    assert plan.success
+    assert plan.posture.tilt == pytest.approx(tilt, abs=1e-9)
+
+
+def test_a_posture_for_which_averaging_does_not_hold_is_no_plan():
+    plan = hf.plan_vibration(ROD, 1.9, frequency=5.0)
+    assert not plan.success
+    assert "averaging does not hold at 5 Hz; from" in plan.message
+
+
 @pytest.mark.parametrize("line", [1.8, 2.4, 2.9])
 def test_the_tilt_of_a_rod_is_that_of_the_closed_form_and_of_a_run(line):
     """p g sin q = v^2 p^2 / (4 J) sin 2 (line - q)."""
@@ -217,6 +264,12 @@ def test_a_map_has_the_tilts_of_its_postures_and_can_be_drawn():
     axis = found.plot(hf.MotorLimits(speed=30.0, acceleration=9000.0)).axes[0]
     assert axis.get_xlabel() == "amplitude of the first joint, mm"
     assert [each.get_label() for each in axis.lines if "motor" in each.get_label()] != []
+
+
+@pytest.mark.parametrize(("amplitude", "frequency"), [(0.005, 5.0), (0.0129, 6.33), (0.01, 11.0)])
+def test_a_rope_that_hangs_still_on_a_vertical_vibration_keeps_its_balance(amplitude, frequency):
+    run = hf.simulate(ROD, hf.vibrating_pivot(amplitude, frequency, math.pi), duration=4.0)
+    assert np.abs(run.q).max() < 1e-12
 
 
 def test_vibrations_are_sinusoids_for_ever():

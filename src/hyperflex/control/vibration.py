@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Of = Literal["chain", "tip"]
-LEAST_RATIO = 5.0  # of the vibration's frequency to that of the fastest slow motion, where averaging is said to hold
+LEAST_RATIO = 6.0  # of the vibration's frequency to what it makes of a slow one, where averaging is said to hold
 MOST_RIPPLE = 0.1  # rad, greatest amplitude of the links' fast motion there; of the arm's, half of it
 RESOLVED = 0.02  # growth of a slow motion over sqrt(g / length) below which averaging does not tell it from none
 
@@ -99,9 +99,15 @@ class VibrationPosture:
         """Frequency, Hz, from which on averaging holds, at the same velocity of the base.
 
         It is LEAST_RATIO times that of the fastest slow oscillation, or that at which no link turns by more than
-        MOST_RIPPLE, and the arm by no more than half of it.
+        MOST_RIPPLE, and the arm by no more than half of it. Averaging leaves out about U (M w^2)^-1 U of the Hessian,
+        where U is what the vibration makes of it. Where gravity takes most of U away, as near the threshold of an
+        upright rope, this must be small against the rest (docs/theory/vibration.md).
         """
-        fastest = float(np.abs(self.eigenvalues.imag).max()) / math.tau
+        model = _Averaged(self.rope, self.arm, self.direction, self.frequency)
+        own = self.hessian - model.at(self.q, 0.0)[1]
+        omitted = own @ np.linalg.solve(mass_matrix(self.rope, self.q) + model.resistance, own)
+        square = float(np.abs(np.linalg.eigvals(np.linalg.solve(self.hessian, omitted))).max())
+        fastest = max(float(np.abs(self.eigenvalues.imag).max()), math.sqrt(square)) / math.tau
         turn = 0.0 if self.arm is None else 2.0 * self.amplitude / self.arm.length
         most = max(float(np.abs(self.ripple).max()), turn)
         return max(LEAST_RATIO * fastest, self.frequency * most / MOST_RIPPLE)
@@ -354,14 +360,17 @@ class VibrationPlan:
 
     @property
     def success(self) -> bool:
-        """Whether the posture can be held, by the given motor if there is one."""
-        return self.posture is not None and not self.missing
+        """Whether the posture can be held, as far as averaging holds, by the given motor if there is one."""
+        return self.posture is not None and self.posture.holds and not self.missing
 
     @property
     def message(self) -> str:
         """Why the plan fails; empty on success."""
         if self.posture is None:
             return "no vibration holds this posture stably; allow another direction, or a smaller tilt or stiffness"
+        if not self.posture.holds:
+            now, least = self.posture.frequency, self.posture.least_frequency
+            return f"averaging does not hold at {now:.3g} Hz; from {least:.3g} Hz on at the same velocity of the base"
         lacks = (f"{name} of {need:.3g} {UNITS[name]}, has {has:.3g}" for name, (need, has) in self.missing.items())
         return f"the motor lacks what the vibration needs: {'; '.join(lacks)}" if self.missing else ""
 
@@ -469,7 +478,9 @@ class _Family:
 
     def member(self, u: float, frequency: float) -> VibrationPosture | None:
         """Return a member; None if the rope does not come to the tilt there."""
-        line = self.tilt + self.away * (0.05 + 1.35 * u) if self.direction is None else self.direction
+        above = math.pi - abs(math.remainder(self.tilt - self.rope.hanging_angle, math.tau))  # to the upright rope
+        least, most = min(0.05, 0.2 * above, 0.2 * (math.pi - above)), min(1.4, above)
+        line = self.tilt + self.away * (least + (most - least) * u) if self.direction is None else self.direction
         line = self.tilt + math.remainder(line - self.tilt, math.pi)
         model = _Averaged(self.rope, self.arm, line % math.pi if self.arm else line, frequency)
         weakest = 0.03 * model.top

@@ -21,7 +21,6 @@ Profile = Literal["bang-bang", "ramp", "minimum-jerk"]
 PROFILES = ("bang-bang", "ramp", "minimum-jerk")
 PATHS = ("under", "over")
 MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
-PERIODS = 8  # of a vibration that are written out before they repeat, where the integration restarts
 BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
 
 
@@ -350,11 +349,12 @@ def _vibration(amplitude: float, frequency: float, unit: str) -> dict[str, float
 def _sinusoid(spec: dict[str, Any], channels: dict[int, float], mean: float) -> Motion:
     """Return the vibration that `spec` describes, in channels in proportion, as quintics through its derivatives.
 
-    A piece of a twelfth of a period is right to 5e-7 of the amplitude, its acceleration to 4e-5 of its own.
+    A piece of a twelfth of a period is right to 5e-7 of the amplitude, its acceleration to 4e-5 of its own. Each sixth
+    counts as a switch: longer steps of a rope that hangs still would not see the work.
     """
     from scipy.interpolate import BPoly, PPoly
 
-    phase = np.linspace(0.0, math.tau * PERIODS, 12 * PERIODS + 1)
+    phase = np.linspace(0.0, math.tau, 13)
     wave = np.stack([np.cos(phase), -np.sin(phase), -np.cos(phase)], axis=1)
     pieces = PPoly.from_bernstein_basis(BPoly.from_derivatives(phase, wave)).c[::-1].T
     rate = math.tau * spec["frequency"]
@@ -363,7 +363,7 @@ def _sinusoid(spec: dict[str, Any], channels: dict[int, float], mean: float) -> 
         coef[:, channel] = part * spec["amplitude"] * pieces * rate ** np.arange(POWERS)
     coef[:, ANGLE, 0] += mean
     switch = np.zeros(phase.size, dtype=np.bool_)
-    switch[0] = True  # it begins with its greatest acceleration
+    switch[::2] = True
     return Motion(phase / rate, coef, switch, 0, spec)
 
 
