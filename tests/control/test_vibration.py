@@ -64,7 +64,7 @@ def test_the_upright_rod_stands_beyond_its_threshold(side):
 
 
 def floquet(amplitude: float, frequency: float) -> float:
-    """Return the slow frequency of the upright rod, Hz, from the exact equation of its small motion; NaN if it falls."""
+    """Return the slow frequency of the upright rod, Hz, from the exact equation; NaN if it falls."""
     from scipy.integrate import solve_ivp
 
     arm, omega, period = 0.2, math.tau * frequency, 1.0 / frequency  # J / p of a rod is 2/3 of its length
