@@ -5,7 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from hyperflex import InvalidInput
 from hyperflex.vision import Camera, NoRope, Occluder, Reason, Renderer, RopeLook, RopeMotion, Scene, find_rope
+from hyperflex.vision.look import rope_along
 
 LINKS, LENGTH = 60, 1.0  # m
 CAMERA = Camera.facing((480, 360), pixels_per_metre=260.0, origin=(230.0, 40.0), exposure=0.004)
@@ -69,6 +71,14 @@ def test_a_click_tells_the_look():
     assert look.bgr == pytest.approx([45.0, 45.0, 45.0], abs=15.0)
     assert look.width == pytest.approx(2.6, abs=0.5)
     assert max(off(find_rope(image, truth[0], look=look).curve, truth)) < 2.0
+
+
+def test_a_path_that_begins_on_the_wall_shows_no_rope():
+    """150 px of wall before 80 px of rope."""
+    image, truth = shown(bent())
+    wall = np.linspace(truth[0] - np.array([150.0, 0.0]), truth[0], 150, endpoint=False)
+    with pytest.raises(InvalidInput, match="along the path"):
+        rope_along(image, np.concatenate([wall, truth[:60]]))
 
 
 def second(motion):

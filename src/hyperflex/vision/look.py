@@ -269,6 +269,8 @@ def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[A
         mass, peak, aside = (np.where(blurred, *pair) for pair in zip(wide, narrow, strict=True))
         # the end: where what is seen until there, less two thirds of a rope (a shadow is less), is most
         last = int(np.argmax(np.cumsum(np.clip(mass, 0.0, 1.0) - 0.65))) if extend else len(curve) - 1
+        if last < 2.0 * look.width + 8.0:  # px
+            raise InvalidInput("no rope is seen along the path", got=f"{last} px of {len(curve)}")
         shifted = places_across(curve, np.array([0.0, 1.0]))[: last + 1]
         curve = _smooth(shifted[:, 0] + (shifted[:, 1] - shifted[:, 0]) * aside[: last + 1, None])
     end = peak[max(0, last - 20) : last + 1]
