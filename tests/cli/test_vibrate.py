@@ -42,3 +42,16 @@ def test_a_plan_names_what_the_motor_lacks_and_draws_the_map(rod, tmp_path, caps
 def test_it_must_be_said_what_to_hold(rod, capsys):
     assert run(["vibrate", "--rope", str(rod)]) == 2
     assert "Give --tilt" in capsys.readouterr().err
+
+
+def test_what_would_be_ignored_is_refused(rod, capsys):
+    assert run(["vibrate", "--rope", str(rod), "--tilt", "1.9", "--amplitude", "0.01"]) == 2
+    assert "--amplitude" in capsys.readouterr().err
+    how = ["--amplitude", "0.05", "--frequency", "60", "--direction", "2.4"]
+    assert run(["vibrate", "--rope", str(rod), *how, "--stiffness", "1"]) == 2
+    assert "--stiffness" in capsys.readouterr().err
+
+
+def test_the_map_of_a_large_vibration_ends_at_the_arm(rod, tmp_path):
+    how = ["--amplitude", "0.05", "--frequency", "60", "--direction", "2.4", "-o", str(tmp_path / "map.png")]
+    assert run(["vibrate", "--rope", str(rod), *how]) == 0

@@ -253,6 +253,25 @@ def test_wrong_arguments():
         hf.vibration_posture(ROD, 0.2, 50.0, 2.0, arm=hf.Arm(length=0.1))
     with pytest.raises(InvalidInput, match="no arm"):
         hf.plan_vibration(ROD, 1.9, hf.MotorLimits())
+    for change, words in (
+        ({"direction": "a"}, "direction"),
+        ({"direction": math.nan}, "direction"),
+        ({"limits": 3}, "lim"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            hf.plan_vibration(ROD, 1.9, arm=hf.Arm(length=0.1), **change)
+    with pytest.raises(InvalidInput, match="tilt is not a number"):
+        hf.plan_vibration(ROD, "a")
+    with pytest.raises(InvalidInput, match="without gravity"):
+        hf.plan_vibration(ROD.replace(gravity=(0.0, 0.0)), 1.9)
+    with pytest.raises(InvalidInput, match="amplitudes do not ascend"):
+        hf.vibration_map(ROD, [0.01, 0.005], [30.0, 60.0], 2.0)
+
+
+def test_a_rod_does_not_yield_along_itself():
+    held = hf.vibration_posture(ROD, 0.01, 60.0, 2.0)[0]
+    assert held.stiffness(held.tilt) == math.inf
+    assert 0.0 < held.stiffness(held.tilt + 1.0) < math.inf
 
 
 def test_a_map_has_the_tilts_of_its_postures_and_can_be_drawn():

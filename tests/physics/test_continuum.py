@@ -5,6 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
+from hyperflex.model import divided
 from tests.reference.string import String, tension
 
 LENGTH, MU, VISCOSITY, HINGE = 2.0, 0.0625, 2e-5, 5e-4
@@ -111,6 +112,15 @@ def test_the_limit_and_its_error_bar_contain_the_run_of_800_links(how):
     assert np.linalg.norm(run.limit[:, -1] - truth.tip, axis=1).max() < 0.35 * own  # it is nearer than the run itself
 
 
+def test_another_number_of_links_keeps_the_rope_or_is_refused():
+    weighted = CABLE.replace(com=[*CABLE.com[:-1], 0.99 * CABLE.length[-1]])
+    assert hf.with_links(weighted, 50) is weighted
+    with pytest.raises(InvalidInput, match="link 49 is not uniform"):
+        hf.with_links(weighted, 100)
+    heavy = CABLE.replace(inertia=3.0 * CABLE.inertia)
+    np.testing.assert_allclose(hf.with_links(heavy, 100).inertia, divided(heavy, 2).inertia, rtol=1e-9)
+
+
 def test_a_limit_survives_its_file(tmp_path):
     rope = hf.with_links(CABLE, 4)
     run = hf.simulate(rope, duration=0.2, q0=[0.1, 0.2, 0.3, 0.4], extrapolate=True)
@@ -125,3 +135,5 @@ def test_a_limit_is_of_a_free_run_from_its_start():
         hf.simulate(CABLE, duration=1.0, pegs=[hf.Peg(1.0, -1.0, 0.1)], refine=False, extrapolate=True)
     with pytest.raises(InvalidInput, match="extrapolate"):
         hf.simulate(CABLE, duration=1.0, extrapolate="yes")
+    with pytest.raises(InvalidInput, match="no smooth shape"):
+        hf.simulate(CABLE, duration=1.0, q0=1.2 * (CABLE.link_middles > 1.0), extrapolate=True)

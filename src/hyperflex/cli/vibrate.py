@@ -63,10 +63,14 @@ def vibrate(
         if amplitude is None or frequency is None or direction is None:
             fix = "Give --tilt, or --amplitude, --frequency and --direction"
             raise InvalidInput("it is not said what to hold", fix=fix)
+        if stiffness is not None:
+            raise InvalidInput("a stiffness is required of a tilt", got="--stiffness", fix="Give --tilt, or omit it")
         found = vibration_posture(cord, amplitude, frequency, direction, arm=arm)
         result: dict[str, Any] = {"postures": [_posture(each, push) for each in found]}
         shown, code = Rows("Postures", [(str(k + 1), repr(each)) for k, each in enumerate(found)]), 0
     else:
+        if amplitude is not None:
+            raise InvalidInput("the amplitude follows from the tilt", got="--amplitude", fix="Omit it, or --tilt")
         how: dict[str, Any] = {"stiffness": stiffness, "push": push, "frequency": frequency, "direction": direction}
         plan = plan_vibration(cord, tilt, motor, arm=arm, **how)
         found = [] if plan.posture is None else [plan.posture]
@@ -81,10 +85,9 @@ def vibrate(
     if out is not None and found:
         first = found[0]
         parts = np.linspace(0.05, 2.5, 50)
-        save_png(
-            vibration_map(cord, parts * first.amplitude, parts * first.frequency, first.direction, arm=arm).plot(motor),
-            out,
-        )
+        ways = parts * first.amplitude
+        ways = ways[ways < arm.length]
+        save_png(vibration_map(cord, ways, parts * first.frequency, first.direction, arm=arm).plot(motor), out)
         result["picture"] = out
     output.show(result, shown, code=code)
 

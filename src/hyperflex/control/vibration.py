@@ -127,9 +127,10 @@ class VibrationPosture:
         return np.asarray(jacobian @ np.linalg.solve(self.hessian, jacobian.T))
 
     def stiffness(self, direction: float) -> float:
-        """Force, N, per m by which the tip yields along it; `direction`, rad, as the angle of a link."""
-        push = unit_along(direction)
-        return float(1.0 / (push @ self.compliance @ push))
+        """Force, N, per m by which the tip yields along `direction`, rad, of a link; inf along a straight rope."""
+        push, yielding = unit_along(checks.number("direction", direction, unit="rad")), self.compliance
+        along = float(push @ yielding @ push)
+        return math.inf if abs(along) <= np.finfo(float).eps * float(np.trace(yielding)) else 1.0 / along
 
     @property
     def motion(self) -> Motion:
@@ -440,9 +441,16 @@ def plan_vibration(
     wanted = None if stiffness is None else checks.number("stiffness", stiffness, sign="positive", unit="N/m")
     if limits is not None and arm is None:
         raise InvalidInput("limits are those of an arm's motor", got="no arm", fix="Give arm=Arm(length=...)")
+    if limits is not None:
+        checks.instance("limits", limits, MotorLimits)
+    if not np.any(checks.instance("rope", rope, Rope).gravity):
+        raise InvalidInput("without gravity any vibration along the tilt holds it", got="gravity 0", allowed="not 0")
+    tilt = checks.number("tilt", tilt, unit="rad")
+    line = None if direction is None else checks.number("direction", direction, unit="rad")
+    checks.meant("direction", 0.0 if line is None else line, "rad")
     across = tilt + 0.5 * math.pi if push is None else checks.number("push", push, unit="rad")
     rate = math.nan if frequency is None else checks.number("frequency", frequency, sign="positive", unit="Hz")
-    family = _Family(rope, arm, checks.number("tilt", tilt, unit="rad"), of, direction)
+    family = _Family(rope, arm, tilt, of, line)
     checks.meant("tilt", tilt, "rad")
     found, now = None, 20.0 * family.slow if math.isnan(rate) else rate
     for _ in range(8):  # friction in the joints makes the posture depend on the frequency
@@ -530,6 +538,14 @@ class _Family:
         return self.member(float(exact), frequency)
 
 
+def _ascending(name: str, value: npt.ArrayLike) -> Array:
+    """Return numbers (N,) that ascend, N >= 1."""
+    found = checks.array(name, value, None)
+    if found.ndim != 1 or found.size == 0 or (np.diff(found) <= 0.0).any():
+        raise InvalidInput(f"{name} do not ascend", got=found.tolist(), allowed="at least one, each above the last")
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class VibrationMap:
     """Tilt over amplitude and frequency of a vibration along one line (made by :func:`vibration_map`).
@@ -579,8 +595,7 @@ def vibration_map(
     frequencies : (F,) array_like
         Ascending, Hz.
     """
-    ways = checks.times("amplitudes", amplitudes)
-    rates = checks.times("frequencies", frequencies)
+    ways, rates = _ascending("amplitudes", amplitudes), _ascending("frequencies", frequencies)
     tilt, holds = np.full((rates.size, ways.size), np.nan), np.zeros((rates.size, ways.size), dtype=np.bool_)
     for row, rate in enumerate(rates):
         model, _ = _checked(rope, ways[-1], rate, direction, arm)

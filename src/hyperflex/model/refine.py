@@ -119,21 +119,25 @@ def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
         raise InvalidInput("pieces are not whole numbers from 1 on", got=given.tolist(), allowed="1, 2, ...")
     if (pieces == 1).all():
         return rope
-    uneven = (pieces > 1) & ~uniform(rope)
-    if uneven.any():
-        k = int(np.argmax(uneven))
-        raise InvalidInput(
-            f"link {k} is not uniform, so it cannot be cut",
-            got=float(rope.com[k]),
-            allowed="com = length / 2",
-            fix="Give shorter links there",
-        )
+    _refuse_uneven(rope, pieces > 1)
     flat = across(rope)  # goes with the mass; the inertia along the link with its length squared, too
     parts = {name: getattr(rope, name) / pieces for name in ("length", "mass", "com")}
     parts["inertia"] = (rope.inertia - flat) / pieces**3 + flat / pieces
     parts |= {each.name: getattr(rope, each.name) for each in LINK_PROPERTIES if each.cut == "alike"}
     links = {name: np.repeat(value, pieces) for name, value in parts.items()}
     return rope.replace(**links, **_joints(rope, links["length"]))
+
+
+def _refuse_uneven(rope: Rope, cut: npt.NDArray[np.bool_]) -> None:
+    """Refuse links to be cut (n,) that are not uniform."""
+    uneven = cut & ~uniform(rope)
+    if uneven.any():
+        k = int(np.argmax(uneven))
+        fix = "Give shorter links there, or what hangs at the tip as tip_mass"
+        got = float(rope.com[k])
+        raise InvalidInput(
+            f"link {k} is not uniform, so it cannot be cut", got=got, allowed="com = length / 2", fix=fix
+        )
 
 
 def with_links(rope: Rope, n_links: int) -> Rope:
@@ -149,7 +153,13 @@ def with_links(rope: Rope, n_links: int) -> Rope:
     -------
     Rope
         Its joints resist bending as in :func:`refine_rope`: in inverse proportion to the length of a link, but for the
-        first one, a hinge, which stays as it is. Mass is spread evenly along each old link.
+        first one, a hinge, which stays as it is. Mass is spread evenly along each old link. The rope itself if it has
+        these links already.
+
+    Raises
+    ------
+    InvalidInput
+        If a link is not uniform, or the number cannot be used.
 
     Notes
     -----
@@ -167,6 +177,10 @@ def with_links(rope: Rope, n_links: int) -> Rope:
     checks.instance("rope", rope, Rope)
     checks.count("n_links", n_links, most=MOST_LINKS)
     ends = np.append(0.0, rope.link_ends)
+    length = np.full(n_links, ends[-1] / n_links)
+    if n_links == rope.n_links and np.allclose(rope.length, length, rtol=MIDDLE, atol=0.0):
+        return rope
+    _refuse_uneven(rope, np.ones(rope.n_links, dtype=np.bool_))
     cuts = np.linspace(0.0, ends[-1], n_links + 1)
     low, high = np.maximum(cuts[:-1, None], ends[:-1]), np.minimum(cuts[1:, None], ends[1:])
     part = np.maximum(high - low, 0.0)  # (new, old), m
@@ -174,8 +188,9 @@ def with_links(rope: Rope, n_links: int) -> Rope:
     middle = 0.5 * (low + high) - cuts[:-1, None]
     total = mass.sum(axis=1)
     com = (mass * middle).sum(axis=1) / np.maximum(total, 1e-300)
-    inertia = (mass * (part**2 / 12.0 + (middle - com[:, None]) ** 2)).sum(axis=1) + 0.25 * total * rope.radius**2
-    length = np.full(n_links, ends[-1] / n_links)
+    flat = across(rope)  # as in `divided`, the rest of a link's inertia goes with the square of its length
+    own = (rope.inertia - flat) / (rope.mass * rope.length**2)
+    inertia = (mass * (part**2 * own + (middle - com[:, None]) ** 2 + flat / rope.mass)).sum(axis=1)
     alike = {each.name: part @ getattr(rope, each.name) / length for each in LINK_PROPERTIES if each.cut == "alike"}
     return rope.replace(length=length, mass=total, com=com, inertia=inertia, **alike, **_joints(rope, length))
 

@@ -369,7 +369,7 @@ def simulate(
     found = conclude(run, code, stop.status or Status.INTERRUPTED, throw=throw, skip=skip, event=reached)
     if not finer or not found.success:
         return found
-    return _limit(found, finer, {"t_eval": t, "time_budget": watch.budget, "progress": progress})
+    return _limit(found, finer, {"t_eval": t, "time_budget": watch.budget, "progress": progress, "throw": throw})
 
 
 def _limit(run: Trajectory, finer: list[Setup], how: dict[str, Any]) -> Trajectory:
@@ -379,7 +379,11 @@ def _limit(run: Trajectory, finer: list[Setup], how: dict[str, Any]) -> Trajecto
     supposes errors of first order as well; no less than it was before, since errors may cancel for a while
     (docs/theory/continuum.md).
     """
-    half, quarter = (simulate(each, **how).joints[:, :: 2 ** (k + 1)] for k, each in enumerate(finer))
+    runs = [simulate(each, **how) for each in finer]
+    failed = [each.message for each in runs if not each.success]
+    if failed:
+        return replace(run, message=f"no limit, since the run with shorter links failed: {failed[0]}")
+    half, quarter = (each.joints[:, :: 2 ** (k + 1)] for k, each in enumerate(runs))
     first, last = half - run.joints, quarter - half
     error = sum(np.linalg.norm(each, axis=2).max(axis=1) for each in (last, (4.0 * last - first) / 3.0))
     return replace(run, limit=quarter + last / 3.0, limit_error=np.maximum.accumulate(error + run.setup.tol))
@@ -393,6 +397,9 @@ def _finer(setup: Setup, state: State | None, until: Event | None) -> list[Setup
         raise InvalidInput("the limit of many links is that of a free run from its start", fix=fix)
     old, result = setup.rope.link_middles, []
     starts = {name: value for name in ("q0", "qd0") if (value := getattr(setup, name)) is not None}
+    if (bends := np.abs(np.diff(starts.get("q0", np.zeros(1))))).size and float(bends.max()) > 1.0:
+        allowed = "up to 1 rad from link to link"
+        raise InvalidInput("q0 is no smooth shape, which shorter links need", got=float(bends.max()), allowed=allowed)
     for pieces in (2, 4):
         rope = divided(setup.rope, pieces)
         smooth = {name: _smooth(old, value, rope.link_middles) for name, value in starts.items()}
