@@ -266,7 +266,15 @@ def test_derivatives_of_a_long_run_are_interrupted(monkeypatch):
 def test_each_public_call_that_takes_long_leaves_as_interrupted():
     calls = (reproduce, write_demo, calibrate_camera, track_video, track_bars, optimize_pumping, hf.Stepper.step)
     assert all(hasattr(call, "__wrapped__") for call in (*calls, hf.BatchStepper.step, hf.Stepper.linearize))
-    short = {"measure_winding", "refine_rope", "forward_kinematics", "mass_matrix", "linearize", "fit_regression"}
+    short = {
+        "measure_winding",
+        "refine_rope",
+        "with_links",
+        "forward_kinematics",
+        "mass_matrix",
+        "linearize",
+        "fit_regression",
+    }
     short |= {"rope_slip", "rope_tension"}
     rooms = ("hyperflex.motion", "hyperflex.simulation.events")  # of what takes no time
     for name in set(hf.__all__) - short:
@@ -288,7 +296,7 @@ def test_steps_are_interrupted_and_go_on(monkeypatch, kind):
 @pytest.mark.parametrize(("grace", "known"), [(60.0, True), (0.0, False)])
 def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace, known):
     """With deviations where they are found at once, and without any where they would take long."""
-    derivatives, begun = covariance._models, []
+    derivatives, begun = covariance.window_models, []
 
     def interrupted(*given):
         begun.append(True)
@@ -296,7 +304,7 @@ def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace, kn
             signal.raise_signal(signal.SIGINT)
         return derivatives(*given)
 
-    monkeypatch.setattr(covariance, "_models", interrupted)
+    monkeypatch.setattr(covariance, "window_models", interrupted)
     monkeypatch.setattr(covariance, "GRACE", grace)
     rod = hf.Rope([0.3], [0.1], friction=2e-4)
     swing = hf.simulate(rod, duration=4.0, q0=[0.8])

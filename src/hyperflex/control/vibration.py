@@ -18,6 +18,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, MotorLimits, Rope, unit_across, unit_along
 from hyperflex.motion import Motion, vibrate_arm, vibrating_pivot
 from hyperflex.simulation import first_moment, simulate
@@ -257,6 +258,7 @@ class _Averaged:
         return VibrationPosture(self.rope, v / omega, self.frequency, self.direction, self.arm, q, hessian, x / omega)
 
 
+@interruptible()
 def vibration_posture(
     rope: Rope, amplitude: float, frequency: float, direction: float, *, arm: Arm | None = None
 ) -> list[VibrationPosture]:
@@ -379,6 +381,7 @@ class VibrationPlan:
 UNITS = {"speed": "rad/s", "acceleration": "rad/s^2", "torque": "N m", "angles": "rad"}
 
 
+@interruptible()
 def plan_vibration(
     rope: Rope,
     tilt: float,
@@ -581,6 +584,7 @@ class VibrationMap:
         return vibration_figure(self, limits)
 
 
+@interruptible()
 def vibration_map(
     rope: Rope, amplitudes: npt.ArrayLike, frequencies: npt.ArrayLike, direction: float, *, arm: Arm | None = None
 ) -> VibrationMap:

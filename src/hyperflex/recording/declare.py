@@ -254,9 +254,10 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     moved -= moved.sum(axis=0) / np.maximum(there.sum(axis=0), 1)  # where a marker sits beside the plane is no motion
     rms = math.sqrt(float((moved[there] ** 2).sum()) / max(int(there.sum()), 1))
     data = np.stack([points @ right, points @ up], axis=-1).reshape(raw.t.size, -1)
-    slope = np.diff(moved, axis=1)[there[:, 1:] & there[:, :-1]]
-    far = np.linalg.norm(np.diff(points, axis=1), axis=-1)[there[:, 1:] & there[:, :-1]]
-    lean = math.sqrt(2.0 * float(np.mean((slope / far) ** 2))) if slope.size else None
+    far = np.linalg.norm(np.diff(points, axis=1), axis=-1)
+    pairs = far > 0.0  # of markers that are seen
+    slope = np.diff(moved, axis=1)[pairs] / far[pairs]
+    lean = math.sqrt(2.0 * float(np.mean(slope**2))) if slope.size else None
     return replace(raw, data=data, in_space=False), _Swing(name, rms, tilt, lean)
 
 

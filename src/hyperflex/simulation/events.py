@@ -132,7 +132,7 @@ def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, afte
     after : float
         What happens before this time does not count, s.
     """
-    number = -1 if link is None else checks.count("link", link, least=0)
+    number = -1 if link is None else checks.count("link", link, least=0, most=10**6)
     return _event("angle reached", ANGLE, (checks.number("angle", angle, unit="rad"), number), sense, after)
 
 

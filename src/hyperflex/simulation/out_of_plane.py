@@ -13,6 +13,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain.sideways import lean as integrate
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ class Sideways:
         return sideways_figure(self)
 
 
+@interruptible()
 def sideways(
     run: Trajectory, *, tilt: ArrayLike | None = None, rate: ArrayLike = 0.0, lean: float = 0.0, side: float = 0.0
 ) -> Sideways:
