@@ -193,8 +193,9 @@ def _content(
         Of each column, where they have their own; what is in no unit of length is no marker.
     """
     kept = [(k, lines[k]) for k in range(top, len(lines)) if lines[k].strip(",; \t")]
-    if not kept or not labels:
-        what = f"{path} has a header but no rows" if labels else f"{path} has rows that do not fit its header"
+    fits = time < len(labels) > 0
+    if not kept or not fits:
+        what = f"{path} has a header but no rows" if fits else f"{path} has rows that do not fit its header"
         raise InvalidInput(what, allowed="a row for each frame", fix="It was probably cut off: get it again")
     numbers, rows = [k + 1 for k, _ in kept], [row for _, row in kept]
     names, points = _named(labels)
