@@ -272,7 +272,8 @@ def page(rows: list[dict[str, Any]]) -> str:
         text += [
             "## Do casts still wind?",
             "",
-            "Casts that wind in MuJoCo, by the tilt at the start and the target's width.",
+            "Casts that wind in MuJoCo, by the tilt at the start and the target's width. Here a cast counts that makes",
+            "1.25 turns for 0.3 s, which is weaker than the planar criterion.",
         ]
         text += ["", "| tilt, degrees | casts | long target | " + " | ".join(f"{1e3 * w:g} mm" for w in WIDTHS) + " |"]
         text += ["|---" * (3 + len(WIDTHS)) + "|"]
@@ -280,7 +281,13 @@ def page(rows: list[dict[str, Any]]) -> str:
             own = [row for row in some if row["tilt"] == tilt]
             wide = [sum(row["winds"] and row["furthest"] <= 0.5 * w for row in own) for w in WIDTHS]
             text += [f"| {tilt:g} | {len(own)} | {sum(row['winds'] for row in own)} | {' | '.join(map(str, wide))} |"]
-        text += ["", "Without a tilt all 42 wind ([planar casts in MuJoCo](casts-mujoco.md)).", ""]
+        never = sorted({f"{row['name']} at {row['tilt']:g} degrees" for row in some if not row["winds"]})
+        text += [
+            "",
+            f"On no width: {', '.join(never) or 'none'}.",
+            "Without a tilt all 42 wind ([planar casts in MuJoCo](casts-mujoco.md)).",
+            "",
+        ]
     return "\n".join([*text, lines.made(rows), "", "Again: `python -m benchmarks.sideways FOLDER`", ""])
 
 

@@ -1,6 +1,7 @@
 """``hyperflex simulate``: set-up in, NetCDF out, and what it says when that cannot be."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,11 +37,19 @@ def test_simulate_writes_the_run_and_sums_it_up(hyperflex, hyperflex_json, setup
 
 
 def test_simulate_reports_how_far_to_the_side_a_tilted_rope_is(hyperflex, hyperflex_json, setup):
-    _, result = hyperflex_json(*CALL, "--tilt", "2")
-    found = hf.sideways(hf.simulate(setup), tilt=np.radians(2.0))
-    want = {"most_m": np.abs(found.joints).max(), "last_m": abs(found.tip[-1]), "tilt_rad": np.radians(2.0)}
+    _, result = hyperflex_json(*CALL, "--tilt", "0.02")
+    found = hf.sideways(hf.simulate(setup), tilt=0.02)
+    want = {
+        "most_m": np.abs(found.joints).max(),
+        "last_m": abs(found.tip[-1]),
+        "tilt_rad": 0.02,
+        "error_m": found.error,
+        "warning": found.warning(),
+    }
     assert result["sideways"] == pytest.approx({**want, "touch_s": None})
-    assert "to the side at most" in hyperflex(*CALL, "--tilt", "2")[1]
+    assert "to the side at most" in hyperflex(*CALL, "--tilt", "0.02")[1]
+    assert "--tilt" in hyperflex("simulate", "cast.toml", "-o", "bad.nc", "--tilt", "nan")[2]
+    assert "bad.nc" not in files(Path())
 
 
 @pytest.mark.filterwarnings("default:not predictable")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.planning import Uncertainty
+from hyperflex.planning import Uncertainty, outcome
 from hyperflex.planning.ensemble import strikes_in_plane
 from hyperflex.planning.outcome import evaluate_cast
 from tests.planning.known import PEG, planned, problem
@@ -29,7 +29,7 @@ def test_a_cast_reports_how_far_to_the_side_it_strikes():
     assert 0.0 < seen.sideways <= seen.half_width
     wider = judged(tilt=math.radians(2.0))
     assert wider.half_width == pytest.approx(2.0 * seen.half_width)
-    assert seen.aside(hf.WindCriteria()) == pytest.approx(wider.aside(hf.WindCriteria(tilt=math.radians(2.0))))
+    assert judged(tilt=0.0).aside == pytest.approx(seen.aside)
 
 
 def test_a_rope_too_far_aside_fails():
@@ -37,13 +37,30 @@ def test_a_rope_too_far_aside_fails():
     assert judged(max_sideways=1.01 * most).success
     failed = judged(max_sideways=0.99 * most)
     assert not failed.success
-    assert f"it strikes up to {1e3 * most:.0f} mm to the side" in failed.message
+    assert f"it is up to {1e3 * most:.0f} mm to the side" in failed.message
 
 
 def test_a_rope_that_does_not_strike_has_no_side():
     missed = planned(winds=False).outcome
     assert math.isnan(missed.half_width)
-    assert missed.aside(hf.WindCriteria()) == 0.0
+    assert math.isnan(missed.aside)
+
+
+def test_a_rope_whose_side_is_not_known_fails(monkeypatch):
+    monkeypatch.setattr(outcome, "_aside", lambda run: (math.nan, math.nan, "it touches at once"))
+    assert judged().success
+    failed = judged(max_sideways=10.0)
+    assert not failed.success
+    assert "touches at once" in failed.message
+
+
+def test_dry_friction_and_large_tilts_are_refused():
+    dry = problem().rope.replace(dry_friction=1e-5)
+    assert replace(problem(), rope=dry).rope is dry
+    with pytest.raises(hf.InvalidInput, match="Leave dry friction out"):
+        replace(problem(), rope=dry, criteria=hf.WindCriteria(max_sideways=0.1))
+    with pytest.raises(hf.InvalidInput, match="tilt is not small"):
+        hf.WindCriteria(tilt=1.0)
 
 
 def test_scenarios_draw_tilts_and_fail_by_them():
@@ -52,6 +69,7 @@ def test_scenarios_draw_tilts_and_fail_by_them():
     assert np.std([each.tilt for each in draws]) == pytest.approx(0.02, rel=0.15)  # 4 standard deviations
     within = strikes_in_plane(narrow, draws, 1.5)
     assert within.mean() == pytest.approx(0.683, abs=0.09)  # within one standard deviation
-    assert strikes_in_plane(problem(), draws, 1.5).all()
+    assert strikes_in_plane(problem(), draws, math.nan).all()
+    assert not strikes_in_plane(narrow, draws, math.nan).any()
     same = Uncertainty(tilt=0.0).sample(3, narrow, PEG)
     assert [each.lag for each in same] == [each.lag for each in draws[:3]]

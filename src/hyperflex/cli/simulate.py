@@ -35,7 +35,7 @@ def simulate(
     ] = False,
     tilt: Annotated[
         float | None,
-        typer.Option(help="Degrees by which the rope begins out of the plane: report how far to the side it then is."),
+        typer.Option(help="Angle of the rope out of the plane at the start, rad: report how far to the side it is."),
     ] = None,
     time_budget: Annotated[
         float | None, typer.Option(help="Time for the run, s, without compiling; inf: no limit. [default: 1800]")
@@ -54,11 +54,15 @@ def simulate(
     from hyperflex.model import Setup
     from hyperflex.simulation import file_size
     from hyperflex.simulation import simulate as run
+    from hyperflex.simulation.out_of_plane import refuse_rope
 
     check_destination(out, ".nc", [setup])
     if horizon is not None:
         checks.number("--horizon", horizon, sign="positive", unit="m")
     simulated = Setup.from_toml(setup)
+    if tilt is not None:
+        checks.number("--tilt", tilt, unit="rad")
+        refuse_rope(simulated.rope)
     if duration is None and "duration" not in files.read_toml(setup):
         output.note(f"no duration is given, so {simulated.duration:g} s are simulated; give --duration for another")
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
@@ -99,15 +103,17 @@ def simulate(
     with output.keeping({"run": out}, missing, result), output.spinner() as progress:
         progress("simulating again with a tenth of the tolerance")
         result |= _trust(found, horizon)
+        if tilt is not None:
+            result["sideways"] = _aside(found, tilt)
         result["pegs"] = [_wound(found, peg, tug) for peg in found.setup.round_pegs]
     more = [(f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _winding(peg)) for peg in result["pegs"]]
     if simulated.arm is None and not np.ptp(found.tip, axis=0).any():
         more.append(("motion", "none: the rope hangs from a point at rest; give [arm] and [motion]"))
     if tilt is not None:
-        result["sideways"] = _aside(found, math.radians(checks.number("--tilt", tilt, unit="degrees")))
-        ends = "strike" if result["sideways"]["touch_s"] is not None else "end"
+        ends = "first touch" if result["sideways"]["touch_s"] is not None else "end"
         text = "{most_m:.3g} m to the side at most, {last_m:.3g} m of the tip at the ".format(**result["sideways"])
-        more.append((f"begun {tilt:g} degrees out of the plane", text + ends))
+        doubt = result["sideways"]["warning"]
+        more.append((f"begun {tilt:g} rad out of the plane", text + ends + (f"; {doubt}" if doubt else "")))
     more.append(("next", f"hyperflex view {out} plays it, hyperflex plot {out} draws it"))
     output.show(result, output.rows("Simulated", result, *more))
 
@@ -122,6 +128,8 @@ def _aside(run: "Trajectory", tilt: float) -> dict[str, Any]:
         "touch_s": found.touch,
         "most_m": np.abs(found.joints).max(),
         "last_m": abs(found.tip[-1]),
+        "error_m": found.error,
+        "warning": found.warning(),
     }
 
 

@@ -144,7 +144,7 @@ class CastRequest:
             plan = found()
             if self.uncertainty is not None and plan.moves is not None:
                 given = task.problem, task.peg, plan.moves, self.uncertainty
-                aside = 0.0 if plan.outcome is None else plan.outcome.aside(self.criteria)
+                aside = math.nan if plan.outcome is None else plan.outcome.aside
                 chance = estimate_success_probability(*given, aside=aside, time_budget=budget, options=self.options)
                 plan = replace(plan, success_probability=chance)
         return found(interrupted=True) if stop.received else plan

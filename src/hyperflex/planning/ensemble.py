@@ -190,8 +190,8 @@ def estimate_success_probability(
         By default that of a realistic identification. The scenarios of a search are others in any case.
     samples : int
     aside : float
-        Distance of the rope from the plane at its strike over its angle out of it at the start, m/rad: a scenario with
-        a tilt that leads to more than the criteria's ``max_sideways`` fails.
+        Distance of the rope from the plane at its first touch over its angle out of it at the start, m/rad: a
+        scenario with a tilt that leads to more than the criteria's ``max_sideways`` fails; NaN fails them all.
     time_budget : float or Budget, optional
         Time by the clock, s. Fewer samples are counted if it ends before; it is not used with an executor.
     options : SearchOptions, optional
@@ -225,7 +225,8 @@ def scenario_scores(
 
 def strikes_in_plane(problem: Problem, scenarios: Sequence[Scenario], aside: float) -> npt.NDArray[np.bool_]:
     """Return in which scenarios the rope strikes within ``max_sideways`` (M,); `aside` is in m/rad of the tilt."""
-    return np.array([abs(each.tilt) * aside <= problem.criteria.max_sideways for each in scenarios])
+    most = problem.criteria.max_sideways
+    return np.array([math.isinf(most) or abs(each.tilt) * aside <= most for each in scenarios])
 
 
 @dataclass(frozen=True)

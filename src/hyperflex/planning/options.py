@@ -51,7 +51,7 @@ class WindCriteria:
         Greatest distance from the plane at the rope's first touch, m, of the rope from there to its end, if it begins
         out of the plane by `tilt`: half of the width of the peg that it needs. inf: not checked.
     tilt : float
-        Angle of the rope out of the plane of the swing at the start, rad.
+        Angle of the rope out of the plane of the swing at the start, rad, at most 5 degrees.
     behind : sequence of Peg
         Fixed pegs that the rope must run behind on its way from the arm to the target: in the end it touches each of
         them between the arm and its first touch of the target. Neither with an uncertainty nor with a holding force.
@@ -72,7 +72,7 @@ class WindCriteria:
     holding_force: float = option(0.0, "Pull that the wound rope must withstand.", "N", sign="nonnegative")
     max_sideways: float = option(
         math.inf,
-        "Greatest distance of the rope from the plane at the strike.",
+        "Greatest distance of the rope from the plane at its first touch.",
         "m",
         sign="positive",
         infinite=True,
@@ -90,6 +90,9 @@ class WindCriteria:
             raise InvalidInput("turns are not those of a wound rope", got=self.turns, allowed=allowed)
         if self.settle > 10.0:
             raise InvalidInput("settle is longer than a rope takes to come to rest", got=self.settle, allowed="<= 10 s")
+        if self.tilt > math.radians(5.0):
+            allowed = "up to 5 degrees (0.0873 rad): beyond, the first order is more than 17 % off"
+            raise InvalidInput("tilt is not small", got=f"{self.tilt:g} rad", allowed=allowed)
         if self.watch < MEAN_TIME:
             allowed = f">= {MEAN_TIME:g} s, over which forces are averaged"
             raise InvalidInput("watch is too short to measure a hold", got=self.watch, allowed=allowed)

@@ -135,7 +135,9 @@ class CastOutcome(RunOutcome):
     sideways, half_width : float
         Distances from the plane, m, at the last sample before the first touch of anything, for a rope that begins out
         of the plane by the criteria's `tilt`: of the first link to touch, and the greatest from there to the rope's
-        end, which half of the peg's width must exceed. NaN if the rope touches nothing.
+        end, which half of the peg's width must exceed. NaN if the rope touches nothing, or it is not known.
+    aside : float
+        `half_width` over the tilt, m/rad.
     runs_behind : tuple of bool
         Whether the rope runs behind each of the set-up's pegs `behind`: all through the watch it touches the peg
         between the arm and its first touch of the target. Empty if the simulation failed.
@@ -154,16 +156,13 @@ class CastOutcome(RunOutcome):
     tip_hangs: bool = True
     sideways: float = np.nan
     half_width: float = np.nan
+    aside: float = np.nan
     runs_behind: tuple[bool, ...] = ()
 
     @property
     def success(self) -> bool:
         """Wound and held."""
         return self.wound and self.held and not self.message
-
-    def aside(self, criteria: WindCriteria) -> float:
-        """Return the distance from the plane at the strike over the angle out of it at the start, m/rad; 0 without."""
-        return self.half_width / criteria.tilt if criteria.tilt and math.isfinite(self.half_width) else 0.0
 
     def in_short(self) -> str:
         """Return the most important figures for whoever carries the cast out, with units."""
@@ -233,7 +232,8 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
     apart = way_gaps(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
     led = tuple(bool(each.all()) for each in (apart < winding.TOUCH).T)
-    beside, half_width = _aside(run, criteria.tilt)
+    beside, aside, doubt = _aside(run)
+    half_width = criteria.tilt * aside
     if not touched.any():
         message = "the rope does not touch the peg"
     elif not enough:
@@ -250,11 +250,12 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     elif covered < criteria.contact:
         degrees = np.degrees([covered, criteria.contact])
         message = f"it covers {degrees[0]:.0f} degrees of the peg, {degrees[1]:.0f} required"
+    elif criteria.max_sideways < math.inf and not math.isfinite(half_width):
+        message = f"how far to the side it is at its first touch is not known: {doubt}"
     elif half_width > criteria.max_sideways:
         tilted = f"for a start {np.degrees(criteria.tilt):.3g} degrees out of the plane"
-        message = (
-            f"it strikes up to {1e3 * half_width:.0f} mm to the side {tilted}, {1e3 * criteria.max_sideways:g} allowed"
-        )
+        message = f"at its first touch it is up to {1e3 * half_width:.0f} mm to the side {tilted}, "
+        message += f"{1e3 * criteria.max_sideways:g} allowed"
     else:
         message = excess_torque(problem, figures["torque"])
     if not (enough and held) and figures["refused"]:
@@ -270,21 +271,25 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
         contact_angle=covered,
         message=message,
         tip_hangs=bool((above[watched] < 0.0).all()),
-        sideways=beside,
+        sideways=criteria.tilt * beside,
         half_width=half_width,
+        aside=aside,
         runs_behind=led,
         **figures,
     )
 
 
-def _aside(run: Trajectory, tilt: float) -> tuple[float, float]:
-    """Return `sideways` and `half_width` of a :class:`CastOutcome`, m."""
-    first = 0 if run.contact_force is None else int(run.contact_force.any(axis=2).argmax())
-    row, link = divmod(first, run.q.shape[1])
-    if row < 2:  # it touches nothing, or at once
-        return math.nan, math.nan
-    beyond = np.abs(sideways(run, tilt=tilt).joints[-1, link:])
-    return float(beyond[:2].mean()), float(beyond.max())
+def _aside(run: Trajectory) -> tuple[float, float, str]:
+    """Return `sideways` and `half_width` of a :class:`CastOutcome` over the tilt, m/rad, and why they are not known."""
+    touching = np.zeros(1) if run.contact_force is None else run.contact_force.any(axis=2)
+    if not touching.any():
+        return math.nan, math.nan, "it touches nothing"
+    try:
+        found = sideways(run, tilt=1.0)
+    except (InvalidInput, SimulationError) as error:
+        return math.nan, math.nan, str(error)
+    beyond = np.abs(found.joints[-1, int(touching.argmax()) % run.q.shape[1] :])
+    return float(beyond[:2].mean()), float(beyond.max()), ""
 
 
 def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:

@@ -1,5 +1,6 @@
 """What is planned for: a rope on an arm, the motor's limits, what must not be touched, the start, and the criteria."""
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,6 +14,7 @@ from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, MotorLimits, Obstacle, Peg, Rope, divided
 from hyperflex.planning.clearance import gap_of, named
 from hyperflex.planning.options import Conditions, WindCriteria
+from hyperflex.simulation.out_of_plane import refuse_rope
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
@@ -72,6 +74,8 @@ class Problem:
                 allowed=f"at least {MIN_LINKS}; 25 to 60 are usual",
                 fix="Give the rope more, shorter links",
             )
+        if math.isfinite(self.criteria.max_sideways):
+            refuse_rope(self.rope)
         time = checks.number("time", self.time, sign="nonnegative", unit="s")
         if 0.0 < time < MIN_TIME:
             raise InvalidInput("time is too short for any cast", got=time, allowed=f"{MIN_TIME:g} s or more, or 0")

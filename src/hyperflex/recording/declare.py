@@ -164,7 +164,7 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
             _check_epoch(epoch, declared["time_unit"])
             t, facts["epoch"] = t - t[0], epoch
         if swing is not None:
-            facts |= {"out_of_plane": swing.rms * size, **({} if swing.lean is None else {"tilt": swing.lean})}
+            facts |= {"out_of_plane": swing.rms * size, **({} if swing.tilt is None else {"tilt": swing.tilt})}
         recording = Recording(
             t=t * time,
             data=data,
@@ -183,21 +183,21 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
 
 
 class _Swing(NamedTuple):
-    """The plane of markers in space: root mean square distance from it (unit of the data), and its tilt, rad.
+    """The plane of markers in space: root mean square distance from it (unit of the data), and its lean, rad.
 
-    `lean` is the amplitude of the angle out of it of the lines between markers, rad; None of a marker alone.
+    `tilt` is the amplitude of the angle out of it of the lines between markers, rad; None of a marker alone.
     """
 
     name: str
     rms: float
-    tilt: float
-    lean: float | None
+    lean: float
+    tilt: float | None
 
     def text(self, size: float) -> str:
         """Describe the plane; `size` is the unit of the data, m."""
-        tilt = f" ({math.degrees(self.tilt):.1f} degrees from the vertical)" if self.name == "fit" else ""
-        lean = "" if self.lean is None else f", {math.degrees(self.lean):.2g} degrees"
-        return f"plane {self.name}{tilt}, {1e3 * size * self.rms:.3g} mm rms of motion out of it{lean}"
+        off = f" ({math.degrees(self.lean):.1f} degrees from the vertical)" if self.name == "fit" else ""
+        tilt = "" if self.tilt is None else f", {math.degrees(self.tilt):.2g} degrees"
+        return f"plane {self.name}{off}, {1e3 * size * self.rms:.3g} mm rms of motion out of it{tilt}"
 
 
 def _likely(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, list[str]]:
@@ -233,10 +233,10 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
         known = points[np.isfinite(points).all(axis=-1)]
         known = known - known.sum(axis=0) / max(len(known), 1)
         normal, vertical = np.linalg.svd(known.T @ known)[0][:, 2], axes["xyz".index(declared["up"])]
-        tilt = math.asin(min(1.0, abs(float(normal @ vertical))))
-        if tilt > STEEPEST:
+        lean = math.asin(min(1.0, abs(float(normal @ vertical))))
+        if lean > STEEPEST:
             raise InvalidInput(
-                f"the fitted plane of the motion is {math.degrees(tilt):.0f} degrees from the vertical",
+                f"the fitted plane of the motion is {math.degrees(lean):.0f} degrees from the vertical",
                 got=f"up = {declared['up']!r}",
                 allowed=f"at most {math.degrees(STEEPEST):.0f} degrees",
                 fix="Pass another up, or the plane itself, such as plane='xz'",
@@ -247,7 +247,7 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
         right *= np.sign(right[np.argmax(np.abs(right))])
     else:
         right, up = (axes[k] for k in PLANES[name])
-        normal, tilt = np.cross(right, up), 0.0
+        normal, lean = np.cross(right, up), 0.0
     across = points @ normal
     there = ~np.isnan(across)
     moved = np.where(there, across, 0.0)
@@ -257,8 +257,8 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     far = np.linalg.norm(np.diff(points, axis=1), axis=-1)
     pairs = far > 0.0  # of markers that are seen
     slope = np.diff(moved, axis=1)[pairs] / far[pairs]
-    lean = math.sqrt(2.0 * float(np.mean(slope**2))) if slope.size else None
-    return replace(raw, data=data, in_space=False), _Swing(name, rms, tilt, lean)
+    tilt = math.sqrt(2.0 * float(np.mean(slope**2))) if slope.size else None
+    return replace(raw, data=data, in_space=False), _Swing(name, rms, lean, tilt)
 
 
 def _check_epoch(epoch: float, unit: str) -> None:

@@ -56,8 +56,9 @@ class Recording:
     out_of_plane : float, m, optional
         Root mean square of the motion out of the plane of the swing, of markers that were measured in space.
     tilt : float, rad, optional
-        Amplitude of a steady swing whose lines between neighbouring markers lean out of that plane as much, root mean
-        square: the ``tilt`` of a plan. Noise counts, as its standard deviation over the distance of the markers.
+        Amplitude over the whole recording, not at its start, of a steady swing whose lines between neighbouring markers
+        lean out of that plane as much, root mean square: the ``tilt`` of a plan. Noise counts twice, of both ends of a
+        line: it alone gives twice its standard deviation over the distance of the markers.
 
     Raises
     ------

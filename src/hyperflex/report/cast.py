@@ -40,8 +40,8 @@ class CastReport(PlanReport[CastPlan]):
         "film": "The planned cast, simulated: arm, rope (ochre), path of the tip (green), target (red).",
         "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
         "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
-        "sideways": "How far out of the plane the rope is, until it strikes, if it begins there by the angle named: "
-        "to first order, simulated.",
+        "sideways": "How far out of the plane the rope is, until it first touches, if it begins there by the angle "
+        "named: to first order, simulated; joint limits are not seen.",
         "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
     }
 

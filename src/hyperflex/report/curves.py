@@ -83,6 +83,7 @@ def sideways_figure(found: Sideways, title: str = "") -> "Figure":
         over.plot(found.t, joints[:, -1], color=BLUE, label="tip")
         over.axhline(0.0, color=GREY, lw=0.8)
         over.set(xlabel="time, s", ylabel="out of the plane, mm", xlim=(found.t[0], found.t[-1]))
+        over.set_title(found.warning(), fontsize=8.0, color=RED)
         over.legend(loc="upper left")
         shape.plot(joints[-1], np.append(0.0, run.setup.rope.link_ends), color=BLUE)
         shape.axvline(0.0, color=GREY, lw=0.8)

@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain.sideways import lean as integrate
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
+from hyperflex.model import Rope
+from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ class Sideways:
         Of the links out of the plane, rad and rad/s.
     touch : float or None
         Time of the first sample at which the rope touches an obstacle, s: the motion is known until before it.
+    error : float
+        Greatest difference of a joint's place from that of the run's every second sample, m.
     """
 
     run: Trajectory
@@ -44,11 +48,18 @@ class Sideways:
     angles: Array
     rates: Array
     touch: float | None
+    error: float
 
     def __repr__(self) -> str:
         ends = "" if self.touch is None else f"; ends before {self.touch:g} s, where the rope touches an obstacle"
         most = 1e3 * np.abs(self.joints).max()
-        return f"Sideways({self.t[0]:g} to {self.t[-1]:g} s, up to {most:.3g} mm out of the plane{ends})"
+        doubt = "".join(f"; {each}" for each in (self.warning(), "joint limits are not seen") if each)
+        return f"Sideways({self.t[0]:g} to {self.t[-1]:g} s, up to {most:.3g} mm out of the plane{ends}{doubt})"
+
+    def warning(self, scale: float = 1.0) -> str:
+        """Return that angles are too large for the first order, of so many times this motion; empty if not."""
+        most = math.degrees(abs(scale) * float(np.abs(self.angles).max()))
+        return f"a link leans by {most:.3g} degrees: the first order is 17 % off at 5 and useless at 10" * (most > 5.0)
 
     @cached_property
     def joints(self) -> Array:
@@ -98,10 +109,10 @@ def sideways(
     ----------
     run : Trajectory
         Planar run with a prescribed arm, or without one, from its first sample on. It needs samples every 20 ms or more
-        often: accelerations between them are interpolated.
+        often: accelerations between them are interpolated. The rope has no dry friction.
     tilt : float or (n,) array_like, optional
-        Angles of the links out of the plane at the first sample, rad, positive towards the viewer. By default `lean`: a
-        rope that hangs at rest hangs along gravity.
+        Angles of the links out of the plane at the first sample, rad, positive towards the viewer. By default `lean`,
+        along gravity, of a rope that hangs at rest.
     rate : float or (n,) array_like
         Their rates, rad/s.
     lean : float
@@ -117,13 +128,16 @@ def sideways(
     Raises
     ------
     InvalidInput
-        If the run has a torque-driven arm, friction as the paper prints it, or too few samples before it touches.
+        If the run has a torque-driven arm, dry friction, friction as the paper prints it, or too few or too coarse
+        samples (an `error` above 5 % of the motion), or if `lean` is given without `tilt` for a rope that does not
+        begin hanging at rest.
+    SimulationError
+        If the motion is not finite.
 
     Notes
     -----
-    Model: docs/models.md, (M.40)-(M.45). Joints resist bending alike in all directions and carry twist; dry friction
-    of a joint that slips resists as viscous friction of its value over the joint's rate. Joint limits and the rope's
-    contact with itself are not seen. Cost: about a quarter of that of the run.
+    Model: docs/models.md, (M.40)-(M.45). Joints resist bending alike in all directions and carry twist. Joint
+    limits and the rope's contact with itself are not seen. Cost: about a quarter of that of the run.
 
     Examples
     --------
@@ -144,26 +158,50 @@ def sideways(
     if run.setup.torque is not None:
         fix = "Give its angle as a motion: hyperflex.sampled_motion(run.t, run.arm_angle)"
         raise InvalidInput("motion sideways needs a prescribed arm", got="an arm driven by a torque", fix=fix)
-    if rope.friction_model != "relative":
-        allowed = "friction_model='relative'"
-        raise InvalidInput("one-sided joint friction is planar", got=rope.friction_model, allowed=allowed)
+    refuse_rope(rope)
     forces = np.zeros(0) if run.contact_force is None else run.contact_force.any(axis=(1, 2))
     count = int(forces.argmax()) if forces.any() else run.t.size
-    if count < 2:
-        raise InvalidInput("the run has too few samples before it touches", got=count, allowed="2 or more")
+    if count < 3:
+        raise InvalidInput("the run has too few samples before it touches", got=count, allowed="3 or more")
+    if tilt is None and lean and max(np.abs(run.q[0] - rope.hanging_angle).max(), np.abs(run.qd[0]).max()) > 1e-6:
+        raise InvalidInput("the rope does not begin hanging at rest", got="no tilt", fix="Give tilt along with lean")
     weight = math.hypot(*rope.gravity) * lean
     force, moment = side * rope.length + weight * rope.mass, 0.5 * side * rope.length**2 + weight * rope.mass * rope.com
     force[-1] += weight * rope.tip_mass
     moment[-1] += weight * rope.tip_mass * rope.length[-1]
-    angles, rates = _integrate(run, slice(0, count), np.stack([force, moment]), x, v)
-    return Sideways(run, run.t[:count], angles, rates, float(run.t[count]) if count < run.t.size else None)
+    load, again = np.stack([force, moment]), (x.copy(), v.copy())
+    angles, rates = _integrate(run, slice(0, count), load, x, v)
+    places, apart = (
+        np.cumsum(rope.length * each, axis=1)
+        for each in (angles, _integrate(run, slice(0, count, 2), load, *again)[0] - angles[::2])
+    )
+    error, most, step = np.abs(apart).max(), np.abs(places).max(), np.diff(run.t[:count]).max()
+    if error > 0.05 * most or (run.contact_force is not None and step > 2.0 * STEP + 1e-9):
+        what = f"{step:.3g} s apart, every second one gives {error / max(most, 1e-300):.2g} of the motion else"
+        allowed, fix = f"up to 0.05, and {2.0 * STEP:g} s by obstacles", "Simulate with a finer t_eval"
+        raise InvalidInput("the run's samples are too coarse", got=what, allowed=allowed, fix=fix)
+    touch = float(run.t[count]) if count < run.t.size else None
+    return Sideways(run, run.t[:count], angles, rates, touch, float(error))
+
+
+def refuse_rope(rope: Rope) -> None:
+    """Raise InvalidInput if a rope has friction that is not linear out of the plane."""
+    if rope.friction_model != "relative":
+        allowed = "friction_model='relative'"
+        raise InvalidInput("one-sided joint friction is planar", got=rope.friction_model, allowed=allowed)
+    if rope.dry_friction.any():
+        most, fix = f"dry_friction up to {rope.dry_friction.max():.3g} N m", "Leave dry friction out"
+        raise InvalidInput("dry friction is not linear out of the plane", got=most, allowed="0", fix=fix)
 
 
 def _integrate(run: Trajectory, rows: slice, load: Array, x: Array, v: Array, keep: bool = True) -> tuple[Array, Array]:
     """Integrate motions x, v (m, n), which are left at the last of the samples `rows`; return angles, rates (T, n)."""
-    setup, values = run.setup, tuple(each[rows] for each in (run.t, run.q, run.qd, run.qdd))
+    setup, values = run.setup, tuple(np.ascontiguousarray(each[rows]) for each in (run.t, run.q, run.qd, run.qdd))
     shape = (values[0].size if keep else 0, *x.shape)
     angles, rates = np.empty(shape), np.empty(shape)
     parts = max(1, math.ceil(float(np.diff(values[0]).max()) / STEP - 1e-9))
     integrate(setup.rope.chain(), setup.drive(), values, load, setup.tip_force, x, v, parts, angles, rates)
+    if not (np.isfinite(x).all() and np.isfinite(v).all()):
+        text = "the motion out of the plane grows beyond all bounds: simulate with more samples"
+        raise SimulationError(text, status=Status.NOT_FINITE, time=float(values[0][-1]))
     return angles[:, 0], rates[:, 0]

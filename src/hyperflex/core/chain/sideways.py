@@ -18,15 +18,11 @@ from hyperflex.core.chain.articulated_body import joint_of, sines
 from hyperflex.core.chain.drive import motion_at
 from hyperflex.core.jit import kernel, non_allocating
 
-# rows of the work space of a stage: sines and cosines, rates, stiffness K, torque of each joint and its friction, speed
-# along the link, forces on the link, resistance of the air (three moments), factors of the sweep
-SIN, COS, RATE, STIFF, TORQUE, FRICTION, ALONG, FX, FY, AIR, PULL, BACK, INVERSE, SLOPE, KAPPA = (
-    *range(10),
-    *range(12, 17),
-)
-ROWS = 17
+# rows of the work space of a stage: sines and cosines, rates, stiffness K, torque of each joint, speed along the link,
+# forces on the link, resistance of the air (three moments), factors of the sweep
+SIN, COS, RATE, STIFF, TORQUE, ALONG, FX, FY, AIR, PULL, BACK, INVERSE, SLOPE, KAPPA = *range(9), *range(11, 16)
+ROWS = 16
 GAMMA = 0.5 + math.sqrt(3.0) / 6.0  # of the two-stage implicit Runge-Kutta method of order 3 (Crouzeix 1975)
-SLOW = 1e-9  # rad/s: dry friction of a joint that turns slower holds it fast
 
 
 @non_allocating
@@ -56,11 +52,8 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
         out[FY, i] = mass * (py + chain.com[i] * bend_y - chain.gy) + resistance * sin
         px, py = px + length * bend_x, py + length * bend_y
         vx, vy = vx + turn * cos, vy + turn * sin
-        joint, slip = joint_of(chain, i), np.sign(rate - speed)
-        out[TORQUE, i] = joint_law.friction(joint, rate - speed, slip) + joint_law.spring(joint, q[i] - angle)
-        out[FRICTION, i] = chain.viscous[i]
-        if chain.dry[i] > 0.0:
-            out[FRICTION, i] += chain.dry[i] / (abs(rate - speed) + SLOW)
+        joint = joint_of(chain, i)
+        out[TORQUE, i] = joint_law.friction(joint, rate - speed, 0.0) + joint_law.spring(joint, q[i] - angle)
         angle, speed = q[i], rate
     sx, sy = chain.tip_mass * (px - chain.gx) - push[0], chain.tip_mass * (py - chain.gy) - push[1]
     inert, pull, turn = chain.tip_mass, 0.0, 0.0
@@ -72,7 +65,7 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
         sx, sy = sx + fx, sy + fy
         if h == 0.0:
             continue
-        kappa = h * (out[FRICTION, i] + h * chain.stiffness[i])
+        kappa = h * (chain.viscous[i] + h * chain.stiffness[i])
         slope = h * h * out[STIFF, i]
         e = ma + length * inert + pull
         own = chain.inertia[i] + ma * com + slope + turn + length * (length * inert + 2.0 * pull)
@@ -102,7 +95,7 @@ def side_accelerations(chain, at, x, v, load, out, work):  # type: ignore[no-unt
         before_rate = rate * twist - cos * dx - sin * dy
         twist_rate = sin * dx - cos * dy - rate * before
         bent = chain.stiffness[i] * (lean - before) - at[TORQUE, i] * twist
-        work[0, i] = at[FRICTION, i] * (swing - before_rate) + bent
+        work[0, i] = chain.viscous[i] * (swing - before_rate) + bent
         a, b = swing - twist * rate, lean * rate + twist_rate
         rx, ry = twist * sin - lean * cos, -lean * sin - twist * cos
         dx, dy = b * sin - a * cos, -a * sin - b * cos

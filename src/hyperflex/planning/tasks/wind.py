@@ -229,7 +229,7 @@ class WindTask(Task):
         if found.message or not self.scenarios:
             return found
         values = self._values(one.moves, self.scenarios, budget)
-        aside = 0.0 if found.outcome is None else found.outcome.aside(self.problem.criteria)
+        aside = math.nan if found.outcome is None else found.outcome.aside
         share = float(((values >= 0.8) & strikes_in_plane(self.problem, self.scenarios, aside)).mean())
         return replace(found, margin=share if found.margin >= 1.0 else 0.7 * share)
 
