@@ -10,12 +10,12 @@ import hyperflex as hf
 DEGREE = math.radians(1.0)
 
 
-def swing(duration=1.0, dt=0.01, **changes):
+def swing(duration=1.0, dt=0.01, pegs=(), **changes):
     """A rope of eight links that swings widely from a fixed point, with friction and air."""
     kept = {"length": 1.0, "mass": 0.1, "n_links": 8, "radius": 0.003, "friction": 1e-3, "drag_coefficient": 1.2}
     rope = hf.Rope.uniform(**{**kept, **changes})
     t = np.arange(0.0, duration + 1e-9, dt)
-    return hf.simulate(rope, duration=duration + 1e-9, q0=np.linspace(1.0, 2.0, 8), t_eval=t, tol=1e-7)
+    return hf.simulate(rope, duration=duration + 1e-9, q0=np.linspace(1.0, 2.0, 8), t_eval=t, pegs=pegs, tol=1e-7)
 
 
 def test_a_plane_that_is_turned_about_the_vertical_is_the_same_swing():
@@ -125,16 +125,10 @@ def test_it_ends_where_the_rope_touches():
             ),
             "torque",
         ),
-        (
-            lambda: hf.simulate(hf.Rope.uniform(1.0, 0.1, 4, friction=1e-3, dry_friction=1e-5), duration=0.1),
-            "dry friction is not",
-        ),
-        (
-            lambda: hf.simulate(
-                hf.Rope.uniform(1.0, 0.1, 8, friction=1e-3), q0=1.0, t_eval=np.arange(0.0, 2.0, 0.2), duration=2.0
-            ),
-            "too coarse",
-        ),
+        (lambda: swing(0.1, dry_friction=1e-5), "dry friction is not"),
+        (lambda: swing(2.0, dt=0.05, stiffness=0.5), "the motion differs by"),
+        (lambda: swing(1.0, dt=0.04, pegs=[hf.Peg(0.0, -2.0, 0.05)]), "apart with obstacles"),
+        (lambda: swing(0.01), "too few samples"),
     ],
 )
 def test_runs_that_it_cannot_follow_are_refused(made, words):

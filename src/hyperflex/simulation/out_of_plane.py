@@ -177,9 +177,9 @@ def sideways(
     )
     error, most, step = np.abs(apart).max(), np.abs(places).max(), np.diff(run.t[:count]).max()
     if error > 0.05 * most or (run.contact_force is not None and step > 2.0 * STEP + 1e-9):
-        what = f"{step:.3g} s apart, every second one gives {error / max(most, 1e-300):.2g} of the motion else"
-        allowed, fix = f"up to 0.05, and {2.0 * STEP:g} s by obstacles", "Simulate with a finer t_eval"
-        raise InvalidInput("the run's samples are too coarse", got=what, allowed=allowed, fix=fix)
+        what = f"{step:.3g} s apart; with every second one the motion differs by {error / max(most, 1e-300):.2g} of it"
+        allowed, fix = f"0.05 of it; {2.0 * STEP:g} s apart with obstacles", "Simulate with a finer t_eval"
+        raise InvalidInput("the samples of the run are too coarse", got=what, allowed=allowed, fix=fix)
     touch = float(run.t[count]) if count < run.t.size else None
     return Sideways(run, run.t[:count], angles, rates, touch, float(error))
 
