@@ -52,9 +52,8 @@ def simulate(
     as cast-interrupted.nc.
     """
     from hyperflex.model import Setup
-    from hyperflex.simulation import file_size
+    from hyperflex.simulation import file_size, refuse_rope
     from hyperflex.simulation import simulate as run
-    from hyperflex.simulation.out_of_plane import refuse_rope
 
     check_destination(out, ".nc", [setup])
     if horizon is not None:

@@ -14,7 +14,7 @@ from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, MotorLimits, Obstacle, Peg, Rope, divided
 from hyperflex.planning.clearance import gap_of, named
 from hyperflex.planning.options import Conditions, WindCriteria
-from hyperflex.simulation.out_of_plane import refuse_rope
+from hyperflex.simulation import refuse_rope
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s

@@ -56,9 +56,9 @@ class Sideways:
         doubt = "".join(f"; {each}" for each in (self.warning(), "joint limits are not seen") if each)
         return f"Sideways({self.t[0]:g} to {self.t[-1]:g} s, up to {most:.3g} mm out of the plane{ends}{doubt})"
 
-    def warning(self, scale: float = 1.0) -> str:
-        """Return that angles are too large for the first order, of so many times this motion; empty if not."""
-        most = math.degrees(abs(scale) * float(np.abs(self.angles).max()))
+    def warning(self) -> str:
+        """Return that angles are too large for the first order; empty if not."""
+        most = math.degrees(float(np.abs(self.angles).max()))
         return f"a link leans by {most:.3g} degrees: the first order is 17 % off at 5 and useless at 10" * (most > 5.0)
 
     @cached_property
