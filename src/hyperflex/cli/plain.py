@@ -21,13 +21,11 @@ if TYPE_CHECKING:
 
 Pixel = tuple[float, float] | None
 FORMAT = "hyperflex answers 1"
-_SHEET = (0.210, 0.297)  # m, sides of an A4 sheet
 CLICKED = 1.0  # px, standard deviation of a pixel that a person reads from a picture
 # Standard deviations of what the answers leave open, freed in the fit: scale, friction and drag as parts of themselves,
 # roll of a camera that is held level by eye, rad, readout of a phone's sensor, s. A wrong friction would else be taken
 # for a readout: both delay the free end
 _OPEN = {"scale": 0.02, "roll": 0.03, "readout": 0.01, "friction": 0.7, "drag": 0.3}
-_DRAG = 1.2  # drag coefficient of a cylinder across the wind
 
 QUESTIONS = (
     Question(
@@ -194,8 +192,9 @@ class PlainScene:
             scale = float(np.hypot(*np.subtract(numbers[:2], numbers[2:4]))) / numbers[4]
         elif len(numbers) == 8:
             corners = np.reshape(numbers, (4, 2))
+            sheet = 0.210 * 0.297  # m^2, A4
             sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
-            scale = float(np.sqrt((sides[0] + sides[2]) * (sides[1] + sides[3]) / (4.0 * np.prod(_SHEET))))
+            scale = float(np.sqrt((sides[0] + sides[2]) * (sides[1] + sides[3]) / (4.0 * sheet)))
         else:
             scale = self.found.length / self.length
         return Camera.facing((width, height), pixels_per_metre=scale, origin=self.answers["pivot"], **timing)
@@ -238,7 +237,11 @@ class PlainScene:
         density = usual.mass / usual.length if isinstance(mass, str) else mass[0] / self.length
         friction = BENDING * density / (usual.mass / usual.length) * usual.links / self.length
         radius = 0.5 * self.found.look.width / self.camera.pixels_per_metre
-        how: dict[str, Any] = {"radius": radius, "friction": friction, "drag_coefficient": _DRAG}
+        how: dict[str, Any] = {
+            "radius": radius,
+            "friction": friction,
+            "drag_coefficient": 1.2,
+        }  # as of a cylinder across the wind
         return Rope.uniform(self.length, density * self.length, usual.links, **how)
 
     @property

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from hyperflex.vision import Image
 
 Answer = str | list[float]  # a word, or numbers
-_POLL = 0.1  # s between two checks whether a question was answered in the page
-_MOST = 4096  # bytes of an answer
 
 
 class Way(NamedTuple):
@@ -149,7 +147,7 @@ class QuestionPage(LocalServer):
         from hyperflex.report import render
 
         size = request.headers.get("Content-Length", "")
-        if request.command == "POST" and not (size.isdecimal() and int(size) <= _MOST):
+        if request.command == "POST" and not (size.isdecimal() and int(size) <= 4096):
             request.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         elif request.path == "/":
             send(request, render("questions.html", room="hyperflex.cli"), "text/html")
@@ -192,13 +190,13 @@ def ask(dialogue: Dialogue, image: "Image") -> Mapping[str, Answer]:
                 ways = "".join(f"\n  {each.example}: {each.text}" for each in question.ways)
                 default = f"\n  [Enter: {question.default}]" if question.default else ""
                 output.note(f"{question.text} {question.cost}{ways}{default}")
-            time.sleep(_POLL)
-        time.sleep(5.0 * _POLL)  # in which the page gets to know that it is done
+            time.sleep(0.1)
+        time.sleep(0.5)  # in which the page gets to know that it is done
     return dialogue.answers
 
 
 def _typed(dialogue: Dialogue) -> None:
     """Take answers that are typed. The descriptor is read itself: a stream that waits would block the program's end."""
-    while dialogue.question is not None and (typed := os.read(sys.stdin.fileno(), _MOST)):
+    while dialogue.question is not None and (typed := os.read(sys.stdin.fileno(), 4096)):
         if wrong := dialogue.take(typed.decode(errors="replace")):
             output.note(wrong)

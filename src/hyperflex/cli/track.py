@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     )
     from hyperflex.vision import BarDetector, Frame, Image, MarkerColour, VideoWriter
 
-_TAPE = 0.1  # of a rope's length, by which it may have been measured wrong
 _SAME = 1e-6  # s, by which two times may differ
 _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame, from a camera and a file, after which an estimate is given anyway
 
@@ -251,7 +250,8 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tupl
     from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
 
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
-    longer = replace(task, parameters=[*task.parameters, EstimatedParameter("length", _TAPE)], tests=None)
+    # a tape may be wrong by a tenth
+    longer = replace(task, parameters=[*task.parameters, EstimatedParameter("length", 0.1)], tests=None)
     try:
         found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
     except BaseElsewhere:

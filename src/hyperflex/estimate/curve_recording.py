@@ -10,12 +10,10 @@ from hyperflex.estimate.observations import InputFrame, Observations
 from hyperflex.model import unit_across, unit_along
 from hyperflex.sensors import lever_arms
 
-COUNT = 12  # places along the rope: more hold no more of the waves that a curve of one frame shows
-BEND = 0.5  # rad, standard deviation of a joint's turn from the estimated one, over sqrt(n links): weak beside a curve
-ROUNDS = 3  # of Gauss-Newton steps, from the estimate: the third moves by a millionth of a pixel
 
-
-def curve_places(estimator: RopeFilter, seen: Sequence[Observations], states: Array) -> tuple[Array, Array, Array]:
+def curve_places(
+    estimator: RopeFilter, seen: Sequence[Observations], states: Array, *, count: int = 12, bend: float = 0.5
+) -> tuple[Array, Array, Array]:
     """Return where each frame alone shows the rope: arc lengths (M,), places and their errors (T, M, 2), m.
 
     Places are NaN where the rope is not seen; arc lengths are those of the filter's rope.
@@ -28,6 +26,10 @@ def curve_places(estimator: RopeFilter, seen: Sequence[Observations], states: Ar
         Points of the curve, px, each measured across the rope.
     states : (T, N) float64
         Estimates, with the final parameters.
+    count : int
+        M. More than 12 places hold no more of the waves that a curve of one frame shows.
+    bend : float
+        Standard deviation of a joint's turn from the estimated one, over sqrt(n links), rad: weak beside a curve.
 
     Notes
     -----
@@ -38,15 +40,15 @@ def curve_places(estimator: RopeFilter, seen: Sequence[Observations], states: Ar
     """
     model, n = estimator.model, estimator.n_links
     rope, parameters = estimator.process.rope, estimator.parameters
-    arcs = rope.total_length * (np.arange(COUNT) + 0.5) / COUNT
-    turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n) / BEND
+    arcs = rope.total_length * (np.arange(count) + 0.5) / count
+    turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n) / bend
     _, arms = lever_arms(rope, arcs)
     nearest = np.abs(np.subtract.outer(arcs, model.arc_lengths)).argmin(axis=1)
-    places, std = np.full((2, len(seen), COUNT, 2), np.nan)
+    places, std = np.full((2, len(seen), count, 2), np.nan)
     for k, (frame, state) in enumerate(zip(seen, states, strict=True)):
         x, given = state.copy(), InputFrame(frame, frame.seen, 1.0)
         base, length = estimator.process.base(frame.t, x), 1.0 + parameters.value("length", x[2 * n :])
-        for _ in range(ROUNDS):
+        for _ in range(3):  # Gauss-Newton steps: the third moves by a millionth of a pixel
             off, slope = given.residuals(*model.predict(x, base, frame.rows))
             rows = np.concatenate([slope[:, :n], turn])
             right = np.concatenate([off, turn @ (state[:n] - x[:n])])

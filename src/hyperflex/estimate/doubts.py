@@ -14,9 +14,7 @@ LARGE = 2.0  # errors over those of detection from which the set-up is doubted
 DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted
 SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: three times a detection error
 ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
-ENDLESS = 0.3  # part of the time; if the free end of a bare rope is seen less, it may be elsewhere
 MOVED = 0.02  # of the rope's length, rms, from which a first joint moves
-SURE = 3.0  # standard deviations of an estimate that a doubt leaves to chance
 LONGER = 0.03  # of the rope's length, from which an estimated one contradicts it: a tape errs by a tenth of that
 
 
@@ -101,9 +99,9 @@ def doubts(
         if moved >= MOVED * rope.total_length:
             return [Doubt(DoubtKind.BASE_MOVES, moved)]
         found.append(Doubt(DoubtKind.BASE_ELSEWHERE, float(np.linalg.norm(base.mean(axis=0)))))
-    if end < ENDLESS:
+    if end < 0.3:  # of the frames: else it may be elsewhere
         found.append(Doubt(DoubtKind.END, end))
-    if abs(longer[0]) - SURE * longer[1] >= LONGER:
+    if abs(longer[0]) - 3.0 * longer[1] >= LONGER:  # three standard deviations are left to chance
         found.append(Doubt(DoubtKind.LENGTH, longer[0]))
     if shift >= SHAKING:
         found.append(Doubt(DoubtKind.SHAKE, shift))

@@ -233,8 +233,11 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     notes += [
         f"the marker at {arc:g} m was seen in only {100.0 * part:.2g} % of the frames: check its arc length and colour"
         for arc, part in zip(arcs, seen.mean(axis=0), strict=True)
-        if 0.0 < part < SELDOM
+        if 0.0 < part < SELDOM and not curve
     ]
+    if curve and (rare := arcs[seen.mean(axis=0) < SELDOM]).size:
+        where = ",".join(f"{each:.3g}" for each in rare)
+        notes.append(f"the rope at {where} m was seen in less than {SELDOM:.0%} of the frames: check what hides it")
     rope = {name: each for name, each in estimates.items() if name.startswith(("length", "arc[")) and prior[name]}
     if rope:
         stretch = f"lengths in the rope's file times {1.0 + rope['length'][0]:.5g}, " if "length" in rope else ""

@@ -14,7 +14,7 @@ from hyperflex.vision.video import Image
 
 LEAST_CHROMA = 35.0  # levels: a colour with less counts as grey
 _LEAST_CONTRAST = 30.0  # levels between marker and surroundings
-_NOISE = 1.5  # levels, least noise of a channel
+NOISE = 1.5  # levels, least noise of a channel
 _TOLERANCE = 28.0  # levels by which pixels of a clicked marker may differ from the clicked one
 _SIGMAS, _LEAST_SHARE = 4.5, 0.06  # threshold of a pixel's share: times its noise, and at least
 # two directions across grey: shade, shadow and grey ropes do not change them
@@ -187,7 +187,7 @@ class MarkerColour:
             of the share of a pixel where no marker is.
         """
         share, table = np.empty(4), np.empty((blobs.LARGEST, blobs.COLUMNS + 1))
-        contrast = np.array([0.5 * _LEAST_CONTRAST, _NOISE])
+        contrast = np.array([0.5 * _LEAST_CONTRAST, NOISE])
         noise = float(discriminant(region, self.axes, self.axes @ self.bgr, contrast, share))
         if noise == 0.0:  # nothing can be detected here
             return table[:0]

@@ -10,8 +10,6 @@ from hyperflex.core.image import profiles
 from hyperflex.vision.look import RopeLook
 from hyperflex.vision.video import Image
 
-STEP = 0.5  # px between samples of a profile
-
 
 class CurveView(NamedTuple):
     """Where a rope is expected in a picture: K pieces of it, each crossed by M lines, and its free end.
@@ -150,6 +148,7 @@ class CurveDetector:
     rope is as bent as its expected covariance allows, and hidden pieces are neighbours of hidden ones.
     """
 
+    STEP = 0.5  # px between samples of a profile
     CANDIDATES = 4
     GATE = 4.0  # standard deviations of an offset
     DOUBT = 2.0  # px, standard deviation of an expected place in addition to what the estimator states
@@ -169,9 +168,9 @@ class CurveDetector:
         reach = np.minimum(self.GATE * np.sqrt(np.diag(prior)), self.WIDEST)
         inner = reach + half_sweep(view.sweeps) + 0.5 * look.width + 3.0 * self.blur
         far = inner + profiles.MARGIN + 2.0
-        seen = np.empty((len(reach), 2 * int(far.max() / STEP) + 1, 3))
-        profiles.sample_lines(image, view.points, view.normals, STEP, far, seen)
-        across = STEP * (np.arange(seen.shape[1]) - 0.5 * (seen.shape[1] - 1))
+        seen = np.empty((len(reach), 2 * int(far.max() / self.STEP) + 1, 3))
+        profiles.sample_lines(image, view.points, view.normals, self.STEP, far, seen)
+        across = self.STEP * (np.arange(seen.shape[1]) - 0.5 * (seen.shape[1] - 1))
         outside = (np.abs(across) > inner[:, None]) & np.isfinite(seen[:, :, 0])
         beyond = ~outside.any(axis=1)  # of the picture
         seen[beyond], outside[beyond] = 0.0, True
@@ -179,14 +178,14 @@ class CurveDetector:
             walls = np.nanmedian(np.where(outside[:, :, None], seen, np.nan), axis=1, keepdims=True)
         else:
             walls = np.empty_like(seen)
-            profiles.sample_lines(look.background, view.points, view.normals, STEP, far, walls)
+            profiles.sample_lines(look.background, view.points, view.normals, self.STEP, far, walls)
             walls[beyond] = 0.0
         contrast = look.bgr - np.nanmean(walls, axis=1)
         weights = contrast / np.maximum((contrast**2).sum(axis=1, keepdims=True), 1.0)
         shares = np.einsum("kxc,kc->kx", seen - walls, weights)
         found = np.empty((len(reach), self.CANDIDATES, profiles.COLUMNS))
         widths = np.full(len(reach), look.width)
-        profiles.match_lines(shares, view.sweeps, widths, self.blur, STEP, reach, found)
+        profiles.match_lines(shares, view.sweeps, widths, self.blur, self.STEP, reach, found)
         offsets, ratios, variances = self._rated(found)
         variances += self.ALIKE * (self.LEAST_STD**2 + view.sagittas[:, None] ** 2)
         chances = marginals(offsets, ratios, variances, prior, self.HIDDEN)
@@ -204,7 +203,7 @@ class CurveDetector:
         """Return offsets of candidates (K, C), px, log-likelihood ratios to nothing, and variances, px^2."""
         best = found[:, 0, profiles.RESIDUAL]
         common = np.nanmedian(best) if np.isfinite(best).any() else 1.0
-        noise = np.maximum(found[:, :, profiles.RESIDUAL], common) / STEP  # samples are correlated
+        noise = np.maximum(found[:, :, profiles.RESIDUAL], common) / self.STEP  # samples are correlated
         contrast = found[:, :, profiles.AMPLITUDE]
         with np.errstate(invalid="ignore", divide="ignore"):
             unlike = (contrast - 1.0) ** 2 / (self.CONTRAST_STD**2 + noise / found[:, :, profiles.CERTAINTY])
@@ -219,10 +218,10 @@ class CurveDetector:
         half = reach + float(half_sweep(view.end_sweep)) + 3.0 * self.blur + profiles.MARGIN + 2.0
         side = float(half_sweep(view.sweeps[-1])) + 0.5 * look.width + 3.0 * self.blur
         along = view.end_tangent
-        seen, found = np.empty((2 * int(half / STEP) + 1, 3)), np.empty(profiles.COLUMNS)
-        profiles.sum_across(image, view.end + offset * np.array([-along[1], along[0]]), along, STEP, side, seen)
-        profiles.match_end(seen @ weights, view.end_sweep, self.blur, STEP, reach, found)
-        noise, contrast = found[profiles.RESIDUAL] / STEP, found[profiles.AMPLITUDE] / look.width
+        seen, found = np.empty((2 * int(half / self.STEP) + 1, 3)), np.empty(profiles.COLUMNS)
+        profiles.sum_across(image, view.end + offset * np.array([-along[1], along[0]]), along, self.STEP, side, seen)
+        profiles.match_end(seen @ weights, view.end_sweep, self.blur, self.STEP, reach, found)
+        noise, contrast = found[profiles.RESIDUAL] / self.STEP, found[profiles.AMPLITUDE] / look.width
         if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 2.0 * self.CONTRAST_STD):
             return np.nan, np.nan
         variance = noise / (found[profiles.AMPLITUDE] ** 2 * found[profiles.ENERGY])

@@ -15,10 +15,7 @@ from hyperflex.vision.ridges import Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
-SLENDER = 15.0  # widths that a rope is long at least
-FADED = 0.15  # share of a pixel at the free end: a fainter one is lost in noise
 UNCLEAR = 0.05  # part of a path's evidence that may lie beyond the rope's end
-MISFIT = 0.1  # by which the length of a curve may differ from the rope's
 
 
 class Reason(StrEnum):
@@ -90,6 +87,7 @@ def find_rope(
     *,
     look: RopeLook | None = None,
     length: float | None = None,
+    tolerance: float = 0.1,
     width: float | None = None,
     radius: float = CLICKED,
 ) -> FoundRope:
@@ -103,7 +101,9 @@ def find_rope(
     look : RopeLook, optional
         If it is known; else a path keeps its own contrast.
     length : float, optional
-        Of the rope, px, if it is known: a curve whose length differs by more than 10 % is refused.
+        Of the rope, px, if it is known: a curve of another length is refused.
+    tolerance : float
+        By which the length of a curve may differ from the rope's, as a part of it.
     width : float, optional
         Of the rope at rest, px, if it is known.
     radius : float
@@ -134,17 +134,15 @@ def find_rope(
     last = np.array(image.shape[1::-1]) - 1.0
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
-    fits = length is None or abs(found.length / length - 1.0) <= MISFIT
-    if end < (FADED if fits else 0.5):
+    fits = length is None or abs(found.length / length - 1.0) <= tolerance
+    if end < (0.15 if fits else 0.5):  # of a pixel: a fainter free end is lost in noise
         raise NoRope(Reason.BLURRED, round(end, 2), "a larger part of its contrast where it ends")
     beyond = float(paths[0].scores[-1] - paths[0].scores[np.linalg.norm(paths[0].places - curve[-1], axis=1).argmin()])
     if length is None and beyond > UNCLEAR * paths[0].scores[-1]:
         got = f"{100.0 * beyond / paths[0].scores[-1]:.0f} % of the evidence beyond {np.round(curve[-1]).tolist()} px"
         raise NoRope(Reason.END, got, f"at most {100.0 * UNCLEAR:g} %")
     if not fits:
-        raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{length:.0f} px within {100.0 * MISFIT:g} %")
-    if found.length < SLENDER * look.width:
-        raise NoRope(Reason.NOTHING, f"{found.length:.0f} px", f"{SLENDER:g} times the width, {look.width:.1f} px")
+        raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{length:.0f} px within {100.0 * tolerance:g} %")
     return found
 
 

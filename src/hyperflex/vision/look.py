@@ -10,17 +10,11 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.vision.ridges import Ridges
+from hyperflex.vision.colour import NOISE
+from hyperflex.vision.ridges import BLUR, Ridges
 from hyperflex.vision.video import Image
 
-_BLUR = 14.0  # px to both sides of a rope, which blur may reach
 CLICKED = 6.0  # px that a click may be off
-SHARPNESS = 0.6  # px, standard deviation of the picture of a point: lens, pixel and compression
-_NOISE = 1.5  # levels, least noise of a channel
-_SPARSE = 16  # px between the pixels by which the light of two pictures is compared
-_CLEAR = 3.0  # least contrast of a rope, standard deviations of the wall
-_TILES, _TEXTURE = 4, 4.0  # each way, of a picture; least standard deviation of one by which movement is seen, levels
-_STILL = 0.5  # px that the picture of a camera that stands still may move
 
 
 class Shares(NamedTuple):
@@ -118,14 +112,14 @@ class RopeLook:
         _, found, bgr = min(fits, key=lambda fit: fit[0])
         contrast = bgr - wall.mean(axis=1)
         clear = float(np.median(np.einsum("ki,kij,kj->k", contrast, np.linalg.inv(off), contrast) ** 0.5))
-        if clear < _CLEAR:
+        if clear < 3.0:
             raise InvalidInput(
                 "the rope does not stand out against the wall: contrast in standard deviations of the wall",
                 got=round(clear, 1),
-                allowed=f"at least {_CLEAR:g}",
+                allowed="at least 3",
                 fix="Take another wall or more light, or put markers on the rope",
             )
-        return cls(np.clip(bgr, 0.0, 255.0), float(found), light=image[::_SPARSE, ::_SPARSE].copy())
+        return cls(np.clip(bgr, 0.0, 255.0), float(found), light=_sparse(image))
 
     @classmethod
     def from_click(cls, image: Image, place: npt.ArrayLike, width: float | None = None) -> "RopeLook":
@@ -162,14 +156,14 @@ class RopeLook:
 
     def in_light_of(self, image: Image) -> "RopeLook":
         """Return this look in the light of another picture by the same camera: exposure, white balance, dusk."""
-        now = image[::_SPARSE, ::_SPARSE]
+        now = _sparse(image)
         if self.light is None or self.light.shape != now.shape:
-            return replace(self, light=now.copy())
+            return replace(self, light=now)
         gain = _gain_between(self.light, now)
         background = self.background
         if background is not None:
             background = np.clip(np.rint(background * gain), 0, 255).astype(np.uint8)
-        return replace(self, bgr=np.clip(self.bgr * gain, 0.0, 255.0), background=background, light=now.copy())
+        return replace(self, bgr=np.clip(self.bgr * gain, 0.0, 255.0), background=background, light=now)
 
     def learned(self, image: Image, curve: Array, rate: float = 0.1) -> "RopeLook":
         """Return this look, its colour moved by a share `rate` towards that of the rope along a curve (P, 2), px."""
@@ -194,16 +188,14 @@ def still_background(frames: Iterable[Image]) -> Image:
     if len(pictures) < 3:
         raise InvalidInput("too few frames for a background", got=len(pictures), allowed="3 or more")
     moved = max(_movement(pictures[0], each) for each in pictures[1:])
-    if moved > _STILL:
+    if moved > 0.5:
         raise InvalidInput(
             "the camera moves: movement of the picture in px",
             got=round(moved, 1),
-            allowed=f"at most {_STILL:g}",
+            allowed="at most 0.5",
             fix="Put the camera on a stand, or track without a background",
         )
-    light = np.stack(
-        [_gain_between(pictures[0][::_SPARSE, ::_SPARSE], each[::_SPARSE, ::_SPARSE]) for each in pictures]
-    )
+    light = np.stack([_gain_between(_sparse(pictures[0]), _sparse(each)) for each in pictures])
     stack = np.stack(pictures)
     result = np.empty_like(pictures[0])
     for row, part in enumerate(stack.transpose(1, 0, 2, 3)):  # a row at a time: little memory
@@ -263,7 +255,7 @@ def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[A
             last = curve[-1] - curve[-min(12, len(curve))]
             ahead = curve[-1] + np.arange(1.0, extend)[:, None] * last / max(float(np.hypot(*last)), 1e-9)
             curve = np.concatenate([curve, ahead])
-        narrow, wide = (_covered(image, curve, look, *sides) for sides in ((2.0, 6.0), (_BLUR, _BLUR + 4.0)))
+        narrow, wide = (_covered(image, curve, look, *sides) for sides in ((2.0, 6.0), (BLUR, BLUR + 4.0)))
         near, far = (median_filter(each.mass, 61, mode="nearest") for each in (narrow, wide))  # px: blur varies slowly
         blurred = (near < 0.8) & (np.abs(far - 1.0) < 0.2) & (extend > 0.0)  # more than a rope: a shadow is in it
         mass, peak, aside = (np.where(blurred, *pair) for pair in zip(wide, narrow, strict=True))
@@ -289,8 +281,11 @@ def at_parts(curve: Array, parts: Array) -> Array:
     return np.stack([np.interp(parts * arcs[-1], arcs, each) for each in curve.T], axis=1)
 
 
-def profile(across: Array, width: float, blur: float = SHARPNESS) -> Array:
-    """Return which share of points (M,) across a rope, px from its middle, it covers, with a blur (std), px."""
+def profile(across: Array, width: float, blur: float = 0.6) -> Array:
+    """Return which share of points (M,) across a rope, px from its middle, it covers.
+
+    With the standard deviation `blur`, px, of the picture of a point: lens, pixel and compression.
+    """
     from scipy.special import erf
 
     edges = (across[:, None] + 0.5 * width * np.array([1.0, -1.0])) / (np.sqrt(2.0) * blur)
@@ -330,21 +325,26 @@ def _covariance(off: Array, outside: npt.NDArray[np.bool_]) -> Array:
     used = size <= 4.0 * _median(size, outside)[:, None]
     off = np.where(used, off, 0.0)
     total = np.einsum("kmi,kmj->kij", off, off) / np.maximum(used.sum(axis=1), 1)[:, :, None]
-    return np.asarray(total + _NOISE**2 * np.eye(3))
+    return np.asarray(total + NOISE**2 * np.eye(3))
 
 
-def _movement(before: Image, after: Image) -> float:
-    """Return by how much most of a picture moves, px; tiles without texture count as still."""
+def _movement(before: Image, after: Image, tiles: int = 4) -> float:
+    """Return by how much most of `tiles` by `tiles` parts of a picture move, px; those without texture are still."""
     import cv2
 
     grey = [cv2.cvtColor(each, cv2.COLOR_BGR2GRAY).astype(np.float32) for each in (before, after)]
-    height, width = (side // _TILES for side in grey[0].shape)
+    height, width = (side // tiles for side in grey[0].shape)
     window = cv2.createHanningWindow((width, height), cv2.CV_32F)
-    corners = [(v * height, u * width) for v in range(_TILES) for u in range(_TILES)]
-    tiles = [[each[v : v + height, u : u + width] for each in grey] for v, u in corners]
-    textured = [cv2.GaussianBlur(one, (0, 0), 2.0).std() > _TEXTURE for one, _ in tiles]
-    found = [np.hypot(*cv2.phaseCorrelate(one, other, window)[0]) for one, other in tiles]
+    corners = [(v * height, u * width) for v in range(tiles) for u in range(tiles)]
+    parts = [[each[v : v + height, u : u + width] for each in grey] for v, u in corners]
+    textured = [cv2.GaussianBlur(one, (0, 0), 2.0).std() > 4.0 for one, _ in parts]  # levels
+    found = [np.hypot(*cv2.phaseCorrelate(one, other, window)[0]) for one, other in parts]
     return float(np.median(np.where(textured, found, 0.0)))
+
+
+def _sparse(image: Image) -> Image:
+    """Return the pixels, 16 apart, by which the light of two pictures is compared."""
+    return image[::16, ::16].copy()
 
 
 def _gain_between(before: Image, after: Image) -> Array:

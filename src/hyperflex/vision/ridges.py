@@ -11,25 +11,36 @@ from hyperflex.vision.video import Image
 
 ORIENTATIONS = 12  # of the filters, equally spaced over half a turn
 STEP = 4.0  # px of the working picture, of a path
-_WORKING = 1280  # px, the longest side of the working picture
-_REACHES, _MARGIN = (2, 4), 8  # px: a filter's places along the ridge are 2 and 6 px to both sides
-_LEVELS = 5  # of the pyramid: ropes are 1 to 50 px wide in the working picture
-_NEIGHBOURHOOD = 64  # px, in which texture is averaged
+_NEIGHBOURHOOD = 64  # px, in which texture is averaged; so the pyramid has five levels: ropes are 1 to 50 px wide
 _TURNS = np.radians([-30.0, -20.0, -11.0, -5.0, 0.0, 5.0, 11.0, 20.0, 30.0])  # in a step
 _STIFFNESS, _JERK = (
     0.1 / np.radians(10.0) ** 2,
     0.3 / np.radians(10.0) ** 2,
 )  # score for a turn, and its change, squared
-_GROWTH = 0.5  # score that another size than the path's costs, in powers of two, squared
-_SURE = 0.7  # part of what exceeds 1.5 orders that does not count: a stronger ridge is no likelier a rope
 _WALL = 0.5  # evidence of a step from which it counts for a rope, not for a wall
-_BEAM = 500  # paths that are followed
-_PATIENCE = 12.0  # score that a path may lose before it ends: some 20 steps over a wall
-_ALIKE = 0.4  # of the usual contrast: with less a wall is like the rope
-_BLURRED = 57  # px, twice the width of a blurred rope
-_FAINT = 0.1  # share of a rope, of which less is nothing
-_MEMORY = 0.1  # weight of a step in the mean contrast of a path
-_OTHER = 0.4  # weight of a response in other colours than the path's
+BLUR = 14  # px to both sides of a rope, which blur may reach
+
+
+@dataclass(frozen=True)
+class Search:
+    """How paths are searched.
+
+    Parameters
+    ----------
+    working : int
+        Longest side of the working picture, px.
+    beam : int
+        Paths that are followed.
+    patience : float
+        Score that a path may lose before it ends: some 20 steps over a wall.
+    growth : float
+        Score that another size than the path's costs, in powers of two, squared.
+    """
+
+    working: int = 1280
+    beam: int = 500
+    patience: float = 12.0
+    growth: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +79,14 @@ class Mixture:
     def __init__(self, image: Image, bgr: Array, width: float) -> None:
         import cv2
 
-        side = 2 * round(1.5 * width) + _BLURRED
+        side = 2 * round(1.5 * width) + 4 * BLUR + 1
         wall = cv2.medianBlur(image, side).astype(np.float32)
         off, contrast = cv2.GaussianBlur(image, (3, 3), 0) - wall, bgr.astype(np.float32) - wall
-        self._size = np.maximum(np.linalg.norm(contrast, axis=2), 1.0)
-        share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / self._size**2, 0.0, 1.2)
-        self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / self._size
+        size = np.maximum(np.linalg.norm(contrast, axis=2), 1.0)
+        share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / size**2, 0.0, 1.2)
+        self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / size
         self._share = cv2.dilate(share, np.ones((3, 3), np.uint8))
-        self._usual, self._contrast = 0.2, float(np.median(self._size))
+        self._usual = 0.2
 
     def _at(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         u, v = (np.clip(np.rint(places[:, k]).astype(int), 0, self._share.shape[1 - k] - 1) for k in range(2))
@@ -85,9 +96,8 @@ class Mixture:
         """Learn from the middle of a rope (P, 2), px, how much its own texture deviates."""
         where = self._at(curve)
         self._usual = max(0.1, float(np.median(self._residual[where])))
-        self._contrast = float(np.median(self._size[where]))
 
-    def compare(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    def compare(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Compare places with the rope.
 
         Parameters
@@ -101,12 +111,10 @@ class Mixture:
             Evidence against a rope: another colour than a mixture's.
         (N,) bool
             Where nothing of it is seen.
-        (N,) bool
-            Where none could be seen: the wall is like it.
         """
         where = self._at(places)
         doubt = np.clip(0.25 * ((self._residual[where] / self._usual) ** 2 - 2.0), 0.0, 3.0)
-        return doubt, self._share[where] < _FAINT, self._size[where] < _ALIKE * self._contrast
+        return doubt, self._share[where] < 0.1
 
 
 class Ridges:
@@ -115,6 +123,7 @@ class Ridges:
     Parameters
     ----------
     image : (height, width, 3) uint8
+    search : Search, optional
 
     Notes
     -----
@@ -123,19 +132,18 @@ class Ridges:
     neighbourhood responds (texture). Pictures are made smaller to at most 1280 px first.
     """
 
-    def __init__(self, image: Image) -> None:
+    def __init__(self, image: Image, search: Search | None = None) -> None:
         import cv2
 
-        self.shrink = min(1.0, _WORKING / max(image.shape[:2]))
+        self.search = search or Search()
+        self.shrink = min(1.0, self.search.working / max(image.shape[:2]))
         size = tuple(round(side * self.shrink) for side in image.shape[1::-1])
         level = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         self.size = size
-        self._levels = []
-        for _ in range(_LEVELS):
-            self._levels.append(_responses(level))
-            if min(level.shape[:2]) < 2 * _NEIGHBOURHOOD:
-                break
+        self._levels = [_responses(level)]
+        while min(level.shape[:2]) >= 2 * _NEIGHBOURHOOD:
             level = cv2.pyrDown(level)
+            self._levels.append(_responses(level))
 
     def at(self, places: Array, directions: Array, sizes: Array | None = None) -> tuple[Array, npt.NDArray[np.intp]]:
         """Return the strongest responses at places in directions, and their sizes.
@@ -179,9 +187,12 @@ class Ridges:
         return float(np.quantile(np.linalg.norm(found, axis=1), 0.9))
 
     def evidence(self, power: Array) -> Array:
-        """Return how many decimal orders a response, squared, is stronger than a wall's; -1 to 4."""
+        """Return how many decimal orders a response, squared, is stronger than a wall's; -1 to 2.25.
+
+        Of more than 1.5, only 0.3 times the rest counts: a stronger ridge is hardly likelier a rope.
+        """
         orders = np.log10(np.clip(power / self._strong**2, 0.1, 1e4))
-        return np.asarray(orders - _SURE * np.maximum(orders - 1.5, 0.0))
+        return np.asarray(orders - 0.7 * np.maximum(orders - 1.5, 0.0))
 
     def paths(self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None) -> list[Path]:
         """Return paths from a disc, the best first; many differ little.
@@ -220,22 +231,19 @@ class Ridges:
             like = np.maximum(np.einsum("nkc,nc->nk", seen[:, :, :3], usual), 0.0)
             power = np.square(seen[:, :, :3]).sum(axis=2)
             known = mean[:, :3].any(axis=1, keepdims=True)
-            same = like**2 + _OTHER**2 * np.maximum(power - like**2, 0.0)
-            gained = self.evidence(np.where(known, same, power)) - _WALL
+            gained = self.evidence(np.where(known, like**2, power)) - _WALL
             if rope is not None:
-                doubt, bare, alike = (
-                    each.reshape(gained.shape) for each in rope.compare((where / self.shrink).reshape(-1, 2))
-                )
+                compared = rope.compare((where / self.shrink).reshape(-1, 2))
+                doubt, bare = (each.reshape(gained.shape) for each in compared)
                 gained = np.where(bare, np.minimum(gained, -_WALL), gained) - doubt
-                gained = np.where(alike, np.maximum(gained, -0.2 * _WALL), gained)
             gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
-            gained -= _GROWTH * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
+            gained -= self.search.growth * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
             outside = ((ahead < 0.0) | (ahead > np.array(self.size) - 1.0)).any(axis=2)
-            total[outside | (total < peak[:, None] - _PATIENCE)] = -np.inf
+            total[outside | (total < peak[:, None] - self.search.patience)] = -np.inf
             done = np.isneginf(total).all(axis=1)
             ended += self._cut(history[done], scores[done])
-            row, turn = _best_of_cells(ahead, heading, total)
+            row, turn = _best_of_cells(ahead, heading, total, self.search.beam)
             kept = _apart(history[row], ahead[row, turn], heading[row, turn])
             row, turn = row[kept], turn[kept]
             if not row.size:
@@ -244,7 +252,7 @@ class Ridges:
             peak = np.maximum(peak[row], score)
             history = np.column_stack([history[row], (place @ [1.0, 1.0j]).astype(np.complex64)])
             scores = np.column_stack([scores[row], score])
-            rate = max(_MEMORY, 1.0 / (step + 1)) * (gained[row, turn, None] > 0.0 if step else 1.0)
+            rate = 1.0 / min(step + 1, 10) * (gained[row, turn, None] > 0.0 if step else 1.0)
             mean = mean[row] + rate * (seen[row, turn] - mean[row])
         else:
             ended += self._cut(history, scores)
@@ -261,7 +269,8 @@ def _responses(level: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float16],
     """Return the whitened responses (ORIENTATIONS, h, w, 3) of a picture (h, w, 3), and how textured it is (h, w)."""
     import cv2
 
-    padded = cv2.copyMakeBorder(level, *(_MARGIN,) * 4, cv2.BORDER_REFLECT)
+    reaches = 2, 4  # px: a filter's places along the ridge are 2 and 6 px to both sides
+    padded = cv2.copyMakeBorder(level, *(sum(reaches),) * 4, cv2.BORDER_REFLECT)
     x = np.arange(-4.0, 5.0)
     smooth = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
     xx, xy, yy = (
@@ -278,7 +287,7 @@ def _responses(level: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float16],
     for k, angle in enumerate(np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS):
         c, s = np.float32(np.cos(angle)), np.float32(np.sin(angle))
         one = s * s * xx - 2.0 * s * c * xy + c * c * yy
-        for reach in _REACHES:
+        for reach in reaches:
             du, dv = round(reach * float(c)), round(reach * float(s))
             one = _shifted(one, du, dv) + _shifted(one, -du, -dv)
         edge = [(side - size) // 2 for side, size in zip(one.shape, level.shape, strict=True)]
@@ -295,15 +304,17 @@ def _shifted(picture: npt.NDArray[np.float32], du: int, dv: int) -> npt.NDArray[
     return picture[a + dv : height - a + dv, b + du : width - b + du]
 
 
-def _best_of_cells(ahead: Array, heading: Array, total: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return rows and columns of the best candidates, one in each cell of places and directions."""
+def _best_of_cells(
+    ahead: Array, heading: Array, total: Array, most: int
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return rows and columns of the best candidates, `most`, one in each cell of places and directions."""
     order = np.argsort(-total, axis=None, kind="stable")
     order = order[np.isfinite(total.ravel()[order])]
     row, turn = np.divmod(order, total.shape[1])
     cells = np.rint(ahead[row, turn] / 2.0).astype(np.int64)
     angle = np.rint(heading[row, turn] / np.pi * ORIENTATIONS).astype(np.int64) % (2 * ORIENTATIONS)
     key = (cells[:, 0] * 65536 + cells[:, 1]) * 64 + angle
-    first = np.sort(np.unique(key, return_index=True)[1])[:_BEAM]
+    first = np.sort(np.unique(key, return_index=True)[1])[:most]
     return row[first], turn[first]
 
 

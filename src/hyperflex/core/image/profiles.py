@@ -6,8 +6,7 @@ import numpy as np
 
 from hyperflex.core.jit import kernel
 
-OFFSET, GAIN, ENERGY, AMPLITUDE, CERTAINTY, RESIDUAL = range(6)  # columns of candidates
-COLUMNS = RESIDUAL + 1
+OFFSET, GAIN, ENERGY, AMPLITUDE, CERTAINTY, RESIDUAL, COLUMNS = range(7)  # columns of candidates, and their number
 MARGIN = 4.0  # px of background on both sides of the rope, to which it is compared
 
 

@@ -216,9 +216,6 @@ def _spots(tracker: RopeTracker, image: Image, tracked: TrackedFrame) -> Array:
     return np.asarray(places[np.isfinite(places).all(axis=1)])
 
 
-_POLL = 0.005  # s between two checks while waiting
-
-
 class CameraStateSource:
     """The state of a rope that a camera sees, for a controller (a :class:`hyperflex.interfaces.StateSource`).
 
@@ -312,7 +309,7 @@ class CameraStateSource:
                     f"The rope was not found within {timeout:g} s ({frames}). "
                     "Check the markers' colour, their arc lengths and the camera."
                 )
-            time.sleep(_POLL)
+            time.sleep(0.005)
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the state at time t, s, with its covariance, from the frames until now.
