@@ -35,12 +35,15 @@ class Search:
         Score that a path may lose before it ends: some 20 steps over a wall.
     growth : float
         Score that another size than the path's costs, in powers of two, squared.
+    other : float
+        Weight of a response in other colours than the path's.
     """
 
     working: int = 1280
     beam: int = 500
     patience: float = 12.0
     growth: float = 0.5
+    other: float = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +85,11 @@ class Mixture:
         side = 2 * round(1.5 * width) + 4 * BLUR + 1
         wall = cv2.medianBlur(image, side).astype(np.float32)
         off, contrast = cv2.GaussianBlur(image, (3, 3), 0) - wall, bgr.astype(np.float32) - wall
-        size = np.maximum(np.linalg.norm(contrast, axis=2), 1.0)
-        share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / size**2, 0.0, 1.2)
-        self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / size
+        self._size = np.maximum(np.linalg.norm(contrast, axis=2), 1.0)
+        share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / self._size**2, 0.0, 1.2)
+        self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / self._size
         self._share = cv2.dilate(share, np.ones((3, 3), np.uint8))
-        self._usual = 0.2
+        self._usual, self._contrast = 0.2, float(np.median(self._size))
 
     def _at(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         u, v = (np.clip(np.rint(places[:, k]).astype(int), 0, self._share.shape[1 - k] - 1) for k in range(2))
@@ -96,8 +99,9 @@ class Mixture:
         """Learn from the middle of a rope (P, 2), px, how much its own texture deviates."""
         where = self._at(curve)
         self._usual = max(0.1, float(np.median(self._residual[where])))
+        self._contrast = float(np.median(self._size[where]))
 
-    def compare(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def compare(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Compare places with the rope.
 
         Parameters
@@ -111,10 +115,12 @@ class Mixture:
             Evidence against a rope: another colour than a mixture's.
         (N,) bool
             Where nothing of it is seen.
+        (N,) bool
+            Where none could be seen: the wall is like it.
         """
         where = self._at(places)
         doubt = np.clip(0.25 * ((self._residual[where] / self._usual) ** 2 - 2.0), 0.0, 3.0)
-        return doubt, self._share[where] < 0.1
+        return doubt, self._share[where] < 0.1, self._size[where] < 0.4 * self._contrast
 
 
 class Ridges:
@@ -231,11 +237,13 @@ class Ridges:
             like = np.maximum(np.einsum("nkc,nc->nk", seen[:, :, :3], usual), 0.0)
             power = np.square(seen[:, :, :3]).sum(axis=2)
             known = mean[:, :3].any(axis=1, keepdims=True)
-            gained = self.evidence(np.where(known, like**2, power)) - _WALL
+            same = like**2 + self.search.other**2 * np.maximum(power - like**2, 0.0)
+            gained = self.evidence(np.where(known, same, power)) - _WALL
             if rope is not None:
                 compared = rope.compare((where / self.shrink).reshape(-1, 2))
-                doubt, bare = (each.reshape(gained.shape) for each in compared)
+                doubt, bare, alike = (each.reshape(gained.shape) for each in compared)
                 gained = np.where(bare, np.minimum(gained, -_WALL), gained) - doubt
+                gained = np.where(alike, np.maximum(gained, -0.2 * _WALL), gained)
             gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
             gained -= self.search.growth * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
@@ -269,8 +277,8 @@ def _responses(level: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float16],
     """Return the whitened responses (ORIENTATIONS, h, w, 3) of a picture (h, w, 3), and how textured it is (h, w)."""
     import cv2
 
-    reaches = 2, 4  # px: a filter's places along the ridge are 2 and 6 px to both sides
-    padded = cv2.copyMakeBorder(level, *(sum(reaches),) * 4, cv2.BORDER_REFLECT)
+    reaches, margin = (2, 4), 8  # px: a filter's places along the ridge are 2 and 6 px to both sides
+    padded = cv2.copyMakeBorder(level, *(margin,) * 4, cv2.BORDER_REFLECT)
     x = np.arange(-4.0, 5.0)
     smooth = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
     xx, xy, yy = (
