@@ -200,6 +200,11 @@ def test_textures_are_as_strong_as_declared_and_stay():
     assert along.std() / along.mean() == pytest.approx(0.2, rel=0.4)  # 12 pieces
 
 
+def test_without_a_rope_the_wall_is_seen():
+    scene = replace(PLAIN, rope_width=0.0, rope_texture=0.2, shine=150.0, shadow=(0.1, 0.0, 0.3))
+    assert np.ptp(Renderer(camera(), sliding((0.0, 0.0)), scene).image(0.0), axis=(0, 1)).max() == 0
+
+
 def test_an_automatic_exposure_steps():
     scene = replace(PLAIN, exposure_steps=((0.5, 0.7), (1.0, 1.2)))
     renderer = Renderer(camera(), sliding((0.0, 0.0)), scene)

@@ -402,6 +402,8 @@ class Renderer:
     def _rope(self) -> list[_Layer]:
         """Return the rope, in pieces of different brightness, and the highlight along it."""
         scene, joints = self.scene, self.motion.joint_arc_lengths
+        if scene.rope_width == 0.0:
+            return []
         links, arcs = np.stack([joints[:-1], joints[1:]], axis=1), joints
         if scene.rope_texture:
             counts = np.ceil(np.diff(joints) / (2.0 * scene.rope_width)).astype(int)
@@ -422,7 +424,7 @@ class Renderer:
         scene = self.scene
         if scene.is_black(stamp):
             return []
-        layers = self._rope() if scene.rope_width > 0.0 else []
+        layers = self._rope()
         layers += [_Layer(np.array([[bar.start, bar.end]]), 0.5 * bar.width, bar.colour) for bar in scene.bars]
         radius = 0.5 * scene.marker_diameter
         for arc, colour, covered in zip(
