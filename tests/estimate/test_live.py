@@ -106,6 +106,15 @@ def test_every_frame_has_an_estimate(video, pictures):
     assert all(0.0 < each.tip_std < 0.02 for each in found[10:])
 
 
+def test_the_rope_is_looked_for_only_when_that_is_allowed(video):
+    """An arm whose motion is not known yet: its rope may be anywhere."""
+    allowed = itertools.chain([False] * 5, itertools.repeat(True))
+    with open_frames(str(video[0])) as frames:
+        watch = Watch(frames, tracker(video), interval=30.0, before=lambda: next(allowed))
+        found = [each.found for each in itertools.islice(watch, 10)]
+    assert found == [False] * 5 + [True] * 5
+
+
 def test_a_stall_is_said_and_bridged(video, pictures):
     """Half a second and more without a frame: estimates go on, older and less sure; then frames come again."""
     source = Scripted(*pictures[:10], 0.8, *[Frame(f.time + 0.8, f.image, f.index) for f in pictures[33:36]])

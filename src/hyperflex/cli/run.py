@@ -84,7 +84,9 @@ class Sight:
         view = checks.instance("--calibration", self.view, Camera)
         with open_frames(self.camera or "") as frames:
             colours = marker_colours(newest_images(frames, 10.0), self.click or ())
-        return TrackingTask(plan.problem.rope, self.arcs, view, colours, plan.problem.arm, measured_length())
+        return TrackingTask(
+            plan.problem.rope, self.arcs, view, colours, plan.problem.arm, measured_length(), waits=True
+        )
 
 
 def run(

@@ -47,6 +47,8 @@ class TrackingTask:
     look : RopeLook, optional
         Of a rope without markers: `colours` are then not used, and `arc_lengths` are those of
         :func:`curve_arc_lengths`.
+    waits : bool
+        Whether the rope is looked for only from the arm's first motion on: before, its place is not known.
     """
 
     rope: Rope
@@ -57,6 +59,7 @@ class TrackingTask:
     parameters: Sequence[EstimatedParameter] = ()
     tests: ChangeTests | None = None
     look: RopeLook | None = None
+    waits: bool = False
 
     def tracker(self) -> RopeTracker:
         """Return a new tracker of the rope."""
@@ -177,7 +180,7 @@ def work(link: Connection, source: int | str | Source, task: TrackingTask) -> No
     estimator = tracker.estimator
     task.rehearse()
 
-    def take_motion() -> None:
+    def take_motion() -> bool:
         nonlocal motions
         while link.poll():
             motion, zero, anew = link.recv()
@@ -185,6 +188,7 @@ def work(link: Connection, source: int | str | Source, task: TrackingTask) -> No
             if anew:
                 estimator.restart()
             motions += 1
+        return motions > 0 or not task.waits
 
     with open_frames(source, paced=True) as frames, threadpool_limits(1):
         if frames.image_size != task.camera.image_size:

@@ -82,7 +82,7 @@ class Watch:
     retime : callable, optional
         Returns the frame of an :class:`Arrival` with another time stamp; by default its own.
     before : callable, optional
-        Called when a frame has come, before it is processed.
+        Called when a frame has come; returns whether the rope is looked for in it.
 
     Notes
     -----
@@ -102,7 +102,7 @@ class Watch:
         *,
         interval: float = 0.1,
         retime: Callable[[Arrival], Frame] = operator.attrgetter("frame"),
-        before: Callable[[], None] = lambda: None,
+        before: Callable[[], bool] = lambda: True,
     ) -> None:
         self.frames, self.tracker, self.interval = frames, tracker, interval
         self._retime, self._before = retime, before
@@ -129,8 +129,7 @@ class Watch:
         """Track the rope in a frame."""
         frame, estimator, tracked = arrival.frame, self.tracker.estimator, None
         self._note_gap(arrival)
-        self._before()
-        if self._fits(frame):
+        if self._before() and self._fits(frame):
             try:
                 tracked = self.tracker.look(frame)
             except (SimulationError, np.linalg.LinAlgError) as error:
