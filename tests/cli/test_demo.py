@@ -122,3 +122,33 @@ def test_the_demo_ends_wound_and_held_and_its_page_says_so(demo_report):
     assert re.findall(r"<h2>([^<]*)</h2>", page)[:2] == ["The cast", "In short"]  # what the reader came for
     assert str(path.parent) not in plain
     assert path.stat().st_size < 4e6  # bytes; two thirds of them pictures
+
+
+def test_a_drive_that_fails_while_the_computer_is_busy_gets_a_second_trial(monkeypatch, demo_report):
+    """A drive that fell behind the clock is no fair trial; one that fails in time, and a second failure, count."""
+    from hyperflex.demo import report
+
+    runs: list[str] = []
+
+    class Emulator:
+        port, unfair = "nowhere", "the emulated motor fell behind"
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return None
+
+    def run_plan(*_, **__):
+        runs.append("")
+        return SimpleNamespace(success=len(runs) == winning, message="it does not follow", turns=2.0)
+
+    monkeypatch.setattr(report, "emulator_of", lambda *_, **__: ("moteus", Emulator()))
+    monkeypatch.setattr(report, "EmulatedRope", lambda *_: None)
+    monkeypatch.setattr(report, "run_plan", run_plan)
+    plan = demo_report.plan
+    for winning, count, unfair in ((2, 2, Emulator.unfair), (3, 2, Emulator.unfair), (3, 1, "")):
+        runs.clear()
+        monkeypatch.setattr(Emulator, "unfair", unfair)
+        run, why = report._carried_out(plan, plan.problem, lambda _: None)
+        assert (run.success, len(runs), why) == (winning == 2, count, unfair)

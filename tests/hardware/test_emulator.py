@@ -57,6 +57,7 @@ def test_an_emulator_moves_logs_and_takes_faults() -> None:
         while emulator.behind < 0.25 and time.monotonic() < until:
             time.sleep(0.01)
         assert emulator.behind > 0.25
+        assert "ms behind the clock: no fair trial" in emulator.unfair
         emulator.inject(disconnect=True)
         with pytest.raises(OSError, match=r"write failed|disconnected|Input/output"):
             exchange(port)

@@ -211,9 +211,8 @@ def _emulated(plan: "CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str
 
 def _warn_if_behind(emulator: "Emulator") -> None:
     """Warn where a busy computer has spoiled an emulated cast: its motor and rope were slower than the clock."""
-    if emulator.behind > 0.02:  # s; the time in which a usual drive follows
-        text = f"the emulated motor and rope fell {1e3 * emulator.behind:.0f} ms behind the clock: no fair trial."
-        warnings.warn(f"{text} Lower this computer's load, or plan with fewer links", UserWarning, stacklevel=2)
+    if why := emulator.unfair:
+        warnings.warn(f"{why}. Lower this computer's load, or plan with fewer links", UserWarning, stacklevel=2)
 
 
 def _cast_of(path: Path) -> "CastPlan":

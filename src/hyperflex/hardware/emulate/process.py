@@ -146,8 +146,14 @@ class Emulator:
 
     @property
     def behind(self) -> float:
-        """Greatest time by which motor and rope were behind the clock, s: what they did then is no fair trial."""
+        """Greatest time by which motor and rope were behind the clock, s."""
         return float(self.states.read()[:, STATES.index("behind")].max())
+
+    @property
+    def unfair(self) -> str:
+        """Why what motor and rope did is no fair trial; empty if they kept up with the clock, as a usual drive does."""
+        late = f"the emulated motor and rope fell {1e3 * self.behind:.0f} ms behind the clock: no fair trial"
+        return late if self.behind > 0.02 else ""
 
     def rope_state(self) -> tuple[float, float, Array, Array]:
         """Return the newest true state: time, s, arm angle, rad, q (n,), rad, and qd (n,), rad/s."""
