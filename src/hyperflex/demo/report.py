@@ -199,8 +199,8 @@ def _carried_out(plan: CastPlan, recorded: Problem, progress: Progress) -> tuple
     """
     rope = replace(plan, problem=recorded).setup().rope
     run, unfair = None, ""
-    with suppress(DriveError, MissingPackage):
-        for _ in range(2):  # once more where this computer was too busy
+    for _ in range(2):  # once more where this computer was too busy
+        with suppress(DriveError, MissingPackage):
             make, emulator = emulator_of(plan, "emulator:moteus", MotorModel(extrapolates=True), rope=rope)
             with emulator:
                 source = EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
