@@ -15,7 +15,6 @@ if TYPE_CHECKING:
         FollowOptions,
         FollowResult,
         Goal,
-        MotorStateSource,
         ScenarioStateSource,
         features,
         follow_plan,
