@@ -26,10 +26,8 @@ if TYPE_CHECKING:
         AngleJacobian,
         ParameterChange,
         ParameterDirections,
-        Predictability,
         Sensitivities,
         forward_derivatives,
-        predictability,
         sensitivities,
     )
     from hyperflex.simulation.stepper import Linearization, Stepper, arm_polynomials, commanded_accelerations, setup_for
