@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from hyperflex import checks, extras, files
+from hyperflex import checks, files
 from hyperflex.budget import DEFAULT_TIME, Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
@@ -26,24 +26,14 @@ from hyperflex.model import DAMPING, MOST_LINKS, RESISTANCES, Rope, parse_label,
 from hyperflex.recording import Recording
 from hyperflex.status import Status
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
 CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
 FEW = 3  # predicted stretches, fewer have no standard error to speak of
 MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
 ALIKE = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
+COLUMNS = "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness"  # of the table
 MAX_ADDED = 2  # resistances beside viscous friction in one candidate
-COLUMNS = {  # of the table: what they are
-    "links": "number of links",
-    "parameters": "identifiable free parameters",
-    "bic": "Bayesian information criterion, smaller is better",
-    "fit_rms": "error of the fit",
-    "held_out_rms": "error of predicting the held-out part",
-    "whiteness": "probability of residuals as autocorrelated as these under white noise",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,20 +195,6 @@ class ModelComparison(Ranking):
     def best(self) -> Identification | None:
         """The identification of the preferred model."""
         return None if self.preferred is None else self[self.preferred].identification
-
-    @property
-    def dataset(self) -> "xr.Dataset":
-        """The table as an ``xarray.Dataset`` over the dimension model; NaN for missing values."""
-        extras.require(("xarray",), "xarray", "Datasets")
-        import xarray as xr
-
-        columns: dict[str, Any] = {}
-        for name, about in COLUMNS.items():
-            values = np.array([getattr(model, name) for model in self.models], dtype=np.float64)  # None becomes NaN
-            unit = self.unit if name.endswith("rms") else "1"
-            columns[name] = ("model", values, {"units": unit, "long_name": about})
-        names = [model.name for model in self.models]
-        return xr.Dataset(columns, {"model": names}, {"preferred": self.preferred or ""})
 
     def summary(self) -> dict[str, Any]:
         """Return the table, the preference and the texts as plain numbers, lists and strings; None for no number."""
