@@ -2,18 +2,13 @@
 
 import base64
 import http.client
-import io
 import json
-import os
-import pickle
 import socket
 import struct
-import sys
 import threading
 import time
 from dataclasses import replace
 from multiprocessing import Pipe
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -300,7 +295,7 @@ def test_a_plan_is_searched_in_a_separate_process_and_cancelled(server, page):
     begin = time.monotonic()
     page.ask(button="cancel")
     assert time.monotonic() - begin < 30.0  # the figure, 1 s, is measured by benchmarks/play.py
-    assert process.poll() is not None
+    assert process.exitcode is not None
     page.ask(set={"target_x": 5.0, "target_y": 5.0})
     page.ask(button="plan")  # out of reach: said at once
     plan = page.until(lambda scene: scene["plan"])["plan"]
@@ -342,15 +337,13 @@ def test_the_planning_process_sends_each_plan_that_succeeds(monkeypatch):
         return replace(known, seconds=2.0)
 
     monkeypatch.setattr(planning_process, "plan_cast", plan_cast)
-    monkeypatch.setattr(planning_process.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(planning_process, "leave_terminal", lambda: None)
     monkeypatch.setattr(planning_process.os, "nice", lambda _: None)
-    task = pickle.dumps(planning_process.PlanningTask("cast", *where))
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(task)))
     ours, theirs = Pipe(duplex=False)
     reader = threading.Thread(target=lambda: heard.extend(ours.recv() for _ in range(3)))
     heard = []
     reader.start()
-    planning_process.work(os.dup(theirs.fileno()))
+    planning_process.work(theirs, planning_process.PlanningTask("cast", *where))
     reader.join()
     assert [(kind, plan and plan.seconds) for kind, plan in heard] == [(0, None), (1, 1.0), (2, 2.0)]
 

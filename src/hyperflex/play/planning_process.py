@@ -1,18 +1,15 @@
 """Planning in a separate process, so that the rope continues to move and planning can be cancelled at once."""
 
-import contextlib
+import multiprocessing
 import os
-import pickle
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from multiprocessing import Pipe
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
 
-from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.errors import HyperflexError
+from hyperflex.interruption import leave_terminal
 from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.planning import (
     CastPlan,
@@ -26,7 +23,6 @@ from hyperflex.planning import (
 )
 
 _BEGIN, _FOUND, _END = range(3)  # kinds of answers: the search begins, a plan succeeds, the last plan or an error
-_COMMAND = "import sys; from hyperflex.play.planning_process import work; work(int(sys.argv[1]))"
 
 
 class PlanningTask(NamedTuple):
@@ -65,19 +61,13 @@ class PlanningProcess:
     """
 
     def __init__(self, task: PlanningTask) -> None:
-        if sys.platform == "win32":  # no process inherits a pipe there by its number
-            fix = "Plan by hyperflex cast, and open its cast.toml here"
-            raise InvalidInput("the page does not plan on Windows", fix=fix)
         self.task, self.begun = task, 0.0
         self.best: CastPlan | None = None
-        self._answers, answers = Pipe(duplex=False)
-        number = answers.fileno()
-        command = [sys.executable, "-c", _COMMAND, str(number)]  # a separate program: no main module runs twice
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[number])
+        context = multiprocessing.get_context("spawn")
+        self._answers, answers = context.Pipe(duplex=False)
+        self._process = context.Process(target=work, args=(answers, task), daemon=True)
+        self._process.start()
         answers.close()
-        if self._process.stdin is not None:
-            with self._process.stdin as stream, contextlib.suppress(OSError):  # it has ended: there will be no answer
-                stream.write(pickle.dumps(task))
 
     def result(self) -> CastPlan | WhipPlan | str | None:
         """Return the plan or the error message; None while there is neither."""
@@ -98,21 +88,16 @@ class PlanningProcess:
 
     def cancel(self) -> None:
         """End the process."""
-        self._process.terminate()
-        try:
-            self._process.wait(0.5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        for end in (self._process.terminate, self._process.kill):
+            end()
+            self._process.join(0.5)
         self._answers.close()
 
 
-def work(descriptor: int) -> None:
-    """Read a task from standard input; send that the search begins, plans that succeed, and how it ended."""
-    answers: Connection = Connection(descriptor, readable=False)
-    task: PlanningTask = pickle.load(sys.stdin.buffer)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the page, which ends this process
-    with contextlib.suppress(OSError):
+def work(answers: Connection, task: PlanningTask) -> None:
+    """Plan; send that the search begins, plans that succeed, and how it ended."""
+    leave_terminal()  # Ctrl-C there is for the page, which ends this process
+    with suppress(AttributeError, OSError):  # Windows has no nice
         os.nice(10)
     try:
         answers.send((_BEGIN, None))
