@@ -24,7 +24,9 @@ def read_motive(path: PathLike, selection: Selection) -> Content:
     lines = read_lines(path)
     meta = cells_of(lines[0])
     about = dict(zip(meta[::2], meta[1::2], strict=False))
-    top = _row_of(path, lines, "Frame")
+    top = next((k for k, line in enumerate(lines) if line.startswith("Frame")), None)
+    if top is None:
+        raise InvalidInput(f"{path} has no row that begins with Frame", fix="Export it again, with its header")
     header = [filled(cells_of(line)) for line in lines[1:top] if line.strip(",;\t ")]
     axes = cells_of(lines[top])
     if len(header) < 3:
@@ -150,14 +152,6 @@ def _rate(path: PathLike, text: str = "") -> float:
     except ValueError:
         fix = "Mend its header, or export it again"
         raise InvalidInput(f"{path} has no frame rate in its header", got=text, allowed="frames/s", fix=fix) from None
-
-
-def _row_of(path: PathLike, lines: Sequence[str], first: str) -> int:
-    """Return the index of the line whose first cell is this."""
-    for k, line in enumerate(lines):
-        if line.startswith(first):
-            return k
-    raise InvalidInput(f"{path} has no row that begins with {first}", fix="Export it again, with its header")
 
 
 def _content(
