@@ -96,17 +96,17 @@ def test_uneven_times_gaps_and_noise_are_fine():
     assert "1 gaps" in repr(recording)
 
 
-def test_window_split_decimate_keep_all_arrays_together():
+def test_window_and_decimate_keep_all_arrays_together():
     t, data, rates = swing()
     recording = Recording(t, data, rates=rates, noise=np.arange(1.0, 801.0).reshape(400, 2), name="swing")
-    before, after = recording.split(0.5)
+    before, after = recording.window(-np.inf, 0.5), recording.window(0.5, np.inf)
     assert (before.t[-1], after.t[0]) == (t[99], t[100])  # t < 0.5 and t >= 0.5, with t[100] = 0.5
     part = recording.window(0.5, 1.0).decimate(7)
     chosen = np.arange(100, 200, 7)
     for name in ("t", "data", "rates", "noise"):
         np.testing.assert_array_equal(getattr(part, name), getattr(recording, name)[chosen])
     assert part.name == "swing"
-    refuses(r"0 to 1.995 s", recording.split, 5.0)
+    refuses(r"0 to 1.995 s", recording.window, 5.0, np.inf)
     refuses("step", recording.decimate, 0)
 
 

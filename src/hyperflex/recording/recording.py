@@ -154,11 +154,6 @@ class Recording:
             raise InvalidInput("the span holds fewer than two samples", got=[start, end], allowed=allowed)
         return self._pick(inside)
 
-    def split(self, time: float) -> "tuple[Recording, Recording]":
-        """Return the parts before and from `time` (s); InvalidInput if one would have fewer than two samples."""
-        time = checks.number("time", time, unit="s")
-        return self.window(self.t[0], time), self.window(time, np.inf)
-
     def decimate(self, step: int) -> "Recording":
         """Return every `step`-th sample, the first included (picked, not averaged)."""
         step = checks.count("step", step, most=self.t.size)
