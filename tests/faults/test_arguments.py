@@ -94,7 +94,6 @@ CALLS: dict[str, Callable[[], partial[Any]]] = {
     "tip_speed_peak": lambda: partial(hf.tip_speed_peak),
     "Recording": lambda: partial(hf.Recording, t=[0.0, 0.1, 0.2], data=np.zeros((3, 1))),
     "Recording.window": lambda: partial(swing().window, start=0.0, end=1.0),
-    "Recording.split": lambda: partial(swing().split, time=1.0),
     "Recording.decimate": lambda: partial(swing().decimate, step=2),
     "read_recording": lambda: partial(hf.read_recording, path="swing.csv", kind="angles", time_unit="s", unit="rad"),
     "read_motion": lambda: partial(hf.read_motion, path="nowhere.csv"),

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState, StateSource
-from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.model import DEFAULT_TOL, Arm, Rope
 from hyperflex.motion import Motion
-from hyperflex.simulation import AngleJacobian, simulate
+from hyperflex.simulation import simulate
 from hyperflex.trajectory import State
 
 
@@ -67,8 +66,6 @@ class SimulatedCamera:
         to link and frame to frame.
     seed : int
         Of the noise; the same frame has the same noise in each run.
-    with_covariance : bool
-        Report the covariance: that of the frame, carried through the delay by the model's exact derivatives.
 
     Notes
     -----
@@ -86,7 +83,6 @@ class SimulatedCamera:
         angle_std: float = 0.01,
         rate_std: float = 0.1,
         seed: int = 0,
-        with_covariance: bool = False,
     ) -> None:
         self.truth, self.rope, self.arm = truth, rope, arm
         self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
@@ -94,7 +90,6 @@ class SimulatedCamera:
         self.angle_std = checks.number("angle_std", angle_std, sign="nonnegative", unit="rad")
         self.rate_std = checks.number("rate_std", rate_std, sign="nonnegative", unit="rad/s")
         self.seed = checks.count("seed", seed, least=0)
-        self.with_covariance = with_covariance
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the state at `t`, s, predicted from the newest frame; before the first one, the rope hangs at rest.
@@ -104,8 +99,7 @@ class SimulatedCamera:
         """
         number = math.floor((t - self.delay) * self.rate + 1e-9)
         seen = hanging_state(self.rope) if number < 0 else self._frame(number, motion)
-        now = replace(seen, t=t) if t <= seen.t else advanced(self.rope, self.arm, seen, t, motion)
-        return replace(now, covariance=self._covariance(seen, t, motion)) if self.with_covariance else now
+        return replace(seen, t=t) if t <= seen.t else advanced(self.rope, self.arm, seen, t, motion)
 
     def _frame(self, number: int, motion: Motion) -> RopeState:
         true = self.truth.state(number / self.rate, motion)
@@ -114,13 +108,3 @@ class SimulatedCamera:
             raise InvalidInput("camera and model differ in links", got=n, allowed=f"{true.q.size}, as in the truth")
         noise = np.random.default_rng([self.seed, number]).standard_normal((2, n))
         return RopeState(true.t, true.q + self.angle_std * noise[0], true.qd + self.rate_std * noise[1])
-
-    def _covariance(self, seen: RopeState, t: float, motion: Motion) -> Array:
-        """Covariance (2 n, 2 n) at `t`: that of the frame, propagated by the derivatives of the prediction."""
-        of_frame = np.diag(np.repeat([self.angle_std**2, self.rate_std**2], self.rope.n_links))
-        if t <= seen.t:
-            return of_frame
-        slopes = AngleJacobian(Setup(self.rope, motion, self.arm), ["q0", "qd0"])
-        _, _, dq, dqd = slopes(np.array([seen.t, t]), seen.q, seen.qd)
-        step = np.concatenate([dq[-1], dqd[-1]])
-        return np.asarray(step @ of_frame @ step.T)
