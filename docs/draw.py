@@ -54,7 +54,7 @@ def growth() -> Figure:
             axes.semilogy(t, moved / moved[0], color=colour, label=name)
         axes.set(xlim=(0.0, 10.0), ylim=(0.1, 1e5), xlabel="time, s", ylabel="growth of an error of the tip")
         axes.minorticks_off()
-        axes.legend(loc="upper right")
+        axes.legend(loc="upper left")
     return figure
 
 
