@@ -23,10 +23,9 @@ import gymnasium
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
-from benchmarks.planned_policy import PlannedCast
 
 from hyperflex import files
-from hyperflex.envs import CrossingPolicy, PumpingPolicy, Scores, score_policy, stable_baselines_env
+from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
 
 RESULTS = Path(__file__).parent / "results"
 MEMBERS, STEPS, ROUNDS, AIM = 256, 300, 5, 50_000.0  # members, steps a round, rounds, steps/s

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from docs.demo_data import swing
 
 import hyperflex as hf
 from hyperflex import demo
@@ -93,7 +92,7 @@ def test_intervals_cover_the_mapped_truth_and_exclude_the_guess(demo_report):
 
 def test_the_prediction_is_near_the_noise(demo_report):
     found = demo_report
-    joints = swing(found.recording.t).joints[:, :: twin.FINE // twin.COARSE]
+    joints = twin.swing(found.recording.t).joints[:, :: twin.FINE // twin.COARSE]
     sides = np.diff(joints, axis=1)
     true = np.unwrap(np.arctan2(sides[..., 0], -sides[..., 1]), axis=0)
     off = found.recording.angles().data - true

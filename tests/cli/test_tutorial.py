@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from docs.commands import commands, settings
-from docs.demo_data import exact as without_camera
 
 import hyperflex as hf
 from hyperflex.demo import twin
@@ -49,7 +48,7 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     assert fine["values"]["friction"][0] == pytest.approx(942 * MICRO, rel=0.03)
     intervals = json.loads((filmed / FIGURES[1]).read_text())["intervals"]["friction:shared"]
     assert (intervals["low"], intervals["high"]) == pytest.approx((867 * MICRO, 1018 * MICRO), rel=0.02)
-    exact = without_camera()
+    exact = twin.exact()
     arcs = [float(each) for each in twin.ARC_LENGTHS]
     places = hf.Recording(exact.t, exact.data[:, 2:], kind="markers")
     guess = hf.Rope.uniform(2.0, 0.125, 20, 0.0025, friction=3e-3)

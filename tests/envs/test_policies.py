@@ -9,10 +9,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from benchmarks.planned_policy import PlannedCast
 
 import hyperflex as hf
-from hyperflex.envs import CrossingPolicy, PumpingPolicy, Scores, score_policy, stable_baselines_env
+from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
 from hyperflex.envs.policies import members_of
 from hyperflex.envs.vector import default_rope
 from hyperflex.errors import MissingPackage
@@ -66,7 +65,7 @@ def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_re
         seen.append((options.seed, found.moves is not None and on_plan(found)))
         return found
 
-    monkeypatch.setattr("benchmarks.planned_policy.plan_cast", plan_cast)
+    monkeypatch.setattr("hyperflex.envs.policies.plan_cast", plan_cast)
     env = gymnasium.make(CAST, target=target)
     env.reset(seed=6)
     world = members_of(env).world

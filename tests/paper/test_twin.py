@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from docs.demo_data import exact, film, swing
 
 from hyperflex.demo import twin
 from hyperflex.vision import VideoReader
@@ -14,7 +13,7 @@ def tracked():
 
 
 def test_the_bundled_video_is_what_the_generator_makes(tmp_path):
-    film(tmp_path / "made.mp4", seconds=1.0)
+    twin.film(tmp_path / "made.mp4", seconds=1.0)
     with VideoReader(tmp_path / "made.mp4") as made, VideoReader(twin.BUNDLED) as bundled:
         pairs = list(zip(made, bundled, strict=False))
     assert len(pairs) == 30
@@ -29,7 +28,7 @@ def test_the_bundled_video_is_what_the_generator_makes(tmp_path):
 def test_the_markers_are_where_the_rope_was(tracked):
     """Within 3 mm rms (0.7 px), none farther off than its stated standard deviation allows."""
     recording = twin.recording(tracked)
-    joints = swing(recording.t).joints[:, :: twin.FINE // twin.COARSE]
+    joints = twin.swing(recording.t).joints[:, :: twin.FINE // twin.COARSE]
     off = recording.data.reshape(joints.shape) - joints
     assert np.sqrt(np.nanmean(off[:, 1:] ** 2)) < 3e-3
     assert tracked.found_at < 0.2
@@ -45,7 +44,7 @@ def test_the_recording_says_that_it_is_simulated(tracked):
 
 @pytest.mark.nightly
 def test_the_mapped_truth_is_what_a_fit_without_noise_finds():
-    found = twin.fit(exact()).values
+    found = twin.fit(twin.exact()).values
     for name, value in twin.mapped_truth().items():
         # The fit stops when parameters move by less than a tenth of their standard deviation, here 1 to 2 %.
         assert float(found[name][0]) == pytest.approx(value, rel=2e-3), name

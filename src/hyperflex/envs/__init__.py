@@ -11,7 +11,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.envs.cast import CastEnv, CastVectorEnv
-    from hyperflex.envs.policies import CrossingPolicy, PumpingPolicy, RulePolicy
+    from hyperflex.envs.policies import CrossingPolicy, PlannedCast, PumpingPolicy, RulePolicy
     from hyperflex.envs.scores import Scores, score_policy
     from hyperflex.envs.stable_baselines import stable_baselines_env
     from hyperflex.envs.swing import SwingEnv, SwingVectorEnv
