@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         SimulationError,
         WorkerLost,
     )
-    from hyperflex.exchange import write_mcap, write_mjcf
+    from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
     from hyperflex.identification import (
         Experiment,
         ExperimentDesign,

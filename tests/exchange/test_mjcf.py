@@ -1,4 +1,4 @@
-"""MJCF files: MuJoCo compiles what the set-up says and moves alike, and the file holds the set-up bit for bit."""
+"""MJCF files: MuJoCo compiles what the set-up says and moves alike, and the set-up comes back bit for bit."""
 
 import re
 import warnings
@@ -15,6 +15,7 @@ from tests.exchange import mujoco_ropes
 
 LINKS = [1, 2, 3, 100, *np.random.default_rng(0).integers(4, 100, 16).tolist()]
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, radius=0.003, friction=1e-4)
+MOVED = hf.Setup(ROPE, hf.move_arm(0.0, 1.0, 0.5), hf.Arm())
 
 
 def written(setup: hf.Setup, folder: Path) -> Path:
@@ -36,7 +37,8 @@ def test_compiled_masses_inertias_and_accelerations(index, links, tmp_path):
     got = np.cumsum(data.qacc)[-links:]
     wanted = hf.simulate(setup, duration=1e-3).qdd[0]
     np.testing.assert_allclose(got, wanted, atol=1e-6 * np.abs(wanted).max())
-    assert hf.Setup.loads(ET.parse(path).find("custom/text").get("data")).dumps() == setup.dumps()
+    assert hf.read_mjcf(path).dumps() == setup.dumps()
+    assert hf.read_mjcf(path).rope == rope
 
 
 def arm_mass(setup: hf.Setup) -> float:
@@ -63,6 +65,7 @@ def test_the_file_as_written_is_right_or_warns_of_its_first_order(friction, want
         path = written(setup, tmp_path)
     assert ["half the step" in str(each.message) for each in caught] == [True] * (wanted != "RK4")
     assert ET.parse(path).find("option").get("integrator") == wanted
+    assert hf.read_mjcf(path).dumps() == setup.dumps()
     if wanted == "RK4":
         model, data = mujoco_ropes.load(path)
         for _ in range(10_000):
@@ -77,8 +80,50 @@ def test_a_chain_at_the_nesting_limit_is_loaded_and_a_longer_one_is_refused(tmp_
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=489, tip_mass=0.01, friction=0.0)
     model, _ = mujoco_ropes.load(written(hf.Setup(rope), tmp_path))
     assert model.nv == 489
+    assert hf.read_mjcf(tmp_path / "rope.xml").rope == rope
     with pytest.raises(InvalidInput, match=r"chain of 1000 bodies.*at most 490"):
         hf.write_mjcf(hf.Setup(hf.Rope.uniform(1.0, 0.1, 1000, friction=0.0)), tmp_path / "long.xml")
+
+
+def test_edited_rope_is_read(tmp_path):
+    path = written(MOVED, tmp_path)
+    root = ET.parse(path).getroot()
+    for each in root.iter("joint"):
+        if each.get("name") == "joint2":
+            each.set("damping", "0.25")
+    ET.ElementTree(root).write(path)
+    assert hf.read_mjcf(path).rope == ROPE.replace(friction=[1e-4, 1e-4, 0.25, 1e-4])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ('name="arm" pos="0.0', 'name="arm" pos="0.5', "body arm has another pos"),
+        ('qpos="0.0', 'qpos="0.3', "key start has another qpos"),
+        ('axis="0.0 -1.0', 'axis="0.0 1.0', "another axis"),
+        ('name="joint1"', 'name="elbow"', "another name"),
+        ("<actuator>", '<actuator><motor joint="joint1" />', "actuator holds other parts"),
+        ('mass="0.025"', 'mass="heavy"', "inertial has no usable mass.*Allowed: a number"),
+        ('mass="0.025"', 'mass="1_000"', "inertial has no usable mass: got '1_000'"),
+        ('name="hyperflex"', 'name="other"', "not written by hyperflex"),
+        ("</mujoco>", "", "no XML"),
+    ],
+)
+def test_what_is_not_read_back_is_refused_by_name(old, new, named, tmp_path):
+    path = written(MOVED, tmp_path)
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "utf-8")
+    with pytest.raises(InvalidInput, match=named):
+        hf.read_mjcf(path)
+
+
+def test_a_file_that_mujoco_has_saved_is_refused(tmp_path):
+    """It has six digits, and other parts."""
+    path = tmp_path / "saved.xml"
+    path.write_text(mujoco.MjSpec.from_file(str(written(MOVED, tmp_path))).to_xml(), "utf-8")
+    with pytest.raises(InvalidInput):
+        hf.read_mjcf(path)
 
 
 @pytest.mark.parametrize(
@@ -113,6 +158,7 @@ def test_what_is_softer_in_mujoco_is_told(tmp_path):
         "joint limits",
         "contact",
     ]
+    assert hf.read_mjcf(path).dumps() == setup.dumps()
     model, data = mujoco_ropes.load(path)
     np.testing.assert_allclose(model.jnt_range[1:], 0.1 + np.array([[-0.5, 0.5], [-0.6, 0.6], [-0.7, 0.7]]))
     assert model.jnt_limited.tolist() == [0, 1, 1, 1]

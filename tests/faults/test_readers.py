@@ -18,6 +18,7 @@ from tests.faults.bounds import apart, examples, refused_or_done
 T = np.linspace(0.0, 0.5, 6)
 ROPE = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=1e-4, radius=0.002)
 SETUP = hf.Setup(ROPE, hf.arm_swings(), hf.Arm(length=0.1), duration=0.02, pegs=[hf.Peg(0.5, -0.9, 0.05)])
+MUJOCO = hf.Setup(ROPE, hf.arm_swings(), hf.Arm(length=0.1), duration=0.02)
 CSV = "# time_unit: s\n# unit: deg\nframe,t,th1,th2\n" + "".join(
     f"{k},{t:.3f},{30 * np.cos(t):.4f},{'' if k == 2 else k}\n" for k, t in enumerate(T)
 )
@@ -64,6 +65,7 @@ KINDS: dict[str, tuple[Callable[[Path], bytes], str, Callable[[Path], object]]] 
     "bag.db3": (bags.content_of("sqlite3"), ".db3", hf.read_recording),
     "bag.mcap": (bags.content_of("mcap"), ".mcap", hf.read_recording),
     "bag.yaml": (bags.metadata, ".yaml", lambda path: hf.read_recording(bags.described(path))),
+    "setup.xml": (of_file(lambda path: hf.write_mjcf(MUJOCO, path), ".xml"), ".xml", hf.read_mjcf),
     "motion.csv": (lambda _: b"t,angle\n0,0.0\n0.5,0.1\n1,0.2\n", ".csv", hf.read_motion),
     "setup.toml": (lambda _: SETUP.dumps().encode(), ".toml", hf.Setup.from_toml),
     "rope.toml": (of_file(ROPE.to_toml, ".toml"), ".toml", hf.Rope.from_toml),

@@ -1,4 +1,4 @@
-"""``hyperflex export``: a set-up as MuJoCo's model, a run or a recording as MCAP."""
+"""``hyperflex export``: a set-up as MuJoCo's model and back, a run or a recording as MCAP."""
 
 import warnings
 from collections.abc import Callable
@@ -13,22 +13,26 @@ from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.cli.identify import Reading
 
+_WRITTEN = {".toml": ".xml", ".xml": ".toml"}  # the suffix that each becomes; all others become .mcap
+
 
 def export(
-    source: Annotated[Path, typer.Argument(help="Set-up (.toml), run (.nc) or recording (.nc, .mat, .csv, .mcap).")],
+    source: Annotated[
+        Path, typer.Argument(help="Set-up (.toml), its MJCF (.xml), run (.nc) or recording (.nc, .mat, .csv, .mcap).")
+    ],
     out: Annotated[
         Path,
-        typer.Option("--output", "-o", help="File to write: .xml of a set-up, .mcap of the others."),
+        typer.Option("--output", "-o", help="File to write: .xml of a set-up, .toml of MJCF, .mcap of the others."),
     ],
     *,
     reading: Reading,
 ) -> None:
     """Convert a set-up to MuJoCo, or a run or recording to MCAP.
 
-    What MuJoCo cannot express is refused by name. The file or the options must declare the units and axes of a
-    recording.
+    An MJCF file that hyperflex wrote becomes a set-up again. What MuJoCo cannot express is refused by name. The file or
+    the options must declare the units and axes of a recording.
     """
-    check_destination(out, ".xml" if source.suffix.lower() == ".toml" else ".mcap", [source])
+    check_destination(out, _WRITTEN.get(source.suffix.lower(), ".mcap"), [source])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         files.rescued(_writer(source, reading), out)
@@ -39,13 +43,15 @@ def export(
 
 def _writer(source: Path, reading: Reading) -> Callable[[Path], Any]:
     """Return the function that writes what a file becomes."""
-    from hyperflex.exchange import write_mcap, write_mjcf
+    from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
     from hyperflex.model import Setup
     from hyperflex.trajectory import read_trajectory
 
     suffix = source.suffix.lower()
     if suffix == ".toml":
         return partial(write_mjcf, Setup.from_toml(source))
+    if suffix == ".xml":
+        return read_mjcf(source).to_toml
     if suffix == ".nc" and str(files.read_netcdf(source).attributes.get("format")).startswith("hyperflex trajectory"):
         return partial(write_mcap, read_trajectory(source))
     return partial(write_mcap, reading.read(source))

@@ -6,6 +6,6 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.exchange.mcap import write_mcap
-    from hyperflex.exchange.mjcf import write_mjcf
+    from hyperflex.exchange.mjcf import read_mjcf, write_mjcf
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

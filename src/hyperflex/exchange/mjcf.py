@@ -1,4 +1,4 @@
-"""Set-ups as MuJoCo's MJCF: plain hinges with explicit inertials, numbers to the last bit.
+"""Set-ups as MuJoCo's MJCF and back: plain hinges with explicit inertials, numbers to the last bit.
 
 The text is made from a template, ``templates/rope.xml``, and not by MjSpec, which writes six digits; it needs no
 MuJoCo.
@@ -14,15 +14,16 @@ from numpy.typing import ArrayLike
 
 from hyperflex import checks, files
 from hyperflex.core.chain.drive import X, Y
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.files import PathLike
-from hyperflex.model import Setup, Wall
+from hyperflex.model import Rope, Setup, Wall
 from hyperflex.motion import hold_arm
 from hyperflex.simulation import runge_kutta_limit
 
 ROTOR = 1e5  # kg m^2, armature of an arm that follows a motion: the rope's pull then disturbs it by some 1e-5 rad/s^2
 LEAST = 1e-15  # mjMINVAL: MuJoCo refuses moving bodies of less mass (kg) or inertia (kg m^2)
 MOST_BODIES = 490  # MuJoCo reads XML of at most 500 elements within each other
+INTEGRATORS = ("RK4", "implicitfast")
 MARGIN = 0.8  # part of the longest stable Runge-Kutta step, which belongs to a rope that hangs straight
 HALF_WIDTH = 0.1  # m, of pegs and grounds across the plane
 DIFFERS = {
@@ -43,8 +44,7 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
         Bodies and hinges are named arm and link0, joint0, link1, joint1 and so on, the site at the tip is tip, the
         state at t = 0 the key start. An arm that follows a motion is a heavy rotor with an actuator arm_acceleration,
         whose control is the arm's acceleration, rad/s^2; a torque-driven arm has an actuator arm_torque, N m.
-        The caller sets the control over time: ``data.ctrl[0] = setup.motion.acceleration(data.time)``. The custom text
-        hyperflex has the set-up itself, as :meth:`Setup.dumps` writes it.
+        The caller sets the control over time: ``data.ctrl[0] = setup.motion.acceleration(data.time)``.
     path : path-like
         File to write, whole or not at all.
     timestep : float
@@ -68,15 +68,15 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     >>> setup = hf.Setup(hf.Rope.uniform(length=1.0, mass=0.1, n_links=5, friction=1e-3))
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "rope.xml"
     >>> hf.write_mjcf(setup, path)
-    >>> path.read_text().count("<joint")
-    5
+    >>> hf.read_mjcf(path).rope == setup.rope
+    True
     """
     checks.instance("setup", setup, Setup)
     step = checks.number("timestep", timestep, sign="positive", unit="s")
     _refuse(setup)
     integrator = _integrator(setup, step)
     present = {
-        "a first-order integrator": integrator != "RK4" and not setup.touches,
+        "a first-order integrator": integrator != INTEGRATORS[0] and not setup.touches,
         "dry friction": setup.rope.dry_friction.any() or (setup.torque_driven and setup.arm and setup.arm.dry_friction),
         "joint limits": setup.rope.limited,
         "pegs": bool(setup.pegs),
@@ -89,10 +89,48 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
             warnings.warn(f"{path}: {words}.", UserWarning, stacklevel=2)
 
 
+def read_mjcf(path: PathLike) -> Setup:
+    """Read the set-up of an MJCF file that :func:`write_mjcf` wrote; the rope's numbers may have been edited since.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    Setup
+        Equal to the written one, bit for bit, if nothing was edited.
+
+    Raises
+    ------
+    FileProblem
+        If the file cannot be read.
+    InvalidInput
+        If hyperflex did not write it, or something other than the rope was edited; the message names the element.
+    """
+    source = files.read_text(path, "MJCF file")
+    try:
+        root = ET.fromstring(source)
+    except (ET.ParseError, ValueError) as error:
+        raise InvalidInput(f"{path} is no XML: {error}", fix="Write it again") from None
+    text = root.find("custom/text[@name='hyperflex']")
+    if text is None or "data" not in text.attrib:
+        fix = "Other models have no rope to read: build a hyperflex.Setup"
+        raise InvalidInput(f"{path} was not written by hyperflex", allowed="files of hyperflex.write_mjcf", fix=fix)
+    with located(str(path)):
+        held = Setup.loads(text.attrib["data"], f"the set-up in {path}")
+        _refuse(held)
+        setup = held.replace(rope=_rope(root, held.rope))
+        option = _part(root, "option")
+        text.set("data", setup.dumps())  # with the edited numbers
+        integrator = checks.choice("the integrator", option.get("integrator"), INTEGRATORS)
+        _compare(root, _tree(setup, _numbers(option, "timestep", 1)[0], integrator))
+    return setup
+
+
 def _integrator(setup: Setup, step: float) -> str:
     """Return MuJoCo's integrator for a step, s: Runge-Kutta's where it is stable and nothing is touched."""
-    stable = not setup.touches and step <= MARGIN * runge_kutta_limit(setup.chain())
-    return "RK4" if stable else "implicitfast"
+    return INTEGRATORS[setup.touches or step > MARGIN * runge_kutta_limit(setup.chain())]
 
 
 def _refuse(setup: Setup) -> None:
@@ -144,7 +182,7 @@ def _tree(setup: Setup, timestep: float, integrator: str) -> ET.Element:
     content |= {"half_width": HALF_WIDTH, "rotor": ROTOR, "inf": math.inf, **_start(setup)}
     root = ET.fromstring(environment.get_template("rope.xml").render(content))
     root.set("model", setup.rope.name or "rope")
-    ET.SubElement(ET.SubElement(root, "custom"), "text", name="hyperflex", data=setup.dumps())
+    _part(root, "custom/text").set("data", setup.dumps())
     return root
 
 
@@ -172,3 +210,70 @@ def _start(setup: Setup) -> dict[str, Any]:
         control = motion.acceleration([0.0])
     ctrl = None if control is None else control.tolist()
     return {"qpos": np.diff(q, prepend=0.0), "qvel": np.diff(qd, prepend=0.0), "ctrl": ctrl}
+
+
+def _rope(root: ET.Element, held: Rope) -> Rope:
+    """Return the rope described by the bodies; `held` is the rope that was written."""
+    links = [_part(root, f"worldbody//body[@name='link{k}']") for k in range(held.n_links)]
+    hinges, inertials = ([_part(link, tag) for link in links] for tag in ("joint", "inertial"))
+    ends = [*links[1:], _part(links[-1], "site")]
+    weight = root.find("worldbody//body[@name='tip']/inertial")
+    gravity = _numbers(_part(root, "option"), "gravity", 3)
+    thick = links[0].find("geom")
+    hinge = {"friction": "damping", "dry_friction": "frictionloss", "stiffness": "stiffness", "rest_angle": "springref"}
+    return held.replace(
+        length=[-_numbers(each, "pos", 3)[2] for each in ends],
+        mass=[_numbers(each, "mass", 1)[0] for each in inertials],
+        com=[0.0 - _numbers(each, "pos", 3)[2] for each in inertials],
+        inertia=[_numbers(each, "diaginertia", 3)[1] for each in inertials],
+        **{name: [_numbers(each, attribute, 1)[0] for each in hinges] for name, attribute in hinge.items()},
+        tip_mass=0.0 if weight is None else _numbers(weight, "mass", 1)[0],
+        gravity=[gravity[0], gravity[2]],
+        radius=0.0 if thick is None else _numbers(thick, "size", 1)[0],
+        name=held.name,
+    )
+
+
+def _part(parent: ET.Element, path: str) -> ET.Element:
+    found = parent.find(path)
+    if found is None:
+        raise InvalidInput(f"it lacks the element {path}", fix="Write it again from the set-up")
+    return found
+
+
+def _numbers(element: ET.Element, name: str, count: int) -> list[float]:
+    """Return the numbers of an attribute."""
+    text = element.get(name, "")
+    try:
+        found = [] if "_" in text else [float(word) for word in text.split()]  # Python's 1_000 is not MuJoCo's
+    except ValueError:
+        found = []
+    if len(found) != count:
+        allowed = "a number" if count == 1 else f"{count} numbers"
+        raise InvalidInput(f"{_named(element)} has no usable {name}", got=text, allowed=allowed)
+    return found
+
+
+def _named(element: ET.Element) -> str:
+    return f"{element.tag} {element.get('name', '')}".strip()
+
+
+def _compare(got: ET.Element, expected: ET.Element) -> None:
+    """Raise InvalidInput for the first element that differs from the written one."""
+    for one, other in zip(got.iter(), expected.iter(), strict=False):
+        for name in sorted({*one.keys(), *other.keys()} - {"data"}):
+            if _values(one.get(name)) != _values(other.get(name)):
+                fix = "Only the rope's numbers of an edited file are read: change the set-up instead"
+                what, allowed = f"{_named(one)} has another {name}", f"{other.get(name)!r}"
+                raise InvalidInput(what, got=one.get(name), allowed=allowed, fix=fix)
+        parts, wanted = [each.tag for each in one], [each.tag for each in other]
+        if parts != wanted:
+            raise InvalidInput(f"{_named(one)} holds other parts", got=parts, allowed=", ".join(wanted) or "nothing")
+
+
+def _values(text: str | None) -> list[float] | str | None:
+    """Return the numbers of an attribute, or else its text."""
+    try:
+        return [float(word) for word in (text or "a text").split()]
+    except ValueError:
+        return text
