@@ -1,4 +1,4 @@
-"""A simulated servo for tests of the closed loop: it lags, its torque is limited, and it keeps what it is given."""
+"""A simulated servo for tests of the closed loop: it lags, its torque is limited, and it keeps what it was asked for."""
 
 import math
 
