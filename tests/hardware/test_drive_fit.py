@@ -14,6 +14,7 @@ from hyperflex.hardware import (
     DriveModel,
     DriveZero,
     Goal,
+    SimulatedMotor,
     identify_drive,
     plan_test_motion,
 )
@@ -121,6 +122,8 @@ def test_without_reaching_it_the_rate_limit_is_not_told():
 
 
 def test_the_identified_drive_is_the_planners_motor(fit):
+    assert isinstance(fit.motor(), SimulatedMotor)
+    assert fit.motor().lag == fit.lag
     limits = fit.motor_limits(hf.MotorLimits(speed=20.0))
     assert 0.97 * Truth().rate_limit < limits.speed < 1.01 * Truth().rate_limit
     problem = hf.Problem(hf.Rope.uniform(1.0, 0.05, n_links=5, friction=0.0), hf.Arm(), hf.MotorLimits())

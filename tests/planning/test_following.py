@@ -7,12 +7,14 @@ import pytest
 
 from hyperflex.control import TrueState
 from hyperflex.errors import InvalidInput
+from hyperflex.hardware import SimulatedMotor
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Rope
 from hyperflex.motion import Motion
 from hyperflex.planning import (
     CastPlan,
     FollowOptions,
+    MotorStateSource,
     ScenarioStateSource,
     Uncertainty,
     check_feasibility,
@@ -25,7 +27,6 @@ from hyperflex.planning.moves import Moves
 from hyperflex.status import Status
 from tests.planning.known import PEG, WINDS, problem, simulated_strikes
 from tests.planning.known_whip import planned_whip
-from tests.planning.servo import OnServo, Servo
 from tests.planning.test_uncertainty import NONE
 
 CAST_SETUP = problem()
@@ -177,10 +178,23 @@ def test_what_is_due_too_soon_to_be_decided_is_made_as_planned():
     assert done.moves.starts(LIMITS)[-1] == pytest.approx(rest_before(done.moves, move + 1) + 1.0)
 
 
+class Kept(SimulatedMotor):
+    """A simulated motor that keeps what it was asked for; it refuses so many motions after the first one."""
+
+    def __init__(self, refuses: int = 0, **how: float) -> None:
+        super().__init__(-0.5 * np.pi, **how)
+        self.asked: list[tuple[float, Motion]] = []
+        self.refuses = refuses
+
+    def set_motion(self, motion: Motion, at: float) -> bool:
+        self.asked.append((at, motion))
+        return not 2 <= len(self.asked) < 2 + self.refuses and super().set_motion(motion, at)
+
+
 def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done():
     """A servo that hardly lags: the rope's state at each look is that of the asked motion."""
-    motor = Servo(lag=1e-3)
-    world = OnServo(CAST_SETUP.rope, CAST_SETUP.arm, motor)
+    motor = Kept(lag=1e-3, counts=10**6)
+    world = MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor)
     seen: list[tuple[RopeState, Motion]] = []
 
     class Watched:
@@ -192,7 +206,7 @@ def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done():
     assert motor.asked[0] == (0.0, WINDS.motion(LIMITS))
     changes = [look.t for look in done.decisions if look.action == "changed"]
     assert [at for at, _ in motor.asked[1:]] == changes
-    assert all(abs(look.arm_error) < 2e-3 for look in done.decisions)  # at rest the lag has faded
+    assert all(abs(look.arm_error) < 2e-3 for look in done.decisions)  # at rest the lag has faded; a count is 6e-6 rad
     true = TrueState(CAST_SETUP.rope, CAST_SETUP.arm)
     for state, motion in seen:
         # Late by 1 ms at links that turn with some 10 rad/s, and further apart in the course of the swings.
@@ -201,8 +215,8 @@ def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done():
 
 def test_a_motor_that_does_not_come_along_ends_the_throw():
     """A torque too weak for the strokes: at the first look the arm is far from where it should be."""
-    motor = Servo(acceleration=5.0)
-    done = follow_plan(PLAN, OnServo(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
+    motor = Kept(torque=0.005)
+    done = follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
     assert (done.completed, done.status) == (False, Status.FAILED)
     assert len(done.decisions) == 1
     assert abs(done.decisions[0].arm_error) > OPTIONS.max_arm_error
@@ -212,7 +226,7 @@ def test_a_motor_that_does_not_come_along_ends_the_throw():
 
 
 def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_goes_on():
-    motor = Servo(refuses=100, lag=1e-3)
+    motor = Kept(refuses=100, lag=1e-3, counts=10**6)
     (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
     done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), motor=motor)
     assert len(motor.asked) > 1
@@ -222,8 +236,8 @@ def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_goes_on():
 
 
 def test_an_abort_that_the_motor_refuses_begins_at_the_next_rest():
-    motor = Servo(refuses=1, acceleration=5.0)
-    done = follow_plan(PLAN, OnServo(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
+    motor = Kept(torque=0.005, refuses=1)
+    done = follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
     assert [look.action for look in done.decisions] == ["aborted"]
     assert motor.asked[-1] == (done.decisions[0].t, done.motion)
     assert done.moves.ends.size == done.decisions[0].move + 2
@@ -231,7 +245,7 @@ def test_an_abort_that_the_motor_refuses_begins_at_the_next_rest():
 
 def test_an_abort_that_is_decided_too_late_begins_at_the_next_rest():
     options = FollowOptions(real_time=True, sending=10.0)
-    done = follow_plan(PLAN, Hanging(), motor=Servo(refuses=1, lag=1e-3), options=options)
+    done = follow_plan(PLAN, Hanging(), motor=Kept(refuses=1, lag=1e-3, counts=10**6), options=options)
     last = done.decisions[-1]
     assert (last.action, done.message) == ("aborted", f"aborted at {last.t:.2f} s: the rope will not strike")
     assert done.moves.ends.size == last.move + 2
@@ -256,7 +270,7 @@ def test_in_real_time_a_late_decision_is_not_carried_out():
         follow_plan(
             PLAN,
             ScenarioStateSource(world, CAST_SETUP.arm),
-            motor=Servo(),
+            motor=Kept(),
             options=FollowOptions(decision_time=0.0, real_time=real_time),
         )
         for real_time in (False, True)

@@ -1,4 +1,4 @@
-"""Hardware: drives that turn the arm, with one set of guards for all of them."""
+"""Hardware: drives that turn the arm, with one set of guards for all of them; a simulated motor."""
 
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hyperflex.hardware.links import emulated_device, open_link
     from hyperflex.hardware.moteus import MoteusLink
     from hyperflex.hardware.odrive import ODriveLink
+    from hyperflex.hardware.simulated import SAMPLE_TIME, SimulatedMotor
     from hyperflex.hardware.suitability import Demand, MotorData, Suitability, check_motor, find_motor, motor_catalogue
     from hyperflex.hardware.zero import DriveZero
 

@@ -12,6 +12,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware.drive_model import DriveModel
+from hyperflex.hardware.simulated import SimulatedMotor
 from hyperflex.model import MotorLimits
 
 if TYPE_CHECKING:
@@ -128,6 +129,10 @@ class DriveFit:
         speed, rise = (self.intervals.get(name, (math.inf,))[0] for name in ("rate_limit", "acceleration_limit"))
         least = max(speed, 1e-3), max(rise, 1e-3)
         return replace(limits, speed=min(limits.speed, least[0]), acceleration=min(limits.acceleration, least[1]))
+
+    def motor(self, angle: float = 0.0) -> SimulatedMotor:
+        """Return a simulated motor with the identified lag, at rest at an angle, rad."""
+        return SimulatedMotor(angle, lag=self.lag)
 
     def describe(self) -> str:
         """Return the lag with its interval as text."""

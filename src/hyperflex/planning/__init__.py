@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         FollowOptions,
         FollowResult,
         Goal,
+        MotorStateSource,
         ScenarioStateSource,
         features,
         follow_plan,

@@ -13,6 +13,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.control import TrueState, hanging_state
 from hyperflex.errors import InvalidInput
+from hyperflex.hardware import SAMPLE_TIME, SimulatedMotor
 from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope
@@ -446,3 +447,18 @@ class ScenarioStateSource:
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the simulated state at `t`, s, under the command `motion`, made of moves."""
         return self._true.state(t, self.scenario.executed_motion(motion))
+
+
+class MotorStateSource:
+    """True state of a rope on a simulated motor, under the motion that the motor has made.
+
+    The motor is the one that is commanded; it begins where the arm is at t = 0.
+    """
+
+    def __init__(self, rope: Rope, arm: Arm, motor: SimulatedMotor) -> None:
+        self.motor, self._true = motor, TrueState(rope, arm)
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the simulated state at `t`, s, under the motor's motion; `motion` is not used."""
+        self.motor.true_angle(t)
+        return self._true.state(t, motion if t < 2.0 * SAMPLE_TIME else self.motor.motion())
