@@ -56,6 +56,7 @@ hf.forward_kinematics(pickle.loads(pickle.dumps(rope)), np.zeros(6))
 hf.simulate_batch([rope, dry], swing, arm=arm, duration=0.1)
 hf.simulate_batch([rope, rope], swing, arm=arm, duration=0.1, pegs=[peg])
 hf.sensitivities(dry, swing, arm=arm, duration=0.1, wrt=["q0", "friction", "dry_friction", "drag", "motion.t_rest"])
+hf.predictability(rope, swing, arm=arm, duration=0.2)
 for command in ("acceleration", "angle", "torque"):
     stepper = hf.Stepper(rope, arm=motor, command=command)
     stepper.linearize(stepper.step(stepper.start(), 0.1, dt=0.02), 0.1, dt=0.02)

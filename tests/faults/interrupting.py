@@ -193,6 +193,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "simulate batch": lambda: hf.simulate_batch(cable, many, arm=arm, duration=20.0),
         "contact batch": lambda: hf.simulate_batch(cable, swings, arm=arm, duration=6.0, pegs=[[p] for p in some]),
         "sensitivities": lambda: hf.sensitivities(cable, swings, arm=arm, duration=60.0, wrt=["friction", "inertia"]),
+        "predictability": lambda: hf.predictability(cable, swings, arm=arm, duration=30.0),
         "identify": lambda: hf.identify(noisy, guess, free, options=hf.FitOptions(intervals="profile")),
         "identify default": lambda: hf.identify(noisy, guess),
         "compare models": lambda: hf.compare_models(noisy, guess),

@@ -85,6 +85,7 @@ CALLS: dict[str, Callable[[], partial[Any]]] = {
     "sensitivities": lambda: partial(
         hf.sensitivities, rope=ROPE, motion=HOLD, arm=ARM, **START, wrt=["friction", "q0"]
     ),
+    "predictability": lambda: partial(hf.predictability, rope=ROPE, motion=HOLD, arm=ARM, **START, nudges=1),
     "Stepper": lambda: partial(hf.Stepper, rope=ROPE, arm=ARM, pegs=[PEG]),
     "Stepper.step": lambda: partial(STEPPER.step, state=STEPPER.start(), command=0.1, dt=0.02),
     "BatchStepper": lambda: partial(hf.BatchStepper, ropes=ROPE, members=2, arm=ARM),

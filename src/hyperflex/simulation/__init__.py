@@ -26,8 +26,10 @@ if TYPE_CHECKING:
         AngleJacobian,
         ParameterChange,
         ParameterDirections,
+        Predictability,
         Sensitivities,
         forward_derivatives,
+        predictability,
         sensitivities,
     )
     from hyperflex.simulation.stepper import Linearization, Stepper, arm_polynomials, commanded_accelerations, setup_for
