@@ -7,7 +7,6 @@ The paper's cable, let go from a bent shape or cast, with 25 to 800 links; its h
 error bars of ``extrapolate=True`` are checked with 16 times the links. All simulated.
 """
 
-import argparse
 import itertools
 import math
 from collections.abc import Callable
@@ -106,10 +105,7 @@ def bars(seed: int) -> list[str]:
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=SEED)
-    seed = parser.parse_args().seed
-    about = machine.describe()
+    seed, about = machine.seeded(__doc__, SEED)
     steps = " | ".join(f"{a} to {b}" for a, b in itertools.pairwise(LINKS))
     layer = math.sqrt(2e-5 * math.tau / 1.6 / (0.125 * 9.81))
     text = [

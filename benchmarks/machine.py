@@ -4,6 +4,7 @@ Each module peers_*.py drives one simulator and has ``NAME``, ``ARM`` (how its a
 a few words) and ``contestants``.
 """
 
+import argparse
 import importlib
 import os
 import platform
@@ -37,6 +38,13 @@ def describe() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return about
+
+
+def seeded(text: str | None, seed: int) -> tuple[int, dict[str, str]]:
+    """Return the seed of a command line whose help is `text`, by default `seed`, and what :func:`describe` does."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=seed)
+    return parser.parse_args().seed, describe()
 
 
 def sentence(about: dict[str, str]) -> str:

@@ -8,7 +8,6 @@ the frequency from which averaging is said to hold, and at half of it. The run l
 rope's length, or one where averaging does not hold. In ten postures the tip is pushed both ways. All simulated.
 """
 
-import argparse
 import math
 from pathlib import Path
 
@@ -97,10 +96,7 @@ def pushes(rng: np.random.Generator) -> list[str]:
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=SEED)
-    seed = parser.parse_args().seed
-    about = machine.describe()
+    seed, about = machine.seeded(__doc__, SEED)
     tilted, pushed = tilts(np.random.default_rng(seed)), pushes(np.random.default_rng([seed, 1]))
     errors = [(abs(float(row.split("|")[7])), "yes" in row.split("|")[8]) for row in tilted]
     within = [error for error, holds in errors if holds]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.control.vibration import _Averaged
+from hyperflex.control.vibration import Averaged
 from hyperflex.errors import InvalidInput
 
 G = 9.81
@@ -34,7 +34,7 @@ def tilt_of(run: hf.Trajectory) -> float:
 
 @pytest.mark.parametrize("arm", [None, hf.Arm(length=0.1)])
 def test_the_hessian_is_the_derivative_of_the_torques(arm):
-    model, h = _Averaged(UNEVEN, arm, 1.2, 40.0), 1e-6
+    model, h = Averaged(UNEVEN, arm, 1.2, 40.0), 1e-6
     q = np.array([0.4, 1.9, -1.1])
     slopes = [(model.at(q + h * one, 2.0)[0] - model.at(q - h * one, 2.0)[0]) / (2.0 * h) for one in np.eye(3)]
     np.testing.assert_allclose(model.at(q, 2.0)[1], -np.array(slopes).T, rtol=0, atol=1e-9)  # rounding over h
@@ -42,7 +42,7 @@ def test_the_hessian_is_the_derivative_of_the_torques(arm):
 
 def test_without_friction_the_torques_are_the_slope_of_the_averaged_potential():
     free = UNEVEN.replace(friction=np.zeros(3), stiffness=np.zeros(3))
-    model, q, v, h = _Averaged(free, None, 1.2, 40.0), np.array([0.4, 1.9, -1.1]), 2.0, 1e-6
+    model, q, v, h = Averaged(free, None, 1.2, 40.0), np.array([0.4, 1.9, -1.1]), 2.0, 1e-6
     outer = np.cumsum(free.mass[::-1])[::-1] - free.mass
     lever = free.mass * free.com + free.length * outer
 
@@ -126,7 +126,7 @@ def test_the_tilt_of_a_rod_is_that_of_the_closed_form_and_of_a_run(line):
 def test_acheson_a_chain_stands_between_his_two_limits():
     """A < .450 g / w_max^2 and A w > sqrt(2) g / w_min, of the modes of the hanging chain (1993)."""
     rope = hf.Rope(length=[0.1, 0.1], mass=[0.02, 0.02], friction=1e-6)
-    model = _Averaged(rope, None, math.pi, 100.0)
+    model = Averaged(rope, None, math.pi, 100.0)
     squares = np.linalg.eigvals(np.linalg.solve(model.coupling, np.diag(G * model.lever))).real
     least, most = np.sqrt([squares.min(), squares.max()])
     amplitude = 0.25 * G / most**2  # well below the first limit

@@ -47,7 +47,7 @@ def test_a_rope_that_does_not_strike_has_no_side():
 
 
 def test_a_rope_whose_side_is_not_known_fails(monkeypatch):
-    monkeypatch.setattr(outcome, "_aside", lambda run: (math.nan, math.nan, "it touches at once"))
+    monkeypatch.setattr(outcome, "_aside", lambda run: (math.nan, math.nan, math.nan, "it touches at once"))
     assert judged().success
     failed = judged(max_sideways=10.0)
     assert not failed.success

@@ -37,6 +37,12 @@ def simulate(
         float | None,
         typer.Option(help="Angle of the rope out of the plane at the start, rad: report how far to the side it is."),
     ] = None,
+    extrapolate: Annotated[
+        bool,
+        typer.Option(
+            "--extrapolate", help="Also estimate the limit of many short links and its error, in free flight."
+        ),
+    ] = False,
     time_budget: Annotated[
         float | None, typer.Option(help="Time for the run, s, without compiling; inf: no limit. [default: 1800]")
     ] = None,
@@ -65,7 +71,8 @@ def simulate(
     if duration is None and "duration" not in files.read_toml(setup):
         output.note(f"no duration is given, so {simulated.duration:g} s are simulated; give --duration for another")
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
-    how: dict[str, Any] = {"duration": duration, "time_budget": time_budget, "progress": True, "throw": False}
+    how: dict[str, Any] = {"duration": duration, "time_budget": time_budget, "extrapolate": extrapolate}
+    how |= {"progress": True, "throw": False}
     found, _ = output.run(lambda: run(simulated, **how))
     stopped = found.status == Status.INTERRUPTED
     if not found.success and not (found.t.size and (stopped or found.status == Status.OUT_OF_TIME)):
@@ -98,6 +105,10 @@ def simulate(
         "energy_error_J": np.abs(found.energy_error).max(),
         "energy_moved_J": float(np.ptp(found.motor_work) + np.ptp(found.kinetic_energy + found.potential_energy)),
     }
+    if found.limit is not None and found.limit_error is not None:
+        result |= {"limit_tip_m": found.limit[-1, -1], "limit_error_m": found.limit_error.max()}
+    elif extrapolate:
+        output.note(found.message)
     missing = "how long it can be trusted, and how the rope lies on the pegs"
     with output.keeping({"run": out}, missing, result), output.spinner() as progress:
         progress("simulating again with a tenth of the tolerance")

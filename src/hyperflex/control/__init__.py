@@ -25,14 +25,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.control.state_source import SimulatedCamera, TrueState, hanging_state
     from hyperflex.control.swing_model import SwingModel, arrival_time, swing_period
-    from hyperflex.control.vibration import (
-        MotorDemand,
-        VibrationMap,
-        VibrationPlan,
-        VibrationPosture,
-        plan_vibration,
-        vibration_map,
-        vibration_posture,
-    )
+    from hyperflex.control.vibration import VibrationMap, VibrationPosture, vibration_map, vibration_posture
+    from hyperflex.control.vibration_plan import MotorDemand, VibrationPlan, plan_vibration
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -90,15 +90,20 @@ class WindCriteria:
             raise InvalidInput("turns are not those of a wound rope", got=self.turns, allowed=allowed)
         if self.settle > 10.0:
             raise InvalidInput("settle is longer than a rope takes to come to rest", got=self.settle, allowed="<= 10 s")
-        if self.tilt > math.radians(5.0):
-            allowed = "up to 5 degrees (0.0873 rad): beyond, the first order is more than 17 % off"
-            raise InvalidInput("tilt is not small", got=f"{self.tilt:g} rad", allowed=allowed)
+        check_tilt(self.tilt)
         if self.watch < MEAN_TIME:
             allowed = f">= {MEAN_TIME:g} s, over which forces are averaged"
             raise InvalidInput("watch is too short to measure a hold", got=self.watch, allowed=allowed)
         object.__setattr__(self, "behind", checked_behind(self.behind))
         if self.holding_force > 0.0:
             refuse_behind(self.behind, "a holding force")
+
+
+def check_tilt(tilt: float) -> None:
+    """Raise InvalidInput for an angle out of the plane, rad, that is too large for the first order."""
+    if tilt > math.radians(5.0):
+        allowed = "up to 5 degrees (0.0873 rad): beyond, the first order is more than 17 % off"
+        raise InvalidInput("tilt is not small", got=f"{tilt:g} rad", allowed=allowed)
 
 
 def refuse_behind(pegs: Sequence[Peg], what: str) -> None:

@@ -26,7 +26,7 @@ from hyperflex.planning.verification import (
     spare_clearance,
     verified_setup,
 )
-from hyperflex.simulation import SAMPLE_TIME, sideways, simulate
+from hyperflex.simulation import SAMPLE_TIME, lean_warning, sideways, simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
@@ -138,6 +138,8 @@ class CastOutcome(RunOutcome):
         end, which half of the peg's width must exceed. NaN if the rope touches nothing, or it is not known.
     aside : float
         `half_width` over the tilt, m/rad.
+    lean : float
+        Greatest angle of a link out of the plane until then, rad.
     runs_behind : tuple of bool
         Whether the rope runs behind each of the set-up's pegs `behind`: all through the watch it touches the peg
         between the arm and its first touch of the target. Empty if the simulation failed.
@@ -157,12 +159,18 @@ class CastOutcome(RunOutcome):
     sideways: float = np.nan
     half_width: float = np.nan
     aside: float = np.nan
+    lean: float = np.nan
     runs_behind: tuple[bool, ...] = ()
 
     @property
     def success(self) -> bool:
         """Wound and held."""
         return self.wound and self.held and not self.message
+
+    @property
+    def lean_warning(self) -> str:
+        """That the rope leans too far out of the plane for what is said of it; empty if not."""
+        return lean_warning(self.lean)
 
     def in_short(self) -> str:
         """Return the most important figures for whoever carries the cast out, with units."""
@@ -232,7 +240,7 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
     apart = way_gaps(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
     led = tuple(bool(each.all()) for each in (apart < winding.TOUCH).T)
-    beside, aside, doubt = _aside(run)
+    beside, aside, lean, doubt = _aside(run)
     half_width = criteria.tilt * aside
     if not touched.any():
         message = "the rope does not touch the peg"
@@ -274,22 +282,23 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
         sideways=criteria.tilt * beside,
         half_width=half_width,
         aside=aside,
+        lean=criteria.tilt * lean,
         runs_behind=led,
         **figures,
     )
 
 
-def _aside(run: Trajectory) -> tuple[float, float, str]:
-    """Return `sideways` and `half_width` of a :class:`CastOutcome` over the tilt, m/rad, and why they are not known."""
+def _aside(run: Trajectory) -> tuple[float, float, float, str]:
+    """Return `sideways`, `half_width` and `lean` of a :class:`CastOutcome` over the tilt, and why they are unknown."""
     touching = np.zeros(1) if run.contact_force is None else run.contact_force.any(axis=2)
     if not touching.any():
-        return math.nan, math.nan, "it touches nothing"
+        return math.nan, math.nan, math.nan, "it touches nothing"
     try:
         found = sideways(run, tilt=1.0)
     except (InvalidInput, SimulationError) as error:
-        return math.nan, math.nan, str(error)
+        return math.nan, math.nan, math.nan, str(error)
     beyond = np.abs(found.joints[-1, int(touching.argmax()) % run.q.shape[1] :])
-    return float(beyond[:2].mean()), float(beyond.max()), ""
+    return float(beyond[:2].mean()), float(beyond.max()), float(np.abs(found.angles).max()), ""
 
 
 def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:

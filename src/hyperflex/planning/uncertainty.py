@@ -16,7 +16,7 @@ from hyperflex.identification import perturbed
 from hyperflex.model import DAMPING, PROPERTIES, Peg, Rope, parse_label
 from hyperflex.motion import Motion, arm_moves, lagged
 from hyperflex.planning.moves import MIN_REST, Moves
-from hyperflex.planning.options import refuse_behind
+from hyperflex.planning.options import check_tilt, refuse_behind
 from hyperflex.planning.problem import Problem
 
 if TYPE_CHECKING:
@@ -205,8 +205,8 @@ class Uncertainty:
     place : float
         Standard deviation of each coordinate of the target's place, m; normal, independent.
     tilt : float
-        Standard deviation of the rope's angle out of the plane at the start, rad; normal. It counts where the criteria
-        have a `max_sideways`. A recording in space gives it: ``recording.tilt``.
+        Standard deviation of the rope's angle out of the plane at the start, rad, at most 5 degrees; normal. It counts
+        where the criteria have a `max_sideways`. A recording in space gives it: ``recording.tilt``.
     posterior : RopePosterior, optional
         Identified rope: ropes are sampled from its covariance, and then multiplied by the factors above.
     drive : DriveFit, optional
@@ -239,6 +239,7 @@ class Uncertainty:
             if field.name not in ("posterior", "drive"):
                 value = checks.number(f"uncertainty of {field.name}", getattr(self, field.name), sign="nonnegative")
                 object.__setattr__(self, field.name, value)
+        check_tilt(self.tilt)
         if self.posterior is not None and not isinstance(self.posterior, RopePosterior):
             fix = "Give Uncertainty.from_identification(what identify returned)"
             raise InvalidInput("posterior is no RopePosterior", got=self.posterior, fix=fix)

@@ -1,7 +1,7 @@
 """Measured data: link angles or marker positions with their times, gaps and noise, and readers for common files."""
 
 from hyperflex.recording.content import Content
-from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations
+from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations, Raw, to_recording
 from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
 from hyperflex.recording.proposal import propose, python_line
 from hyperflex.recording.read import read_channels, read_recording
@@ -17,10 +17,12 @@ __all__ = [
     "Content",
     "DeclarationFields",
     "Declarations",
+    "Raw",
     "Recording",
     "propose",
     "python_line",
     "read_channels",
     "read_recording",
+    "to_recording",
     "unwrap",
 ]

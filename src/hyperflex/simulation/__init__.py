@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hyperflex.simulation.batch import Batch, BatchFields, BatchState, BatchStepper, simulate_batch
     from hyperflex.simulation.contact import check_outside
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
-    from hyperflex.simulation.out_of_plane import Sideways, refuse_rope, sideways
+    from hyperflex.simulation.out_of_plane import Sideways, lean_warning, refuse_rope, sideways
     from hyperflex.simulation.rollouts import (
         Interval,
         Rollout,

@@ -58,8 +58,7 @@ class Sideways:
 
     def warning(self) -> str:
         """Return that angles are too large for the first order; empty if not."""
-        most = math.degrees(float(np.abs(self.angles).max()))
-        return f"a link leans by {most:.3g} degrees: the first order is 17 % off at 5 and useless at 10" * (most > 5.0)
+        return lean_warning(float(np.abs(self.angles).max()))
 
     @cached_property
     def joints(self) -> Array:
@@ -182,6 +181,12 @@ def sideways(
         raise InvalidInput("the samples of the run are too coarse", got=what, allowed=allowed, fix=fix)
     touch = float(run.t[count]) if count < run.t.size else None
     return Sideways(run, run.t[:count], angles, rates, touch, float(error))
+
+
+def lean_warning(most: float) -> str:
+    """Return that a link that leans by `most`, rad, is beyond the first order; empty if it is not."""
+    found = math.degrees(most)
+    return f"a link leans by {found:.3g} degrees: the first order is 17 % off at 5 and useless at 10" * (found > 5.0)
 
 
 def refuse_rope(rope: Rope) -> None:

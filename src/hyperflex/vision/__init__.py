@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         frame_times,
         random_occlusion,
     )
+    from hyperflex.vision.stereo import stereo_recording
     from hyperflex.vision.video import (
         Frame,
         Image,

@@ -1,0 +1,226 @@
+"""Plan a vibration that holds a required posture, with a required stiffness, and say what motor it takes."""
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.control.vibration import Averaged, Of, VibrationPosture, tilt_of
+from hyperflex.dynamics import mass_matrix
+from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
+from hyperflex.model import Arm, MotorLimits, Rope
+
+
+class MotorDemand(NamedTuple):
+    """What an arm's motor must reach: rad/s, rad/s^2, N m, and least and greatest angle, rad."""
+
+    speed: float
+    acceleration: float
+    torque: float
+    angles: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class VibrationPlan:
+    """A vibration that holds a required posture (made by :func:`plan_vibration`), and the motor that it takes.
+
+    Parameters
+    ----------
+    posture : VibrationPosture or None
+        None if no vibration holds what is required.
+    motor : MotorDemand or None
+        What the arm's motor must reach; None without an arm.
+    missing : dict of str to (float, float)
+        What the given motor lacks, by the names of `MotorLimits`: required and possible.
+    """
+
+    posture: VibrationPosture | None
+    motor: MotorDemand | None = None
+    missing: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def success(self) -> bool:
+        """Whether the posture can be held, as far as averaging holds, by the given motor if there is one."""
+        return self.posture is not None and self.posture.holds and not self.missing
+
+    @property
+    def message(self) -> str:
+        """Why the plan fails; empty on success."""
+        if self.posture is None:
+            return "no vibration holds this posture stably; allow another direction, or a smaller tilt or stiffness"
+        if not self.posture.holds:
+            now, least = self.posture.frequency, self.posture.least_frequency
+            return f"averaging does not hold at {now:.3g} Hz; from {least:.3g} Hz on at the same velocity of the base"
+        lacks = (f"{name} of {need:.3g} {UNITS[name]}, has {has:.3g}" for name, (need, has) in self.missing.items())
+        return f"the motor lacks what the vibration needs: {'; '.join(lacks)}" if self.missing else ""
+
+
+UNITS = {"speed": "rad/s", "acceleration": "rad/s^2", "torque": "N m", "angles": "rad"}
+
+
+@interruptible()
+def plan_vibration(
+    rope: Rope,
+    tilt: float,
+    limits: MotorLimits | None = None,
+    *,
+    arm: Arm | None = None,
+    of: Of = "chain",
+    stiffness: float | None = None,
+    push: float | None = None,
+    frequency: float | None = None,
+    direction: float | None = None,
+) -> VibrationPlan:
+    """Find the weakest vibration that holds a rope at a tilt, stably, and what motor it takes.
+
+    Parameters
+    ----------
+    rope : Rope
+        As for :func:`vibration_posture`.
+    tilt : float
+        Required angle, rad, as that of a link: 0 hangs, pi stands upright.
+    limits : MotorLimits, optional
+        Of the arm's motor.
+    arm : Arm, optional
+        Its tip vibrates across it; the rope hangs from the tip. By default a pivot moves along a line, without a motor.
+    of : {"chain", "tip"}
+        Whether the tilt is that of the line from the first joint to the tip, or that of the last link.
+    stiffness : float, optional
+        Least stiffness of the tip, N/m, in the direction `push`.
+    push : float, optional
+        Direction of the stiffness, rad, as the angle of a link; by default across the tilt.
+    frequency : float, optional
+        Hz; by default the least at which averaging holds.
+    direction : float, optional
+        Line of the vibration, rad; by default that which takes the least velocity of the base.
+
+    Returns
+    -------
+    VibrationPlan
+        It fails, and says what is missing, if the motor is too weak. Whether the rope touches the arm is not checked.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+
+    Notes
+    -----
+    A posture counts as held if it returns from small displacements at least half as fast as a pendulum of the rope's
+    length would, and if it is at least as stiff as required.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> rod = hf.Rope(length=[0.3], mass=[0.05], friction=1e-4)
+    >>> plan = hf.plan_vibration(rod, 1.9, hf.MotorLimits(), arm=hf.Arm(length=0.1))
+    >>> plan.success, sorted(plan.missing)
+    (False, ['acceleration', 'speed'])
+    """
+    checks.choice("of", of, ("chain", "tip"))
+    wanted = 1e-300 if stiffness is None else checks.number("stiffness", stiffness, sign="positive", unit="N/m")
+    if limits is not None and arm is None:
+        raise InvalidInput("limits are those of an arm's motor", got="no arm", fix="Give arm=Arm(length=...)")
+    if limits is not None:
+        checks.instance("limits", limits, MotorLimits)
+    if not np.any(checks.instance("rope", rope, Rope).gravity):
+        raise InvalidInput("without gravity any vibration along the tilt holds it", got="gravity 0", allowed="not 0")
+    tilt = checks.number("tilt", tilt, unit="rad")
+    line = None if direction is None else checks.number("direction", direction, unit="rad")
+    checks.meant("direction", 0.0 if line is None else line, "rad")
+    across = tilt + 0.5 * math.pi if push is None else checks.number("push", push, unit="rad")
+    rate = math.nan if frequency is None else checks.number("frequency", frequency, sign="positive", unit="Hz")
+    checks.meant("tilt", tilt, "rad")
+    family = _Family(rope, arm, tilt, of, line, wanted, across)
+    found, now = None, 20.0 * family.slow if math.isnan(rate) else rate
+    for _ in range(8):  # friction in the joints makes the posture depend on the frequency
+        found = family.weakest(now)
+        if found is None or not math.isnan(rate) or found.least_frequency <= now <= 1.2 * found.least_frequency:
+            break
+        now = 1.1 * found.least_frequency
+    if found is not None and stiffness is not None and math.isinf(found.stiffness(across)):
+        raise InvalidInput("a straight rope does not yield along itself", got=f"push={across:g}", fix="Give another")
+    if found is None or arm is None:
+        return VibrationPlan(found)
+    turn, mean = found.amplitude / arm.length, found.direction - 0.5 * math.pi
+    omega, torque = math.tau * found.frequency, found.simulate(2.0 / found.frequency).motor_torque
+    motor = MotorDemand(turn * omega, turn * omega**2, float(np.abs(torque).max()), (mean - turn, mean + turn))
+    missing = {}
+    if limits is not None:
+        pairs = {name: (getattr(motor, name), getattr(limits, name)) for name in ("speed", "acceleration", "torque")}
+        missing = {name: (need, has) for name, (need, has) in pairs.items() if need > has}
+        for need, has, sense in zip(motor.angles, limits.angles, (-1, 1), strict=True):
+            if sense * (need - has) > 0.0:
+                missing["angles"] = (need, has)
+    return VibrationPlan(found, motor, missing)
+
+
+class _Family:
+    """Vibrations that hold a rope at a tilt, from the strongest (0) to the weakest (1)."""
+
+    def __init__(
+        self, rope: Rope, arm: Arm | None, tilt: float, of: Of, direction: float | None, wanted: float, push: float
+    ) -> None:
+        self.rope, self.arm, self.tilt, self.of, self.wanted, self.push = rope, arm, tilt, of, wanted, push
+        pull = math.sin(tilt - rope.hanging_angle)
+        self.upright = abs(pull) < 1e-6  # or hanging: there any strength does, and below the tilt depends on it
+        self.away = 0.0 if self.upright else math.copysign(1.0, pull)
+        self.direction = direction
+        self.slow = math.sqrt(float(np.hypot(*rope.gravity)) / rope.total_length) / math.tau
+
+    def member(self, u: float, frequency: float) -> VibrationPosture | None:
+        """Return a member; None if the rope does not come to the tilt there."""
+        above = math.pi - abs(math.remainder(self.tilt - self.rope.hanging_angle, math.tau))  # to the upright rope
+        least, most = min(0.05, 0.2 * above, 0.2 * (math.pi - above)), min(1.4, above)
+        line = self.tilt + self.away * (least + (most - least) * u) if self.direction is None else self.direction
+        line = self.tilt + math.remainder(line - self.tilt, math.pi)
+        model = Averaged(self.rope, self.arm, line % math.pi if self.arm else line, frequency)
+        weakest = 0.03 * model.top
+        last = weakest**u * model.top ** (1.0 - u) if self.upright else weakest
+        before: tuple[float, Array] | None = None
+        for v, q in model.follow(np.full(self.rope.n_links, line), model.from_top(last)):
+            if not self.upright and self.away * (tilt_of(self.rope, q, self.of) - self.tilt) <= 0.0:
+                return None if before is None else self._between(model, *before, v)
+            before = v, q
+        return model.posture(before[1], before[0]) if self.upright and before and before[0] == last else None
+
+    def _between(self, model: Averaged, v: float, q: Array, lower: float) -> VibrationPosture | None:
+        """Return the posture at the tilt between two velocities, m/s, of which the greater has the angles q."""
+        for _ in range(50):
+            middle = 0.5 * (v + lower)
+            found = model.settle(q, middle)
+            if found is None:
+                return None
+            if self.away * (tilt_of(self.rope, found, self.of) - self.tilt) > 0.0:
+                v, q = middle, found
+            else:
+                lower = middle
+        return model.posture(q, v)
+
+    def margin(self, held: VibrationPosture | None) -> float:
+        """Return the logarithm of what a posture has over what is required; -inf if it is not held."""
+        if held is None or not held.stable:
+            return -math.inf
+        squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(self.rope, held.q), held.hessian))
+        over = held.stiffness(self.push) / self.wanted, float(squares.real.min()) / (math.pi * self.slow) ** 2
+        return math.log(max(min(over), 1e-300))
+
+    def weakest(self, frequency: float) -> VibrationPosture | None:
+        """Return the member of the least velocity that is stable and stiff enough; None if there is none."""
+        from scipy.optimize import brentq
+
+        grid = np.linspace(0.0, 1.0, 13 if self.upright or self.direction is None else 1).tolist()
+        held = [self.member(u, frequency) for u in grid]
+        margins = list(map(self.margin, held))
+        good = [(each.velocity, k) for k, each in enumerate(held) if each is not None and margins[k] >= 0.0]
+        if not good:
+            return None
+        _, k = min(good)
+        if k + 1 == len(grid) or not -math.inf < margins[k + 1] < 0.0:
+            return held[k]
+        exact = brentq(lambda u: self.margin(self.member(u, frequency)), *grid[k : k + 2], xtol=1e-9)
+        return self.member(float(exact), frequency)
