@@ -332,14 +332,15 @@ def struck(rows: list[dict[str, Any]], words: str) -> list[str]:
     return [
         f"## At the strike: {words}",
         "",
-        "1 degree out of the plane at the start. Growth: of the worst deviation until the first touch; lean: greatest angle",
-        "of a link out of the plane, degrees. Distances in mm, from the place that strikes to the rope's end.",
+        "1 degree out of the plane at the start. Growth: of the worst deviation until the first touch; lean: greatest",
+        "angle of a link out of the plane, degrees. Distances in mm, from the place that strikes to the rope's end.",
         "",
-        "| cast | at, s | growth | lean | aside | in MuJoCo | error, % | planar difference |",
+        "| cast | at, s | growth | lean | aside | in MuJoCo | planar difference | error, % |",
         "|---" * 8 + "|",
         *(
-            f"| {row['name']} | {row['t']:.2f} | {row['growth']:.3g} | {row['lean']:.1f} | {1e3 * row['aside']:.1f} | "
-            f"{1e3 * row['aside in MuJoCo']:.1f} | {100 * off[row['name']]:.1f} | {1e3 * row['planar difference']:.2g} |"
+            f"| {row['name']} | {row['t']:.2f} | {row['growth']:.3g} | {row['lean']:.1f} | "
+            + " | ".join(f"{1e3 * row[key]:.1f}" for key in ("aside", "aside in MuJoCo", "planar difference"))
+            + f" | {100 * off[row['name']]:.1f} |"
             for row in sorted(rows, key=lambda row: str(row["name"]))
         ),
         "",

@@ -52,6 +52,16 @@ def test_simulate_reports_how_far_to_the_side_a_tilted_rope_is(hyperflex, hyperf
     assert "bad.nc" not in files(Path())
 
 
+def test_simulate_estimates_the_limit_of_many_links(hyperflex_json, setup):
+    _, result = hyperflex_json(*CALL, "--extrapolate")
+    found = hf.simulate(setup, extrapolate=True)
+    assert result["limit_tip_m"] == found.limit[-1, -1].tolist()
+    assert result["limit_error_m"] == found.limit_error.max()
+    np.testing.assert_array_equal(hf.read_trajectory("cast.nc").limit, found.limit)
+    setup.replace(pegs=(hf.Peg(0.0, -3.0, 0.05),)).to_toml("cast.toml")
+    assert "free run" in hyperflex_json(*CALL, "--extrapolate")[1]["error"]
+
+
 @pytest.mark.filterwarnings("default:not predictable")
 def test_simulate_says_from_when_on_a_run_cannot_be_trusted(hyperflex, hyperflex_json, setup):
     """With the friction of the set-up to the end, without any not: a tangle; a stricter distance ends it sooner."""

@@ -264,8 +264,10 @@ def test_wrong_arguments():
         hf.plan_vibration(ROD, "a")
     with pytest.raises(InvalidInput, match="without gravity"):
         hf.plan_vibration(ROD.replace(gravity=(0.0, 0.0)), 1.9)
-    with pytest.raises(InvalidInput, match="amplitudes do not ascend"):
-        hf.vibration_map(ROD, [0.01, 0.005], [30.0, 60.0], 2.0)
+    with pytest.raises(InvalidInput, match="does not yield along itself"):
+        hf.plan_vibration(ROD, 1.9, stiffness=1.0, push=1.9 + math.pi)
+    with pytest.raises(InvalidInput, match="number of amplitudes"):
+        hf.vibration_map(ROD, [], [30.0, 60.0], 2.0)
 
 
 def test_a_rod_does_not_yield_along_itself():
@@ -276,7 +278,7 @@ def test_a_rod_does_not_yield_along_itself():
 
 def test_a_map_has_the_tilts_of_its_postures_and_can_be_drawn():
     ways, rates = np.linspace(0.004, 0.012, 5), np.linspace(30.0, 90.0, 4)
-    found = hf.vibration_map(ROD, ways, rates, 2.4, arm=hf.Arm(length=0.1))
+    found = hf.vibration_map(ROD, ways[::-1], rates, 2.4, arm=hf.Arm(length=0.1))
     alike = hf.vibration_posture(ROD, ways[3], rates[2], 2.4, arm=hf.Arm(length=0.1))[0]
     assert found.tilt[2, 3] == pytest.approx(alike.tilt, abs=1e-9)
     assert np.isfinite(found.tilt).any()

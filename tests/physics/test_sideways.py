@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.simulation import out_of_plane
+from hyperflex.status import Status
 
 DEGREE = math.radians(1.0)
 
@@ -134,6 +136,14 @@ def test_it_ends_where_the_rope_touches():
 def test_runs_that_it_cannot_follow_are_refused(made, words):
     with pytest.raises(hf.InvalidInput, match=words):
         hf.sideways(made(), tilt=DEGREE)
+
+
+def test_a_motion_that_is_not_finite_is_an_error(monkeypatch):
+    run = swing(0.1)
+    monkeypatch.setattr(out_of_plane, "integrate", lambda *of: of[5].fill(math.inf))  # angles at the end
+    with pytest.raises(hf.SimulationError, match="beyond all bounds") as caught:
+        hf.sideways(run, tilt=DEGREE)
+    assert (caught.value.status, caught.value.time) == (Status.NOT_FINITE, run.t[-1])
 
 
 def test_large_angles_are_said_and_a_bent_rope_needs_its_tilt():

@@ -10,6 +10,7 @@ import hyperflex as hf
 from hyperflex.planning import Uncertainty, outcome
 from hyperflex.planning.ensemble import strikes_in_plane
 from hyperflex.planning.outcome import evaluate_cast
+from hyperflex.report import CastReport
 from tests.planning.known import PEG, planned, problem
 
 
@@ -40,6 +41,17 @@ def test_a_rope_too_far_aside_fails():
     assert f"it is up to {1e3 * most:.0f} mm to the side" in failed.message
 
 
+def test_a_plan_says_that_links_lean_too_far_for_the_first_order():
+    seen = planned().outcome
+    assert seen.lean == pytest.approx(np.abs(hf.sideways(planned().run, tilt=math.radians(1.0)).angles).max())
+    for lean, said in ((0.08, ""), (0.1, "Begun 1 degree out of the plane, a link leans by 5.73 degrees")):
+        plan = replace(planned(), outcome=replace(seen, lean=lean))
+        warning = CastReport(plan).warning
+        assert said in warning
+        assert ("a link leans" in warning) == bool(said)
+        assert plan.summary()["outcome"]["lean"] == lean
+
+
 def test_a_rope_that_does_not_strike_has_no_side():
     missed = planned(winds=False).outcome
     assert math.isnan(missed.half_width)
@@ -59,8 +71,9 @@ def test_dry_friction_and_large_tilts_are_refused():
     assert replace(problem(), rope=dry).rope is dry
     with pytest.raises(hf.InvalidInput, match="Leave dry friction out"):
         replace(problem(), rope=dry, criteria=hf.WindCriteria(max_sideways=0.1))
-    with pytest.raises(hf.InvalidInput, match="tilt is not small"):
-        hf.WindCriteria(tilt=1.0)
+    for kind in (hf.WindCriteria, Uncertainty):
+        with pytest.raises(hf.InvalidInput, match="tilt is not small"):
+            kind(tilt=1.0)
 
 
 def test_scenarios_draw_tilts_and_fail_by_them():
