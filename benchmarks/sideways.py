@@ -106,6 +106,11 @@ class Flight:
         self.mujoco.mj_kinematics(self.model, self.data)
         return np.vstack([self.data.xpos[self.links], self.data.site_xpos[self.tip]])
 
+    @property
+    def stable(self) -> bool:
+        """Whether MuJoCo has not met accelerations beyond bounds, from which it starts anew."""
+        return not self.data.warning[int(self.mujoco.mjtWarning.mjWARN_BADQACC)].number
+
     def run(self, until: float) -> None:
         """Step to a time, s."""
         step, data, motion = self.model.opt.timestep, self.data, self.setup.motion
@@ -179,6 +184,7 @@ def strike(path: Path, name: str, step: float, tilt: float, lead: float = LEAD) 
         "same until": float(t[k + same - 1]),
         "error until then": float(off[:same].max() / np.abs(want[:same]).max()),
         "same": same == t.size - k,
+        "stable": flight.stable,
     }
 
 
@@ -205,6 +211,7 @@ def cast(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
         "until": flight.t,
         "aside": lean * float(np.abs(found.joints[-1, link:]).max()),
         "furthest": furthest,
+        "stable": flight.stable,
     }
 
 

@@ -119,11 +119,6 @@ def simulate(
     more = [(f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _winding(peg)) for peg in result["pegs"]]
     if simulated.arm is None and not np.ptp(found.tip, axis=0).any():
         more.append(("motion", "none: the rope hangs from a point at rest; give [arm] and [motion]"))
-    if tilt is not None:
-        ends = "first touch" if result["sideways"]["touch_s"] is not None else "end"
-        text = "{most_m:.3g} m to the side at most, {last_m:.3g} m of the tip at the ".format(**result["sideways"])
-        doubt = result["sideways"]["warning"]
-        more.append((f"begun {tilt:g} rad out of the plane", text + ends + (f"; {doubt}" if doubt else "")))
     more.append(("next", f"hyperflex view {out} plays it, hyperflex plot {out} draws it"))
     output.show(result, output.rows("Simulated", result, *more))
 
@@ -139,7 +134,7 @@ def _aside(run: "Trajectory", tilt: float) -> dict[str, Any]:
         "most_m": np.abs(found.joints).max(),
         "last_m": abs(found.tip[-1]),
         "error_m": found.error,
-        "warning": found.warning(),
+        "warning": found.warning() or None,
     }
 
 

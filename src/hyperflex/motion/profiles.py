@@ -315,8 +315,8 @@ def vibrating_pivot(amplitude: float, frequency: float, direction: float = 0.0) 
         Of the line, rad, as the angle of a link that lies along it: 0 is vertical, pi/2 horizontal.
     """
     angle = checks.number("direction", direction, unit="rad")
-    spec = {"kind": "vibrating point", **_vibration(amplitude, frequency, "m"), "direction": angle}
-    return _sinusoid(spec, {X: math.sin(angle), Y: -math.cos(angle)}, 0.0)
+    spec = {"kind": "vibrating point", "amplitude": amplitude, "frequency": frequency, "direction": angle}
+    return _sinusoid(spec, "m", {X: math.sin(angle), Y: -math.cos(angle)}, 0.0)
 
 
 def vibrate_arm(amplitude: float, frequency: float, mean: float = 0.0) -> Motion:
@@ -333,20 +333,11 @@ def vibrate_arm(amplitude: float, frequency: float, mean: float = 0.0) -> Motion
     """
     angle = checks.number("mean", mean, unit="rad")
     checks.meant("arm angle", angle, "rad")
-    return _sinusoid(
-        {"kind": "vibration", **_vibration(amplitude, frequency, "rad"), "mean": angle}, {ANGLE: 1.0}, angle
-    )
+    spec = {"kind": "vibration", "amplitude": amplitude, "frequency": frequency, "mean": angle}
+    return _sinusoid(spec, "rad", {ANGLE: 1.0}, angle)
 
 
-def _vibration(amplitude: float, frequency: float, unit: str) -> dict[str, float]:
-    """Return the checked arguments of a vibration by name."""
-    return {
-        "amplitude": checks.number("amplitude", amplitude, sign="nonnegative", unit=unit),
-        "frequency": checks.number("frequency", frequency, sign="positive", unit="Hz"),
-    }
-
-
-def _sinusoid(spec: dict[str, Any], channels: dict[int, float], mean: float) -> Motion:
+def _sinusoid(spec: dict[str, Any], unit: str, channels: dict[int, float], mean: float) -> Motion:
     """Return the vibration that `spec` describes, in channels in proportion, as quintics through its derivatives.
 
     A piece of a twelfth of a period is right to 5e-7 of the amplitude, its acceleration to 4e-5 of its own. Each sixth
@@ -354,6 +345,8 @@ def _sinusoid(spec: dict[str, Any], channels: dict[int, float], mean: float) -> 
     """
     from scipy.interpolate import BPoly, PPoly
 
+    spec["amplitude"] = checks.number("amplitude", spec["amplitude"], sign="nonnegative", unit=unit)
+    spec["frequency"] = checks.number("frequency", spec["frequency"], sign="positive", unit="Hz")
     phase = np.linspace(0.0, math.tau, 13)
     wave = np.stack([np.cos(phase), -np.sin(phase), -np.cos(phase)], axis=1)
     pieces = PPoly.from_bernstein_basis(BPoly.from_derivatives(phase, wave)).c[::-1].T

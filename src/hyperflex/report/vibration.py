@@ -24,10 +24,8 @@ def vibration_figure(found: VibrationMap, limits: MotorLimits | None = None) -> 
         axis: Any = figure.subplots()
         ways, tilt = 1e3 * found.amplitude, np.ma.masked_invalid(np.degrees(found.tilt))
         axis.grid(visible=False)
-        sure, doubtful = (np.ma.masked_where(found.holds != each, tilt) for each in (True, False))
-        span = {"vmin": tilt.min(), "vmax": tilt.max(), "cmap": "YlGnBu"}
-        axis.pcolormesh(ways, found.frequency, doubtful, alpha=0.35, **span)
-        figure.colorbar(axis.pcolormesh(ways, found.frequency, sure, **span), ax=axis, label="tilt, degrees")
+        mesh = axis.pcolormesh(ways, found.frequency, tilt, alpha=np.where(found.holds, 1.0, 0.35), cmap="YlGnBu")
+        figure.colorbar(mesh, ax=axis, label="tilt, degrees")
         axis.plot([], [], "s", color="#b9c6d8", ms=9.0, label="pale: averaging does not hold")
         axis.plot([], [], "s", color="white", mec=GREY, ms=9.0, label="white: not held")
         if limits is not None and found.arm is not None:
