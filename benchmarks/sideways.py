@@ -303,14 +303,18 @@ def page(rows: list[dict[str, Any]]) -> str:
             "## Do casts still wind?",
             "",
             "Casts that wind in MuJoCo, by the tilt at the start and the target's width. Here a cast counts that makes",
-            "1.25 turns for 0.3 s, which is weaker than the criterion of [planar casts in MuJoCo](casts-mujoco.md), whose",
+            "1.25 turns for 0.3 s: weaker than the criterion of [planar casts in MuJoCo](casts-mujoco.md), whose",
             "row is that without a tilt. A long target is 1 m wide.",
         ]
         text += ["", "| tilt, degrees | casts | long target | " + " | ".join(f"{1e3 * w:g} mm" for w in WIDTHS) + " |"]
         text += ["|---" * (3 + len(WIDTHS)) + "|"]
         names = {row["name"] for row in some}
         flat = [row for row in lines.read(RESULTS / "casts-mujoco.jsonl") if row["name"] in names]
-        text += ["| 0, planar | " + " | ".join([str(len(flat)), *[str(sum(row["winds"] for row in flat))] * 5]) + " |"]
+        text += [
+            "| 0, planar | "
+            + " | ".join([str(len(flat)), *[str(sum(row["winds"] for row in flat))] * (1 + len(WIDTHS))])
+            + " |"
+        ]
         for tilt in TILTS:
             own = [row for row in some if row["tilt"] == tilt]
             wide = [sum(row["winds"] and row["furthest"] <= 0.5 * w for row in own) for w in WIDTHS]
