@@ -173,7 +173,7 @@ def strike(path: Path, name: str, step: float, tilt: float, lead: float = LEAD) 
     first = int(np.searchsorted(rope.link_ends, cut.rope.link_ends[link] - 1e-9))
     apart = np.linalg.norm(there[..., [0, 2]] - run.joints[k:], axis=-1).max(axis=1)
     off = np.abs(there[..., 1] - want).max(axis=1)
-    same = int(np.argmax(np.append(apart > 0.01 * rope.total_length, True)))  # samples with the same planar cast
+    same = int(np.argmax(np.append(apart > 0.01 * rope.total_length, True))) or 1  # samples with the same planar cast
     return {
         "t": float(t[-1]),
         "growth": float(own.growth()[1][-1]),

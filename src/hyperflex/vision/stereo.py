@@ -8,7 +8,9 @@ from hyperflex.recording import FASTEST, Declarations, Raw, Recording, to_record
 from hyperflex.vision.camera import LARGEST_MISFIT, Camera
 
 
-def stereo_recording(first: Recording, second: Recording, camera: Camera, other: Camera) -> Recording:
+def stereo_recording(
+    first: Recording, second: Recording, camera: Camera, other: Camera, *, plane: str = "fit"
+) -> Recording:
     """Return the recording of a swing that two cameras saw, with its motion out of the plane and its tilt.
 
     Parameters
@@ -19,11 +21,14 @@ def stereo_recording(first: Recording, second: Recording, camera: Camera, other:
         The second one is interpolated to the times of the first.
     camera, other : Camera
         Calibrated, with the pose of one and the same plane: of a board that lay still for a picture of each.
+    plane : {"fit", "xy"}
+        Plane of the recording: that of the motion, in which a rope that is let go askew from rest may swing almost
+        flat, or the cameras' swing plane.
 
     Returns
     -------
     Recording
-        Of the markers in the plane of their motion, as of markers in space. Gaps where one camera does not see.
+        As of markers in space. Gaps where one camera does not see.
 
     Raises
     ------
@@ -63,4 +68,5 @@ def stereo_recording(first: Recording, second: Recording, camera: Camera, other:
         )
     places = 0.5 * (near + far).reshape(first.t.size, -1)
     raw = Raw(t=first.t, data=places, kind="markers", in_space=True, source="two cameras")
-    return to_recording(raw, Declarations("s", "m", y_axis="up", plane="fit", up="y"), None, FASTEST)
+    up = "y" if plane == "fit" else None
+    return to_recording(raw, Declarations("s", "m", y_axis="up", plane=plane, up=up), None, FASTEST)
