@@ -39,6 +39,7 @@ from hyperflex.planning import WindCriteria
 
 RESULTS = Path(__file__).parent / "results"
 TILTS = (1.0, 2.0, 3.0)  # degrees; without any, MuJoCo's run stays planar: ``casts_mujoco``
+SMALL = 0.1  # degrees, for which the first order is right
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # m, of the target
 STAY = 30  # samples with the turns required, in which a cast counts as wound
 BEFORE = 0.02  # s before the first touch at which MuJoCo takes over
@@ -254,13 +255,8 @@ def main() -> None:
     random.Random(0).shuffle(names)
     lines.told(rows)
     made = {(row["part"], row["name"], row["tilt"]) for row in rows}
-    whole = functools.partial(strike, lead=math.inf)
-    work = {
-        "cost": (cost, TILTS[:1]),
-        "strike": (strike, TILTS[:1]),
-        "start": (whole, TILTS[:1]),
-        "casts": (cast, TILTS),
-    }
+    work: dict[str, Any] = {"cost": (cost, TILTS[:1]), "strike": (strike, (SMALL, TILTS[0])), "casts": (cast, TILTS)}
+    work["start"] = functools.partial(strike, lead=math.inf), (SMALL,)
     for part in [options.part] if options.part else PARTS:
         measure, tilts = work[part]
         step = options.step or (FLIGHT if part in ("strike", "start") else planar.STEP)
