@@ -10,12 +10,11 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.camera import Camera
-from hyperflex.vision.look import CLICKED, RopeLook, at_parts, rope_along
+from hyperflex.vision.look import CLICKED, Cover, RopeLook, at_parts, rope_along
 from hyperflex.vision.ridges import Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
-UNCLEAR = 0.05  # part of a path's evidence that may lie beyond the rope's end
 
 
 class Reason(StrEnum):
@@ -118,56 +117,62 @@ def find_rope(
     ridges = Ridges(image)
     try:
         if look is None:
-            curve, look, _ = rope_along(image, _best(ridges.paths(start, radius)), width)
+            curve, look, _ = rope_along(image, _best(ridges.paths(start, radius)).places, width)
             rope = Mixture(image, look.bgr, look.width)
             rope.learn(curve)
         else:
             rope, width = Mixture(image, look.bgr, look.width), look.width
-        paths = ridges.paths(start, radius, rope)
-        curve, look, end = rope_along(image, _best(paths), width)
+        path = _best(ridges.paths(start, radius, rope))
+        curve, look, seen = rope_along(image, path.places, width)
     except InvalidInput as error:
         if isinstance(error, NoRope):
             raise
         raise NoRope(Reason.NOTHING, error.got, error.allowed) from None
-    found = FoundRope(curve, look)
-    _check_alone(paths, 2.0 * look.width + 8.0)
+    found, apart = FoundRope(curve, look), 2.0 * look.width + 8.0
+    rope.leave_out(path.places, apart)
+    _check_alone(rope, path, ridges.paths(start, radius, rope)[0], apart)
     last = np.array(image.shape[1::-1]) - 1.0
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
-    fits = length is None or abs(found.length / length - 1.0) <= tolerance
-    if end < (0.15 if fits else 0.5):  # of a pixel: a fainter free end is lost in noise
-        raise NoRope(Reason.BLURRED, round(end, 2), "a larger part of its contrast where it ends")
-    beyond = float(paths[0].scores[-1] - paths[0].scores[np.linalg.norm(paths[0].places - curve[-1], axis=1).argmin()])
-    if length is None and beyond > UNCLEAR * paths[0].scores[-1]:
-        got = f"{100.0 * beyond / paths[0].scores[-1]:.0f} % of the evidence beyond {np.round(curve[-1]).tolist()} px"
-        raise NoRope(Reason.END, got, f"at most {100.0 * UNCLEAR:g} %")
-    if not fits:
+    if length is not None and abs(found.length / length - 1.0) <= tolerance:
+        return found
+    _check_end(seen, max(5, round(0.03 * found.length)))
+    if length is not None:
         raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{length:.0f} px within {100.0 * tolerance:g} %")
     return found
 
 
-def _best(paths: list[Path]) -> Array:
-    """Return the places (P, 2) of the best path, if it may be a rope."""
+def _check_end(seen: Cover, near: int) -> None:
+    """Refuse a rope that is not seen as one, no more and no less, until its end, some px before it, or is so beyond."""
+    from scipy.ndimage import uniform_filter1d
+
+    last = int(np.argmax(seen.gained))
+    off = np.abs(uniform_filter1d(seen.mass[:last], near) - 1.0) > 0.35
+    blurred = off & (seen.wider[:last] > 0.0)
+    if blurred.mean() > 0.1:
+        raise NoRope(Reason.BLURRED, f"{100.0 * blurred.mean():.0f} % of the curve", "at most 10 %")
+    before, after = (float(part.mean()) for part in (seen.mass[last - near : last], seen.mass[last + 1 :][:near]))
+    if abs(before - 1.0) > 0.35 or before - after < 0.5:
+        got = f"{before:.2f} of its width before it, {after:.2f} beyond"
+        raise NoRope(Reason.END, got, "1 within 0.35, and 0.5 less beyond")
+
+
+def _best(paths: list[Path]) -> Path:
+    """Return the best path, if it may be a rope."""
     if paths[0].scores[-1] < LEAST_SCORE:
         got = round(float(paths[0].scores[-1]), 1)
         raise NoRope(Reason.NOTHING, got, f"evidence of at least {LEAST_SCORE:g}, in decimal orders over the wall's")
-    return paths[0].places
+    return paths[0]
 
 
-def _check_alone(paths: list[Path], apart: float) -> None:
-    """Refuse a rope if another path, further apart than some px for a while, is half as likely from there on."""
-    best, ends = paths[0], [paths[0].places[-1]]
-    for other in paths[1:]:
-        end = other.places[-1]
-        if other.scores[-1] < LEAST_SCORE or np.linalg.norm(np.array(ends) - end, axis=1).min() < apart:
-            continue
-        ends.append(end)
-        gaps = np.linalg.norm(other.places[:, None] - best.places, axis=2)
-        away = gaps.min(axis=1) > apart
-        if away.any():
-            leaves = int(np.argmax(away))
-            gained = float(other.scores[-1] - other.scores[leaves])
-            rest = float(best.scores[-1] - best.scores[int(gaps[leaves].argmin())])
-            if gained > max(0.5 * rest, LEAST_SCORE):
-                got = np.round([best.places[-1], other.places[-1]]).tolist()
-                raise NoRope(Reason.TWO, f"free ends at {got}", "one rope")
+def _check_alone(rope: Mixture, best: Path, other: Path, apart: float) -> None:
+    """Refuse a rope if another path, found where it is left out, is half as likely from where it leaves it on."""
+    gaps = np.linalg.norm(other.places[:, None] - best.places, axis=2)
+    away = gaps.min(axis=1) > apart
+    rest = float(best.scores[-1] - best.scores[int(gaps[int(np.argmax(away))].argmin())])
+    if other.scores[-1] < max(0.5 * rest, LEAST_SCORE):
+        return
+    seen = [float(np.median(rope.share(each))) for each in (best.places, other.places[away])]
+    if seen[1] > 0.65 * seen[0]:  # a shadow is less
+        got = np.round([best.places[-1], other.places[-1]]).tolist()
+        raise NoRope(Reason.TWO, f"free ends at {got}", "one rope")

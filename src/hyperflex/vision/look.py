@@ -32,6 +32,29 @@ class Shares(NamedTuple):
     std: Array
 
 
+class Cover(NamedTuple):
+    """What K lines across a curve, a pixel apart, show of a rope.
+
+    Attributes
+    ----------
+    mass : (K,) float64
+        In widths of the rope: 1 where it is seen, however blurred, 0 on the wall, 0.6 where the wall is like it.
+    aside : (K,) float64
+        Where its middle is, px.
+    wider : (K,) float64
+        By how much it is wider than at rest, px.
+    """
+
+    mass: Array
+    aside: Array
+    wider: Array
+
+    @property
+    def gained(self) -> Array:
+        """How much is seen until there (K,), less two thirds of a rope (a shadow is less): most where the rope ends."""
+        return np.cumsum(np.clip(self.mass, -1.0, 2.0) - 0.65)
+
+
 @dataclass(frozen=True, eq=False)
 class RopeLook:
     """How a rope looks against any wall.
@@ -221,7 +244,7 @@ def sample(image: Image, places: Array) -> Array:
     return np.asarray(seen)
 
 
-def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[Array, RopeLook, float]:
+def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[Array, RopeLook, Cover]:
     """Measure the rope along a path that is some pixels off.
 
     Parameters
@@ -238,35 +261,30 @@ def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[A
         The middle of the rope, px, a pixel apart, from the path's beginning up to where the rope ends.
     RopeLook
         Its look.
-    float
-        The greatest share of a pixel that it covers near its end: less than 1 if it is thin or blurred there.
+    Cover
+        What is seen of it along this curve and beyond it, a pixel apart.
 
     Raises
     ------
     InvalidInput
         If no rope stands out along the path.
     """
-    from scipy.ndimage import median_filter
-
-    curve = equal_steps(path)
-    for extend in (0.0, 20.0, 20.0):
+    curve, last, extend = equal_steps(path), 0, 0
+    for _ in range(8):  # a path that ends too early is followed further
         look = RopeLook.from_curve(image, curve, width)
-        if extend:
-            last = curve[-1] - curve[-min(12, len(curve))]
-            ahead = curve[-1] + np.arange(1.0, extend)[:, None] * last / max(float(np.hypot(*last)), 1e-9)
-            curve = np.concatenate([curve, ahead])
-        narrow, wide = (_covered(image, curve, look, *sides) for sides in ((2.0, 6.0), (BLUR, BLUR + 4.0)))
-        near, far = (median_filter(each.mass, 61, mode="nearest") for each in (narrow, wide))  # px: blur varies slowly
-        blurred = (near < 0.8) & (np.abs(far - 1.0) < 0.2) & (extend > 0.0)  # more than a rope: a shadow is in it
-        mass, peak, aside = (np.where(blurred, *pair) for pair in zip(wide, narrow, strict=True))
-        # the end: where what is seen until there, less two thirds of a rope (a shadow is less), is most
-        last = int(np.argmax(np.cumsum(np.clip(mass, 0.0, 1.0) - 0.65))) if extend else len(curve) - 1
+        ahead = curve[-1] - curve[-min(12, len(curve))]
+        ahead = np.arange(1.0, extend)[:, None] * ahead / max(float(np.hypot(*ahead)), 1e-9)
+        curve = np.concatenate([curve, curve[-1] + ahead])
+        seen = _covered(image, curve, look)
+        before, last = last, int(np.argmax(seen.gained)) if extend else len(curve) - 1
         if last < 2.0 * look.width + 8.0:  # px
             raise InvalidInput("no rope is seen along the path", got=f"{last} px of {len(curve)}")
         shifted = places_across(curve, np.array([0.0, 1.0]))[: last + 1]
-        curve = _smooth(shifted[:, 0] + (shifted[:, 1] - shifted[:, 0]) * aside[: last + 1, None])
-    end = peak[max(0, last - 20) : last + 1]
-    return equal_steps(curve), look, float(np.median(end))
+        curve = _smooth(shifted[:, 0] + (shifted[:, 1] - shifted[:, 0]) * seen.aside[: last + 1, None])
+        if extend and abs(last - before) < 3:
+            break
+        extend = 20  # px
+    return equal_steps(curve), look, seen
 
 
 def equal_steps(curve: Array) -> Array:
@@ -355,24 +373,30 @@ def _gain_between(before: Image, after: Image) -> Array:
     return np.asarray(np.median(after[exposed] / before[exposed].astype(np.float64), axis=0))
 
 
-class _Cover(NamedTuple):
-    """What lines across a curve show of a rope (K,): widths of it, its greatest share, where its middle is."""
+def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
+    """Return what is seen of a rope across a curve (K, 2), a pixel apart; of some blurs, the likeliest at each place.
 
-    mass: Array
-    peak: Array
-    aside: Array  # px
+    A blurred rope is as wide as its streak and as much fainter: so its contrast is known, and tells it from others.
+    """
+    from scipy.ndimage import uniform_filter1d
 
-
-def _covered(image: Image, curve: Array, look: RopeLook, beside: float, side: float) -> _Cover:
-    """Return what is seen of a rope across a curve (K, 2), to `side`, px; the wall begins `beside` it, px."""
-    reach = 0.5 * look.width + side
-    across = np.arange(-reach, reach + 0.1, 0.5)
-    shares = look.shares(image, places_across(curve, across), np.abs(across) > 0.5 * look.width + beside, across)
-    values = np.nan_to_num(shares.values)
-    clear = np.nan_to_num(np.median(shares.std, axis=1), nan=1.0) < 0.3  # else the wall is like the rope
-    weights = np.clip(values, 0.0, 1.0) * clear[:, None]
-    aside = (weights @ across) / np.maximum(weights.sum(axis=1), 1.0)
-    return _Cover(np.where(clear, values.sum(axis=1) * 0.5 / look.width, 0.6), values.max(axis=1), aside)
+    found = []
+    for wider in (0.0, 4.0, 9.0, 18.0, 2.0 * BLUR + 2.0):
+        width = look.width + wider
+        across = np.arange(-0.5 * width - 6.0, 0.5 * width + 6.1, 0.5)
+        shares = look.shares(image, places_across(curve, across), np.abs(across) > 0.5 * width + 2.0, across)
+        values = np.nan_to_num(shares.values)
+        expected = look.width / width * profile(across, width)
+        power = expected @ expected
+        clear = np.nan_to_num(np.median(shares.std, axis=1), nan=1.0) < 0.3  # else the wall is like the rope
+        mass = np.where(clear, values @ expected / power, 0.6)
+        weights = np.clip(values, 0.0, 1.0) * clear[:, None]
+        aside = (weights @ across) / np.maximum(weights.sum(axis=1), 1.0)
+        fit = uniform_filter1d(power * (2.0 * np.clip(mass, -1.0, 2.0) - 1.0), 61, mode="nearest")  # blur varies slowly
+        found.append((fit, mass, aside, np.full(len(curve), wider)))
+    columns = np.array(found)
+    best = columns[:, 0].argmax(axis=0)
+    return Cover(*columns[best, 1:, np.arange(len(curve))].T)
 
 
 def _smooth(curve: Array, std: float = 4.0) -> Array:

@@ -90,6 +90,7 @@ class Mixture:
         self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / self._size
         self._share = cv2.dilate(share, np.ones((3, 3), np.uint8))
         self._usual, self._contrast = 0.2, float(np.median(self._size))
+        self.width, self._known = width, np.zeros(image.shape[:2], np.uint8)
 
     def _at(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         u, v = (np.clip(np.rint(places[:, k]).astype(int), 0, self._share.shape[1 - k] - 1) for k in range(2))
@@ -101,26 +102,26 @@ class Mixture:
         self._usual = max(0.1, float(np.median(self._residual[where])))
         self._contrast = float(np.median(self._size[where]))
 
-    def compare(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Compare places with the rope.
+    def leave_out(self, curve: Array, apart: float) -> None:
+        """Leave out a rope along a curve (P, 2), px, and `apart` px beside it: it tells nothing of another one."""
+        import cv2
 
-        Parameters
-        ----------
-        places : (N, 2) float64
-            px.
+        cv2.polylines(self._known, [np.rint(curve).astype(np.int32)], False, 1, 2 * round(apart) + 1)
 
-        Returns
-        -------
-        (N,) float64
-            Evidence against a rope: another colour than a mixture's.
-        (N,) bool
-            Where nothing of it is seen.
-        (N,) bool
-            Where none could be seen: the wall is like it.
+    def share(self, places: Array) -> Array:
+        """Return how much of the rope is seen at places (N, 2), px, (N,), 0 to 1.2."""
+        return np.asarray(self._share[self._at(places)])
+
+    def weigh(self, places: Array, evidence: Array) -> Array:
+        """Return the evidence (N,) that a ridge at places (N, 2), px, is this rope, from that it is one.
+
+        Another colour than a mixture's tells against it; so does nothing of its colour, unless the wall is like it.
         """
         where = self._at(places)
         doubt = np.clip(0.25 * ((self._residual[where] / self._usual) ** 2 - 2.0), 0.0, 3.0)
-        return doubt, self._share[where] < 0.1, self._size[where] < 0.4 * self._contrast
+        evidence = np.where(self._share[where] < 0.1, np.minimum(evidence, -_WALL), evidence) - doubt
+        alike = self._size[where] < 0.4 * self._contrast
+        return np.where(self._known[where] > 0, 0.0, np.where(alike, np.maximum(evidence, -0.2 * _WALL), evidence))
 
 
 class Ridges:
@@ -226,6 +227,7 @@ class Ridges:
         history, scores, peak = (place @ [1.0, 1.0j]).astype(np.complex64)[:, None], score[:, None], score
         mean, bend = np.zeros((len(place), 4)), np.zeros(len(place))
         ended: list[Path] = []
+        reach = STEP if rope is None else STEP + rope.width * self.shrink
         for step in range(int(4 * max(self.size) / STEP)):
             heading = direction[:, None] + _TURNS
             ahead = place[:, None] + STEP * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -240,10 +242,7 @@ class Ridges:
             same = like**2 + self.search.other**2 * np.maximum(power - like**2, 0.0)
             gained = self.evidence(np.where(known, same, power)) - _WALL
             if rope is not None:
-                compared = rope.compare((where / self.shrink).reshape(-1, 2))
-                doubt, bare, alike = (each.reshape(gained.shape) for each in compared)
-                gained = np.where(bare, np.minimum(gained, -_WALL), gained) - doubt
-                gained = np.where(alike, np.maximum(gained, -0.2 * _WALL), gained)
+                gained = rope.weigh((where / self.shrink).reshape(-1, 2), gained.ravel()).reshape(gained.shape)
             gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
             gained -= self.search.growth * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
@@ -252,7 +251,7 @@ class Ridges:
             done = np.isneginf(total).all(axis=1)
             ended += self._cut(history[done], scores[done])
             row, turn = _best_of_cells(ahead, heading, total, self.search.beam)
-            kept = _apart(history[row], ahead[row, turn], heading[row, turn])
+            kept = _apart(history[row], ahead[row, turn], heading[row, turn], reach)
             row, turn = row[kept], turn[kept]
             if not row.size:
                 break
@@ -326,12 +325,12 @@ def _best_of_cells(
     return row[first], turn[first]
 
 
-def _apart(history: npt.NDArray[np.complex64], place: Array, heading: Array) -> npt.NDArray[np.bool_]:
-    """Return which paths (N, P) do not run along themselves at their new places (N, 2), in their directions (N,)."""
-    early = history[:, :-6]
+def _apart(history: npt.NDArray[np.complex64], place: Array, heading: Array, reach: float) -> npt.NDArray[np.bool_]:
+    """Return which paths (N, P) do not run beside themselves, within `reach`, at new places (N, 2), directions (N,)."""
+    early = history[:, : -round(1.5 * reach)]
     if early.shape[1] < 2:
         return np.ones(len(place), bool)
-    near = np.abs(early[:, 1:] - (place @ [1.0, 1.0j])[:, None]) < STEP
+    near = np.abs(early[:, 1:] - (place @ [1.0, 1.0j])[:, None]) < reach
     row, column = np.nonzero(near)
     along = np.angle(early[row, column + 1] - early[row, column])
     parallel = np.abs(np.cos(along - heading[row])) > np.cos(np.radians(40.0))
