@@ -65,6 +65,23 @@ def test_a_rope_that_moves_is_found_where_it_is_in_the_middle_of_the_exposure():
     assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
 
 
+def test_a_free_end_is_found_though_it_is_blurred_to_seven_times_its_width():
+    """A streak of 20 px, beside which a shadow lies: the end within 3 % of the length, as the benchmark asks."""
+    image, truth = shown(bent(rate=20.0), shadow=(0.12, 0.0, 0.3))
+    curve, end = off(find_rope(image, truth[0]).curve, truth)
+    assert curve < 2.0
+    assert end < 0.03 * 260.0
+
+
+def test_clutter_beyond_a_sharp_end_is_no_rope():
+    """A bar of another colour begins 20 px beyond the free end, as wide as the rope."""
+    motion = bent()
+    end = motion.places([0.0], [LENGTH])[0, 0, :2]
+    bar = Occluder(tuple(end + [0.08, -0.02]), tuple(end + [0.4, -0.15]), 0.012, (90.0, 130.0, 90.0))
+    image, truth = shown(motion, occluders=(bar,))
+    assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
+
+
 def test_a_click_tells_the_look():
     image, truth = shown(bent(), clutter=8, seed=1)
     look = RopeLook.from_click(image, truth[120] + [2.0, 0.0])
@@ -93,11 +110,12 @@ def second(motion):
         (Reason.NOTHING, bent(), {"rope_width": 0.0, "clutter": 4}, None),
         (Reason.NOTHING, bent(), {"rope_colour": (175.0, 180.0, 180.0), "wall_texture": 10.0}, None),
         (Reason.TWO, bent(), {"occluders": second(bent(-0.5, 0.3))}, None),
+        (Reason.TWO, bent(), {"occluders": (Occluder((0.0, 0.0), (0.05, -0.9), 0.01, (45.0, 45.0, 45.0)),)}, None),
         (Reason.OUTSIDE, bent(1.2, 0.9), {}, None),
         (Reason.LENGTH, bent(), {}, 320.0),
         (Reason.BLURRED, bent(rate=60.0), {}, 260.0),
     ],
-    ids=["none", "like the wall", "two", "leaves the view", "another length", "blurred"],
+    ids=["none", "like the wall", "two", "a straight one beside it", "leaves the view", "another length", "blurred"],
 )
 def test_what_is_no_rope_is_refused_by_name(reason, motion, scene, length):
     image, truth = shown(motion, **scene)

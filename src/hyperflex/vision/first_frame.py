@@ -117,9 +117,11 @@ def find_rope(
     ridges = Ridges(image)
     try:
         if look is None:
-            curve, look, _ = rope_along(image, _best(ridges.paths(start, radius)).places, width)
+            curve = rope_along(image, _best(ridges.paths(start, radius)).places, width)[0]
+            sure = curve[: max(2, len(curve) // 2)]  # a rope is slowest at its pivot, and a path goes astray late
+            look = RopeLook.from_curve(image, sure, width)
             rope = Mixture(image, look.bgr, look.width)
-            rope.learn(curve)
+            rope.learn(sure)
         else:
             rope, width = Mixture(image, look.bgr, look.width), look.width
         path = _best(ridges.paths(start, radius, rope))
@@ -147,10 +149,11 @@ def _check_end(seen: Cover, near: int) -> None:
     from scipy.ndimage import uniform_filter1d
 
     last = int(np.argmax(seen.gained))
-    off = np.abs(uniform_filter1d(seen.mass[:last], near) - 1.0) > 0.35
-    blurred = off & (seen.wider[:last] > 0.0)
-    if blurred.mean() > 0.1:
-        raise NoRope(Reason.BLURRED, f"{100.0 * blurred.mean():.0f} % of the curve", "at most 10 %")
+    mass = uniform_filter1d(seen.mass[:last], near)
+    off = (np.abs(mass - 1.0) > 0.35) & (seen.wider[:last] > 0.0)
+    if off.mean() > 0.1:
+        reason = Reason.BLURRED if mass[off].mean() < 1.0 else Reason.END
+        raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
     before, after = (float(part.mean()) for part in (seen.mass[last - near : last], seen.mass[last + 1 :][:near]))
     if abs(before - 1.0) > 0.35 or before - after < 0.5:
         got = f"{before:.2f} of its width before it, {after:.2f} beyond"
