@@ -76,8 +76,8 @@ def test_a_free_end_is_found_though_it_is_blurred_to_seven_times_its_width():
 def test_clutter_beyond_a_sharp_end_is_no_rope():
     """A bar of another colour begins 20 px beyond the free end, as wide as the rope."""
     motion = bent()
-    end = motion.places([0.0], [LENGTH])[0, 0, :2]
-    bar = Occluder(tuple(end + [0.08, -0.02]), tuple(end + [0.4, -0.15]), 0.012, (90.0, 130.0, 90.0))
+    x, y = motion.places([0.0], [LENGTH])[0, 0, :2]
+    bar = Occluder((x + 0.08, y - 0.02), (x + 0.4, y - 0.15), 0.012, (90.0, 130.0, 90.0))
     image, truth = shown(motion, occluders=(bar,))
     assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
 
