@@ -279,6 +279,12 @@ class CastPlan(Plan):
             return False
         return self.interrupted or any(not each.completed for each in self._outcomes())
 
+    @property
+    def refused_by_rule(self) -> bool:
+        """Whether no search was made because of a rule of thumb: geometry and the motor do not rule the target out."""
+        known = self.feasibility
+        return self.moves is None and not (self.seconds or known.feasible or known.impossible)
+
     def _outcomes(self) -> list[CastOutcome]:
         return [each for each in (self.outcome, self.finer_outcome) if each is not None]
 
