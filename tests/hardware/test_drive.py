@@ -213,6 +213,16 @@ def test_the_zero_is_set_where_the_arm_is_said_to_be(link):
             drive.set_zero(0.0)
 
 
+def test_the_zero_of_an_arm_that_swings_is_its_mean_or_refused(link):
+    with Drive(link, LIMITS) as drive:
+        for size in (0.009, 0.02):
+            link.during = lambda _, size=size: link.state.update(angle=size * math.cos(math.tau * link.now / 0.25))
+            if size < 0.01:
+                assert drive.set_zero(0.0) == pytest.approx(0.0, abs=1e-4)
+            else:
+                refuses("still swings", drive.set_zero, 0.0)
+
+
 @pytest.mark.parametrize("turns", [1, -2])
 def test_a_counter_that_wrapped_is_named(link, turns):
     link.state["angle"] = 0.3 + math.tau * turns

@@ -95,6 +95,14 @@ def test_it_moves_where_it_is_told_and_tells_where_it_is():
         assert not device.plant.enabled
 
 
+def test_torque_that_another_program_left_on_is_switched_off():
+    device = servo()
+    device._switch(True)
+    with Wire(device) as wire, link_to(wire) as link:
+        assert not link.read().enabled
+    assert not device.plant.enabled
+
+
 def test_the_torque_limit_is_held_by_the_servo_where_it_measures_its_current():
     for model, limits, mode in (
         (1030, LIMITS, 5),

@@ -166,6 +166,19 @@ def test_a_controller_in_timeout_may_hold_with_torque_and_is_stopped_first(rig, 
     assert device.mode == 0
 
 
+def test_a_controller_that_would_damp_or_hold_after_its_watchdog_is_refused(rig, device):
+    device.timeout_mode = 12
+    link = opened(rig)
+    with pytest.raises(DriveError, match=r"is 12, not 0\. Set it .*\?timeout_mode=12\.$"):
+        link.enable(MotorLimits())
+    link.close()
+    assert device.mode == 0
+    link = opened(rig, timeout_mode=12)
+    link.enable(MotorLimits())
+    link.close()
+    assert device.mode == 10
+
+
 @pytest.mark.parametrize("board", [25.0, float("nan")])
 def test_the_hotter_of_board_and_motor_counts(rig, device, board):
     shown, value = {10: 80.0, 14: board}, device._value

@@ -1,6 +1,7 @@
 """ODrive: the emulated axis speaks CANSimple through python-can, and the link keeps its promises."""
 
 import math
+import re
 import struct
 import sys
 import threading
@@ -153,6 +154,7 @@ def test_a_limit_of_torque_needs_the_torque_constant_and_a_torque_that_is_told()
         link.torque_constant = 0.1
         wire.spoil = lambda reply: [reply.replace(b"t01C8", b"t01D8")]
         link._messages.clear()
+        link._came.clear()
         wait_for(lambda: link._listen(0.01, lambda *_: link._beat > 0.0) and len(link._messages) > 1)
         with pytest.raises(DriveError, match=r"does not tell its torque.*torques_msg_rate_ms = 10"):
             link.enable(LIMITS)
@@ -276,6 +278,35 @@ def test_without_heartbeat_nobody_knows_whether_it_is_armed(monkeypatch):
         time.sleep(0.5)
         with pytest.raises(NoReply, match=r"no heartbeat for"):
             link.read()
+
+
+def test_what_an_axis_no_longer_tells_is_not_known(monkeypatch):
+    device = axis(watchdog=0.0)
+    with Wire(device) as wire, link_to(wire, trial=False) as link:
+        link.enable(LIMITS)
+        wait_for(lambda: math.isfinite(link.read().temperature))
+        monkeypatch.setattr(odrive, "SILENCE", 0.05)
+        wire.spoil = lambda reply: [re.sub(rb"t(01C|017|015)8", b"t01E8", reply)]
+        refusals = list[str]()
+
+        def refused() -> bool:
+            try:
+                link.read()
+            except NoReply as error:
+                refusals.append(str(error))
+            return bool(refusals)
+
+        wait_for(refused)
+        assert "no longer tells its torque" in refusals[0]
+        assert math.isfinite(link._pair(odrive.Message.VOLTAGE, 10.0)[0])
+        link.disable()
+        wait_for(lambda: device._state == 1)
+        monkeypatch.setattr(odrive, "SILENCE", 2.0)
+        wait_for(lambda: not link.read().enabled)
+        monkeypatch.setattr(odrive, "SILENCE", 0.05)
+        wait_for(lambda: math.isnan(link.read().voltage))
+        state = link.read()
+        assert (math.isnan(state.torque), math.isnan(state.temperature)) == (True, True)
 
 
 # ---------------------------------------------------------------------- what can be wrong

@@ -307,14 +307,24 @@ class Drive:
             return self._exchange(self.link.read)
 
     def set_zero(self, angle: float) -> float:
-        """Declare the arm's present angle, rad, with the torque off; return the raw angle of the zero to be kept."""
-        angle = checks.number("angle", angle, unit="rad")
+        """Declare the arm's present angle, rad, with the torque off; return the raw angle of the zero to be kept.
+
+        It is the mean of half a second. InvalidInput if the angle changes by more than 0.02 rad meanwhile.
+        """
+        angle, seen = checks.number("angle", angle, unit="rad"), list[float]()
         with self._whole():
             self._require_connection()
-            if self._enabled or (now := self._first_reading()).enabled:
-                raise DriveError("The zero of a drive is set with its torque off.")
-            self.zero += self.direction * (now.angle - angle)
-            self._state = replace(now, angle=angle)
+            until = self.link.clock() + 0.5
+            while not seen or self.link.clock() < until:
+                if self._enabled or (now := self._first_reading()).enabled:
+                    raise DriveError("The zero of a drive is set with its torque off.")
+                seen.append(now.angle)
+            if not (spread := float(np.ptp(seen))) <= 0.02:
+                fix = "Let it come to rest"
+                raise InvalidInput("the arm still swings", got=spread, allowed="0.02 rad in half a second", fix=fix)
+            moved = float(np.mean(seen)) - angle
+            self.zero += self.direction * moved
+            self._state = replace(now, angle=now.angle - moved)
             return self.zero
 
     def acknowledge(self) -> None:

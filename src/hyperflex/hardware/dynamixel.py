@@ -174,7 +174,7 @@ class DynamixelLink:
     # ------------------------------------------------------------------ connection
 
     def open(self) -> None:
-        """Open the port, find the servo, and prepare it; its torque stays as it is."""
+        """Open the port, find the servo, and prepare it; a torque that is on may go off."""
         extras.require(("dynamixel_sdk",), "dynamixel", "Dynamixel servos")
         from dynamixel_sdk import PacketHandler
 
@@ -232,7 +232,10 @@ class DynamixelLink:
         """Make the servo answer reads only, and gather its state in one block. Both last until it loses power."""
         self._put(Register.RETURN_LEVEL, b"\x01")  # unasked: at level 0 it would not say what it is
         self._set(Register.RETURN_LEVEL, b"\x01")
-        self._set(Register.INDIRECT, struct.pack(f"<{len(STATE)}H", *STATE))
+        table = struct.pack(f"<{len(STATE)}H", *STATE)
+        if self._get(Register.INDIRECT, len(table)) != table:
+            self._set(Register.TORQUE_ENABLE, b"\x00")  # while it is on the table cannot be written
+            self._set(Register.INDIRECT, table)
 
     # ------------------------------------------------------------------ link
 

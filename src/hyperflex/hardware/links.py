@@ -15,6 +15,9 @@ from hyperflex.hardware.drive import Link
 EMULATOR = "emulator"
 
 
+SERIAL = {"id": "number", "baud": "baud", "watchdog": "watchdog"}
+
+
 @dataclass(frozen=True)
 class Make:
     """Names of the classes of a make, an example of a port, and the link's arguments by their names in an address.
@@ -25,12 +28,12 @@ class Make:
     link: str
     device: str
     port: str
-    options: dict[str, str] = field(default_factory=lambda: {"id": "number", "baud": "baud", "watchdog": "watchdog"})
+    options: dict[str, str] = field(default_factory=lambda: SERIAL)
     shared: tuple[str, ...] = ("number",)
 
 
 MAKES = {
-    "moteus": Make("MoteusLink", "MoteusDevice", "/dev/ttyACM0"),
+    "moteus": Make("MoteusLink", "MoteusDevice", "/dev/ttyACM0", SERIAL | {"timeout_mode": "timeout_mode"}),
     "dynamixel": Make("DynamixelLink", "DynamixelDevice", "/dev/ttyUSB0"),
     "odrive": Make(
         "ODriveLink",

@@ -55,6 +55,8 @@ class MoteusLink:
         8.6 rad/s by 0.26 rad in 30 ms.
     patience : float
         Time that a request may take, s. A controller answers within 1 ms, so a cycle of 5 ms is kept.
+    timeout_mode : int
+        What servo.timeout_mode must be before the torque comes on: 0, 10, 12 or 15.
     clock : callable
         Monotonic time, s, of the stamps.
 
@@ -66,8 +68,9 @@ class MoteusLink:
 
     After the watchdog it does what its setting servo.timeout_mode says: 12, the factory's, damps the motion **with
     torque**, up to servo.timeout_max_torque_Nm (5 N m from the factory), whatever the limit of torque here; 0 switches
-    the torque off; 10 brakes and holds; 15 shorts the phases. Set it to 0. The state is "enabled" then, with a fault,
-    and goals are accepted again only after a stop.
+    the torque off; 10 brakes and holds; 15 shorts the phases. The first :meth:`enable` asks for it, and refuses another
+    mode than `timeout_mode`. The state is "enabled" in a timeout, with a fault, and goals are accepted again only after
+    a stop.
     """
 
     takes = frozenset({"rate", "torque"})
@@ -80,9 +83,11 @@ class MoteusLink:
         baud: int = 921_600,
         watchdog: float = 0.03,  # six goals at 200 Hz, three at 100 Hz
         patience: float = 4e-3,
+        timeout_mode: int = 0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.port, self.number = checks.text("port", port), checks.count("moteus id", number, most=126)
+        self.timeout_mode, self._trusted = checks.count("timeout_mode", timeout_mode, least=0), False
         self.baud = checks.count("baud", baud)
         self.watchdog = checks.number("watchdog", watchdog, sign="positive", unit="s")
         self.patience = checks.number("patience", patience, sign="positive", unit="s")
@@ -166,6 +171,7 @@ class MoteusLink:
         self._limits = {name: 2.0 * value / math.tau for name, value in own.items()}
         if math.isfinite(limits.torque):
             self._limits["maximum_torque"] = limits.torque
+        self._check_timeout_mode()
         self.read()
         if self._mode == self._vendor.Mode.TIMEOUT:
             self.disable()
@@ -190,6 +196,22 @@ class MoteusLink:
     def clear(self) -> None:
         """Clear a fault, which a stop does."""
         self.disable()
+
+    def _check_timeout_mode(self) -> None:
+        """Refuse a controller that does something else after its watchdog than it should."""
+        if self._trusted:
+            return
+        stream = self._vendor.Stream(self._controller, use_flow_control=False)
+        asked = stream.command(b"conf get servo.timeout_mode", allow_any_response=True)
+        try:
+            mode = int(self._run(asyncio.wait_for(asked, SILENCE + self.patience)))
+        except (TimeoutError, RuntimeError, ValueError, IndexError):
+            raise NoReply("it does not tell its servo.timeout_mode") from None
+        if mode != self.timeout_mode:
+            fix = f"Set it with moteus_tool (conf set servo.timeout_mode {self.timeout_mode}, conf write)"
+            what = f"its servo.timeout_mode, what it does after its watchdog, is {mode}, not {self.timeout_mode}"
+            raise DriveError(f"{self.name}: {what}. {fix}, or give ?timeout_mode={mode}.")
+        self._trusted = True
 
     # ------------------------------------------------------------------ one exchange
 

@@ -6,6 +6,7 @@ Sources: the CAN protocol and the DBC file of firmware 0.6.10 and 0.6.11, python
 import math
 import struct
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum, IntFlag
@@ -110,7 +111,8 @@ class ODriveLink:
         odrv0.save_configuration()
 
     Angle and rate answer a request in each cycle. State and errors come with the heartbeat, so they are up to 10 ms
-    old; torque, voltage and temperature are those of the last message, NaN if the axis sends none.
+    old; torque, voltage and temperature are those of the last message, NaN if it is older than 50 ms, or 0.5 s for
+    voltage and temperature. An axis that keeps a limit of torque must tell it: else a reply does not count.
 
     No message tells whether the watchdog is armed. Therefore the first :meth:`enable` tries it: with the torque on and
     the arm at rest, it sends nothing for a little longer than the watchdog's time. An axis that is not disarmed by then
@@ -149,7 +151,8 @@ class ODriveLink:
         self._trial = bool(trial)
         self._bus: Any = None
         self._messages: dict[int, bytes] = {}  # the newest of each kind
-        self._beat = self._version = -math.inf  # when the last heartbeat and version came, s
+        self._came = defaultdict[int, float](lambda: -math.inf)  # when it came, s
+        self._limited = False  # whether there is a limit of torque
         self._asked = -math.inf  # when the encoder was asked for last, s
         self._missing = 0  # replies of the encoder that have not come
 
@@ -159,7 +162,8 @@ class ODriveLink:
         """Open the bus and find the axis; its torque stays as it is."""
         extras.require(("can",), "odrive", "ODrive controllers")
         self._bus = self._open_bus()
-        self._messages, self._beat, self._version, self._missing = {}, -math.inf, -math.inf, 0
+        self._messages, self._missing = {}, 0
+        self._came.clear()
         with _as_os_error():
             self._identify()
 
@@ -224,7 +228,8 @@ class ODriveLink:
 
     def enable(self, limits: MotorLimits) -> None:
         """Set the limits, switch the torque on where the shaft is, and try the watchdog if that was not done before."""
-        if math.isfinite(limits.torque):
+        self._limited = math.isfinite(limits.torque)
+        if self._limited:
             if not self.torque_constant:
                 fix = "Give its torque constant, N m/A (8.27 / KV): odrive:can0?torque_constant=0.05"
                 raise DriveError(f"{self.name} keeps no limit of torque without the constant of its motor. {fix}")
@@ -260,7 +265,7 @@ class ODriveLink:
         until = self.clock() + CONFIRM
         while True:
             here = _input(Goal(self._persist().angle))  # anew each time: the arm may swing
-            if self.torque_constant > 0.0 and math.isfinite(limits.torque):
+            if self._limited:
                 speed, current = limits.speed / math.tau, limits.torque / self.torque_constant
                 self._put(Message.LIMITS, struct.pack("<ff", 2.0 * speed, SLACK * current))
             self._put(Message.MODE, struct.pack("<II", 3, 1))  # position control, inputs passed through
@@ -288,6 +293,11 @@ class ODriveLink:
         self.clear()
 
     # ------------------------------------------------------------------ frames
+
+    @property
+    def _beat(self) -> float:
+        """When the last heartbeat came, s."""
+        return self._came[Message.HEARTBEAT]
 
     @property
     def _errors(self) -> int:
@@ -321,7 +331,7 @@ class ODriveLink:
             if goal:
                 self._send(Message.INPUT_POS, goal)
             if not self._settled():
-                if self._version < self._asked:
+                if self._came[Message.VERSION] < self._asked:
                     self._send(Message.VERSION)
                 if not self._listen(until - time.monotonic(), lambda *_: self._settled()):
                     raise NoReply(f"{self.name}: a reply to an earlier request is still missing")
@@ -334,13 +344,16 @@ class ODriveLink:
         if received - self._beat > SILENCE + self.patience:
             raise NoReply(f"{self.name}: no heartbeat for {1e3 * (received - self._beat):.0f} ms")
         angle, rate = self._pair(Message.ENCODER)
+        torque, enabled = self._pair(Message.TORQUES)[1], self._axis != AxisState.IDLE
+        if self._limited and enabled and math.isnan(torque):
+            raise NoReply(f"{self.name}: it no longer tells its torque, which has a limit")
         return Reading(
             angle=angle * math.tau,
             rate=rate * math.tau,
-            torque=self._pair(Message.TORQUES)[1],
-            voltage=self._pair(Message.VOLTAGE)[0],
-            temperature=hottest(self._pair(Message.TEMPERATURE)),  # of inverter and motor, if that has a thermistor
-            enabled=self._axis != AxisState.IDLE,  # whatever its errors: it may turn in a calibration
+            torque=torque,
+            voltage=self._pair(Message.VOLTAGE, 10.0)[0],
+            temperature=hottest(self._pair(Message.TEMPERATURE, 10.0)),  # of inverter and motor, if that has one
+            enabled=enabled,  # whatever its errors: it may turn in a calibration
             fault=_fault(self._errors),
             sent=sent,
             received=received,
@@ -348,11 +361,14 @@ class ODriveLink:
 
     def _settled(self) -> bool:
         """Return whether the encoder's reply has come, or is lost: a message that was asked for later has come."""
-        return not self._missing or (self._version > self._asked and self.clock() - self._asked >= LATEST)
+        later = self._came[Message.VERSION] > self._asked
+        return not self._missing or (later and self.clock() - self._asked >= LATEST)
 
-    def _pair(self, message: Message) -> tuple[float, float]:
-        """Return the numbers of the newest message of a kind, NaN before there is one."""
-        return struct.unpack("<ff", self._messages[message]) if message in self._messages else (math.nan, math.nan)
+    def _pair(self, message: Message, rarer: float = 1.0) -> tuple[float, float]:
+        """Return the numbers of the newest message of a kind; NaN if it is older than SILENCE, `rarer` times that."""
+        if self.clock() - self._came[message] > rarer * SILENCE + self.patience:
+            return math.nan, math.nan
+        return struct.unpack("<ff", self._messages[message])
 
     def _put(self, message: Message, data: bytes) -> None:
         with _as_os_error():
@@ -396,12 +412,8 @@ class ODriveLink:
             return None
         node, message = frame.arbitration_id >> 5, frame.arbitration_id & 31
         if node == self.number:
-            self._messages[message] = bytes(frame.data)
-            if message == Message.HEARTBEAT:
-                self._beat = self.clock()
-            elif message == Message.VERSION:
-                self._version = self.clock()
-            elif message == Message.ENCODER:
+            self._messages[message], self._came[message] = bytes(frame.data), self.clock()
+            if message == Message.ENCODER:
                 self._missing = max(0, self._missing - 1)
         return node, message
 

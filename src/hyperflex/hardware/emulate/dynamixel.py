@@ -162,9 +162,10 @@ class DynamixelDevice:
         """Write registers; return the error of the status packet."""
         places = [self._direct(a) for a in range(address, address + len(value)) if a < TABLE]
         on = self._table[Register.TORQUE_ENABLE]
-        kept = range(9, 64) if not on else ()  # without power; not to be written while the torque is on
+        # not to be written while the torque is on: what lasts without power, and the indirect addresses
+        kept = () if on else {*range(9, 64), *range(Register.INDIRECT, TABLE)}
         goals = set(range(64, 120)) - {69, Register.HARDWARE_ERROR}
-        if len(places) < len(value) or not all(a in kept or a in goals or a >= Register.INDIRECT for a in places):
+        if len(places) < len(value) or not all(a in kept or a in goals for a in places):
             return Refusal.NO_ACCESS
         if self.expired and any(100 <= a < 120 for a in places):
             return Refusal.OUT_OF_RANGE  # goals are locked

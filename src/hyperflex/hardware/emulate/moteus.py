@@ -29,14 +29,16 @@ class MoteusDevice:
     ----------
     mode, fault : int
         As the registers of these names.
+    timeout_mode : int
+        What it says of servo.timeout_mode; it behaves as with 0.
 
     Notes
     -----
     As with its setting servo.timeout_mode at 0, which is not the factory's, the shaft is free in a timeout. Emulated
     are stop, position mode with its watchdog (mode 11 until a stop) and its limit of speed, latched faults
     (mode 1 until a stop) and reads of any register, of which those without a meaning here read 0. Not emulated are the
-    limits of acceleration and torque, the factory's damping in a timeout (mode 12), other modes and the diagnostic
-    stream. A broken checksum is an error; after a line with a checksum, all need one.
+    limits of acceleration and torque, the factory's damping in a timeout (mode 12), other modes and, of the diagnostic
+    stream, all but this setting. A broken checksum is an error; after a line with a checksum, all need one.
     """
 
     options = ""  # of its address
@@ -52,8 +54,8 @@ class MoteusDevice:
         self._vendor: Any = extras.load("moteus", "moteus", "emulated moteus controllers")
         self.plant, self.number, self.voltages, self.temperature = plant, number, voltages, temperature
         self._modes: Any = self._vendor.Mode
-        self.mode, self.fault = self._modes.STOPPED, 0
-        self._deadline = math.inf
+        self.mode, self.fault, self.timeout_mode = self._modes.STOPPED, 0, 0
+        self._deadline, self._told = math.inf, b""  # of the diagnostic stream
         self._checksums, self._received = False, b""
 
     def tick(self, t: float) -> bytes:
@@ -111,6 +113,13 @@ class MoteusDevice:
 
     def _frame(self, data: bytes) -> bytes:
         """Carry out the writes of a frame, then return the registers that it reads."""
+        if data[:2] == b"\x40\x01":  # text to the diagnostic stream
+            right = data[3 : 3 + data[2]] == b"conf get servo.timeout_mode\n"
+            self._told += b"%d\r\n" % self.timeout_mode if right else b"ERR unknown command\r\n"
+            return b""
+        if data[:2] == b"\x42\x01":  # what has it to tell?
+            told, self._told = self._told[: data[2]], self._told[data[2] :]
+            return b"\x41\x01%c%b" % (len(told), told)
         try:
             parsed = self._vendor.parse_registers(data)
         except (RuntimeError, struct.error):  # cut off
