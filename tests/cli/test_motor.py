@@ -8,7 +8,8 @@ import pytest
 import hyperflex as hf
 from hyperflex import execution
 from hyperflex.errors import InvalidInput
-from hyperflex.hardware import DriveZero
+from hyperflex.hardware import Drive, DriveZero
+from tests.hardware.fake import FakeLink
 
 
 @pytest.fixture
@@ -75,6 +76,22 @@ def test_small_strokes_notice_a_stuck_drive_too(hyperflex, tmp_path, monkeypatch
     how = "--torque", 1, "--speed", 8, "--zero", tmp_path / "zero.toml", "--yes", "--stroke", stroke
     hyperflex("motor", "identify", "--motor", "moteus:/dev/not-there", "-o", tmp_path / "drive.toml", *how)
     assert seen == pytest.approx([deviation])
+
+
+@pytest.mark.parametrize(("turned", "direction"), [(-1.5, -1), (1.6, 1), (7.5, None), (0.2, None)])
+def test_a_quarter_turn_by_hand_shows_the_direction(hyperflex_json, tmp_path, monkeypatch, turned, direction):
+    link = FakeLink(4.0)
+    monkeypatch.setattr(execution, "open_drive", lambda *_, **__: Drive(link, hf.MotorLimits()))
+    monkeypatch.setattr("typer.prompt", lambda *_, **__: link.state.update(angle=4.0 + turned))
+    how = "motor", "zero", "--motor", "moteus:/dev/ttyACM0", "-o", tmp_path / "zero.toml", "--angle", 0.1
+    code, result = hyperflex_json(*how)
+    if direction is None:
+        assert (code, "no quarter turn" in result["error"]) == (2, True)
+        return
+    assert DriveZero.from_toml(tmp_path / "zero.toml") == DriveZero(4.0 - direction * 0.1, direction, how[3])
+    link.state["angle"] = 4.0
+    hyperflex_json(*how, "--direction", -direction)  # nobody is asked
+    assert DriveZero.from_toml(tmp_path / "zero.toml").direction == -direction
 
 
 @pytest.mark.nightly

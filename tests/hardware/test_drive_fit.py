@@ -43,6 +43,7 @@ def test_lag_and_rate_limit_are_found(fit):
     assert fit.values["rate_limit"] == pytest.approx(Truth().rate_limit, rel=0.02)
     assert fit.values["inertia"] == pytest.approx(Truth().inertia, rel=0.1)
     assert fit.residual < 2.0 * math.tau / 4096
+    assert not fit.intervals.keys() & {"delay", "frequency", "damping", "feedforward"}  # they were too narrow
 
 
 @pytest.mark.nightly

@@ -153,8 +153,9 @@ def identify(
     if picture is not None:
         save_png(fit.plot(), picture)
         written["picture"] = picture
+    intervals = {name: f" ({low:.4g} to {high:.4g})" for name, (low, high) in fit.intervals.items()}
     rows = [
-        (name.replace("_", " "), f"{value:.4g} ({fit.intervals[name][0]:.4g} to {fit.intervals[name][1]:.4g})")
+        (name.replace("_", " "), f"{value:.4g}{intervals.get(name, ', uncertain')}")
         for name, value in fit.values.items()
     ]
     lost = int(np.isnan(record.angle).sum())
@@ -177,23 +178,50 @@ def zero(
     *,
     out: Annotated[Path, typer.Option("--output", "--out", "-o", help="File for the zero, .toml.")],
     angle: Annotated[float, typer.Option(help="Angle at which the arm is now, rad; 0 hangs down.")] = 0.0,
-    direction: Annotated[int, typer.Option(help="-1 if the device's angle grows clockwise, else 1.")] = 1,
+    direction: Annotated[
+        int | None,
+        typer.Option(
+            help="-1 if the device's angle grows clockwise, else 1. [default: as a quarter turn by hand shows it]"
+        ),
+    ] = None,
 ) -> None:
-    """Set the zero of a drive from the arm as it hangs now, with its torque off; nothing moves.
+    """Set the zero of a drive from the arm as it hangs now, with its torque off; nothing moves by itself.
 
-    The raw angle of the zero is kept in the file, which identify and run take with --zero. Check it again after the
+    Then you turn the arm by hand, a quarter turn to +x: this shows the direction, and whether a gear's ratio is set.
+    With --direction, and for an emulated drive, you are not asked.
+
+    Both are kept in the file, which identify and run take with --zero. Check it again after the
     drive was without power: some count turns only while they have it.
     """
-    from hyperflex.hardware import DriveZero
+    from hyperflex.hardware import DriveZero, emulated_device
 
     check_destination(out, ".toml", [])
-    with _drive(motor, MotorLimits(), None, direction) as connect, connect() as drive:
-        name, before = drive.link.name, drive.read().angle
-        raw = drive.set_zero(angle)
-    DriveZero(raw, direction, motor).to_toml(out)
-    result = {"motor": name, "raw_angle": raw, "angle": angle, "before": before, "files": {"zero": out}}
-    shown = [("raw angle of the zero", f"{raw:.4f} rad"), ("the arm is now at", f"{angle:.4f} rad")]
+    with _drive(motor, MotorLimits(), None) as connect, connect() as drive:
+        name, raw = drive.link.name, drive.set_zero(0.0)
+        if direction is not None:
+            output.note("nothing shows whether this direction is right, or whether a gear's ratio is set")
+        way = _direction(drive, emulated_device(motor) is not None) if direction is None else direction
+    raw -= way * angle
+    DriveZero(raw, way, motor).to_toml(out)
+    result = {"motor": name, "raw_angle": raw, "direction": way, "angle": angle, "files": {"zero": out}}
+    shown = [
+        ("raw angle of the zero", f"{raw:.4f} rad"),
+        ("direction", str(way)),
+        ("the arm is at", f"{angle:.4f} rad"),
+    ]
     output.show(result, Rows(f"Zero of {name}", [*shown, ("written", str(out))]))
+
+
+def _direction(drive: "Drive", emulated: bool) -> int:
+    """Return the direction of a drive that tells raw angles from its zero, from a quarter turn by hand."""
+    if emulated:
+        return 1
+    typer.prompt("Turn the arm by hand, a quarter turn to +x, and hold it there. Then Enter", default="", err=True)
+    turned = drive.read().angle
+    if not 1.2 < abs(turned) < 1.9:  # rad: by hand, within 20 degrees
+        fix = "Turn the arm by a quarter turn, or set the ratio of its gear in the drive"
+        raise InvalidInput("the drive has seen no quarter turn", got=turned, allowed="1.2 to 1.9 rad", fix=fix)
+    return 1 if turned > 0.0 else -1
 
 
 def check_torque(limits: MotorLimits) -> None:
@@ -227,13 +255,13 @@ def wait_for_enter(before: str, yes: bool) -> None:
 
 @contextmanager
 def _drive(
-    address: str, limits: MotorLimits, zero: Path | None, direction: int = 1, max_deviation: float = 0.5
+    address: str, limits: MotorLimits, zero: Path | None, max_deviation: float = 0.5
 ) -> "Iterator[Callable[[], Drive]]":
     """Give what returns a drive, or an emulated one that runs as long as the block; its arm has no rope."""
     from hyperflex.execution import open_drive
     from hyperflex.hardware import DriveZero, Emulator, MotorModel, emulated_device
 
-    known = DriveZero(0.0, direction) if zero is None else DriveZero.from_toml(zero)
+    known = DriveZero(0.0) if zero is None else DriveZero.from_toml(zero)
     known.check(address)
     connect = partial(open_drive, limits=limits, zero=known, max_deviation=max_deviation)
     device = emulated_device(address)

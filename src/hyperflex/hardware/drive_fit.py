@@ -84,7 +84,8 @@ class DriveFit:
         dry_friction and weight_torque. What the test motion did not show is missing. So is the delay where only the
         lag is known, which is the sum of delay, hold and loop.
     intervals : dict of str to (float, float)
-        95 % intervals of the values, if the drive obeys the model: see `doubt`.
+        95 % intervals of the values, if the drive obeys the model: see `doubt`. None of delay, frequency, damping and
+        feedforward: other parts explain the same lag about as well.
     reached : (float, float)
         Greatest speed, rad/s, and acceleration, rad/s^2, of the goals: limits that are missing lie above.
     residual : float
@@ -426,7 +427,9 @@ class _Fit:
             low, high = value - half, value + half
             if name == "delay" and low <= 0.0:  # how the lag is divided was not seen: its sum alone is known
                 continue
-            known[name], intervals[name] = value, (max(low, 0.0) if name != "weight_torque" else low, high)
+            known[name] = value
+            if name not in ("delay", "frequency", "damping", "feedforward"):
+                intervals[name] = max(low, 0.0) if name != "weight_torque" else low, high
         unseen = {name: math.inf for name in _LIMITS if name not in known}
         model = self.model(self.values | unseen)
         angle = self.predicted(self.values)[0]
