@@ -12,7 +12,7 @@ import pytest
 from hyperflex import execution
 from hyperflex.cli import output
 from hyperflex.execution import Attempt, LearningResult
-from hyperflex.hardware import DriveFit, DriveModel, DriveZero
+from hyperflex.hardware import Drive, DriveFit, DriveModel, DriveZero
 from hyperflex.planning import read_plan, scaled_rope
 from tests.execution.ideal_link import open_ideal
 from tests.planning.known import planned
@@ -74,6 +74,7 @@ def test_a_camera_that_cannot_see_the_rope_is_one_line(refused, plan, tmp_path, 
         (("--torque", 1, "--follow"), "which --follow must know"),
         (("--torque", 1, "--repeat", 2, "--yes"), "which --yes and --repeat must know"),
         (("--learn", "--follow"), "a learned motion is not followed"),
+        (("--learn", "--repeat", 2), "--repeat 3 or more"),
     ],
 )
 def test_what_is_dangerous_on_a_real_motor_is_one_line(refused, plan, tmp_path, options, message):
@@ -95,6 +96,43 @@ def drive(tmp_path: Path) -> Path:
 def test_a_plan_is_compared_with_the_identified_drive(refused, plan, drive, tmp_path):
     how = "--motor", "moteus:/dev/none", "--drive", drive, "--dry-run"
     assert "rate" in refused("run", plan, "-o", tmp_path / "done", *how)
+
+
+@pytest.mark.parametrize("way", ["--follow", "--learn"])
+def test_moves_that_would_be_others_on_the_drive_are_not_changed(refused, plan, drive, tmp_path, monkeypatch, way):
+    slower = replace(planned().problem.limits, speed=5.0)
+    monkeypatch.setattr(DriveFit, "motor_limits", lambda *_: slower)
+    monkeypatch.setattr(Drive, "check_motion", lambda *_: None)  # as if they were within what is allowed by rounding
+    how = "--motor", "emulator:moteus", "--drive", drive, way, "--dry-run"
+    assert "Plan again with --drive" in refused("run", plan, "-o", tmp_path / "done", *how)
+
+
+def test_learning_keeps_to_the_drives_limits(hyperflex, plan, drive, tmp_path, monkeypatch):
+    seen, limits = [], replace(planned().problem.limits, speed=99.0)
+    monkeypatch.setattr(DriveFit, "motor_limits", lambda *_: limits)
+
+    def carry_out(plan, *_, repeat, **__):
+        seen.append((plan.problem.limits, repeat))
+
+    monkeypatch.setattr(import_module("hyperflex.cli.run"), "_carry_out", carry_out)
+    hyperflex("run", plan, "--motor", "emulator:moteus", "--drive", drive, "--learn", "-o", tmp_path / "done")
+    assert seen == [(limits, 10)]
+
+
+def test_a_drive_that_was_tried_at_less_speed_than_the_plans_is_said(drive):
+    fit = DriveFit.from_toml(drive)
+    replace(fit, values={"lag": 0.025}, intervals={"lag": (0.024, 0.026)}, reached=(1.0, 80.0)).to_toml(drive)
+    with pytest.warns(UserWarning, match="shows nothing above 1 rad/s, and the plan reaches"):
+        import_module("hyperflex.cli.run")._of_drive(planned(), drive, None, {})
+
+
+def test_with_yes_an_arm_whose_zero_is_in_doubt_is_not_moved(hyperflex, plan, tmp_path, monkeypatch):
+    monkeypatch.setattr(execution, "open_drive", partial(open_ideal, tmp_path / "notes", angle=0.3))
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    real = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml", "--torque", 1, "--yes"
+    code, _, err = hyperflex("run", plan, "-o", tmp_path / "done", *real)
+    assert (code, "without torque the arm stands at 0.30 rad" in err) == (2, True)
+    assert (tmp_path / "notes").read_text().split() == ["open", "closed"]
 
 
 def test_limits_and_lag_of_a_run_are_the_drives(drive):

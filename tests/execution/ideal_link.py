@@ -1,5 +1,6 @@
 """A link to a motor that is where it was asked to be, for tests of what lies above a drive."""
 
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,8 @@ class IdealLink:
     """Reaches each goal at once, and notes each switch of its torque in a file.
 
     It falls silent after `silent_after` replies; the torque of one that is `stuck` stays on; of one that `loses`, each
-    so many-th reply is lost while its torque is on. It `holds` the arm with a torque, N m.
-    One that `pauses` answers this request late, by 0.2 s.
+    so many-th reply is lost while its torque is on. It `holds` the arm with a torque, N m. It is at an `angle` first,
+    rad, and stops `short` of its goals. One that `pauses` answers this request late, by 0.2 s.
     """
 
     name, watchdog, takes = "ideal motor", 0.1, frozenset({"rate", "torque"})
@@ -30,9 +31,11 @@ class IdealLink:
         loses: int = 0,
         holds: float = 0.0,
         pauses: int = 0,
+        angle: float = 0.3,
+        short: float = 0.0,
     ) -> None:
         self.notes, self.left, self.sound, self.stuck = notes, silent_after, fault_after, stuck
-        self.angle, self.on, self.loses = 0.3, False, loses
+        self.angle, self.short, self.on, self.loses = angle, short, False, loses
         self.holds, self.pauses = holds, pauses
 
     def open(self) -> None:
@@ -61,7 +64,7 @@ class IdealLink:
         self.note("on")
 
     def send(self, goal: Goal) -> Reading:
-        self.angle = goal.angle
+        self.angle = goal.angle - self.short
         return self.read()
 
     def disable(self) -> None:
@@ -83,6 +86,6 @@ def ideal_drive(notes: Path, limits: MotorLimits | None = None, **link: Any) -> 
     return Drive(IdealLink(notes, **link), limits or MotorLimits())
 
 
-def open_ideal(notes: Path, _: str, limits: MotorLimits, *more: object, stuck: bool = False) -> Drive:
-    """Return a drive over an ideal link, whatever its address."""
-    return ideal_drive(notes, limits=limits, stuck=stuck)
+def open_ideal(notes: Path, _: str, limits: MotorLimits, *more: object, **link: Any) -> Drive:
+    """Return a drive over an ideal link, whatever its address, with an arm that hangs; it does not tell its torque."""
+    return ideal_drive(notes, limits=limits, **{"angle": 0.0, "holds": math.nan, **link})

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import EstimatorLost, Interrupted, InvalidInput
+from hyperflex.errors import EstimatorLost, Interrupted, InvalidInput, SimulationError
 from hyperflex.estimate import EstimatedParameter
 from hyperflex.execution import Attempt, CastLog, LearningOptions, LearningResult, learn_cast, learning
 from hyperflex.interfaces import RopeState
@@ -160,6 +160,16 @@ def test_a_log_with_too_little_data_says_so_and_changes_nothing():
     assert (done.rope, done.lag) == (ROPE, 0.0)
     expected = "cast 1: missed; nothing learned: no marker was seen in the 0.12 s before the strike"
     assert str(done.attempts[0]) == expected
+
+
+def test_a_filter_that_fails_changes_nothing_and_says_so(monkeypatch):
+    def fail(*_: object) -> None:
+        raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=0.1)
+
+    monkeypatch.setattr(learning, "_states", fail)
+    done = learn_cast(PLAN, Twin(), attempts=2, options=OPTIONS)
+    assert [each.problem for each in done.attempts] == ["The state is not finite."] * 2
+    assert (done.rope, done.moves) == (ROPE, MOVES)
 
 
 def test_angles_teach_as_markers_do():

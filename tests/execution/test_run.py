@@ -18,7 +18,7 @@ import hyperflex as hf
 from hyperflex import execution
 from hyperflex.checks import Array
 from hyperflex.control import TrueState
-from hyperflex.errors import EstimatorLost, Interrupted, InvalidInput
+from hyperflex.errors import DriveError, EstimatorLost, Interrupted, InvalidInput
 from hyperflex.execution import MotionStream, RunOptions, observed_turns, run_plan
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
@@ -152,9 +152,21 @@ def test_an_arm_whose_weight_is_not_as_expected_is_told(tmp_path: Path, holds: f
     plan, said = short_plan(), list[str]()
     start = float(plan.required(plan.motion, "motion").angle(0.0))
     drive = partial(ideal_drive, tmp_path / "notes", holds=holds * 0.05 * 9.80665 * 0.1 * math.sin(start))
-    run_plan(plan, drive, source=SeenRope(plan), options=QUICK, say=said.append)
+    run_plan(plan, drive, source=SeenRope(plan), options=QUICK, doubt=said.append)
     assert any("without torque the arm stands at 0.30" in each for each in said)
-    assert any("Check zero, direction" in each for each in said) == (holds < 1.0)
+    assert any("Check zero, rope and arm" in each for each in said) == (holds < 1.0)
+
+
+@pytest.mark.parametrize(
+    ("link", "message"),
+    [({"short": 0.08}, "not at its start at"), ({"angle": -1.7}, "the way to the start is more than half a turn")],
+)
+def test_an_arm_that_does_not_come_to_its_start_is_not_cast(
+    tmp_path: Path, link: dict[str, float], message: str
+) -> None:
+    with pytest.raises((DriveError, InvalidInput), match=message):
+        run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes", **link), options=QUICK)
+    assert (tmp_path / "notes").read_text().split() == ["open", "on", "off", "closed"]
 
 
 def test_a_fault_in_the_middle_ends_the_run_and_says_so(tmp_path: Path) -> None:

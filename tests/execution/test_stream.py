@@ -83,6 +83,23 @@ def test_a_link_that_never_confirms_is_an_error_at_the_end_as_well(tmp_path: Pat
         stream.__exit__()
 
 
+def test_the_torque_goes_off_after_the_motion_if_the_program_hangs(tmp_path: Path) -> None:
+    with MotionStream(partial(ideal_drive, tmp_path / "notes"), patience=0.2) as stream:
+        stream.enable()
+        stream.start_clock()
+        stream.set_motion(move_arm(0.3, 0.4, duration=0.6), stream.now)
+        for _ in range(25):
+            time.sleep(0.02)
+            stream.raise_if_ended()
+        assert lines(tmp_path / "notes") == ["open", "on"]
+        time.sleep(1.0)
+        with pytest.raises(DriveError, match="silent since its motion was over"):
+            stream.raise_if_ended()
+    assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
+    log = stream.log()
+    assert log.column("goal_angle")[-1] == pytest.approx(0.4)
+
+
 def test_a_stop_from_another_thread_is_confirmed_by_the_device(tmp_path: Path) -> None:
     with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
         stream.enable()

@@ -154,7 +154,7 @@ def test_a_limit_of_torque_needs_the_torque_constant_and_a_torque_that_is_told()
         link.torque_constant = 0.1
         wire.spoil = lambda reply: [reply.replace(b"t01C8", b"t01D8")]
         link._messages.clear()
-        link._came.clear()
+        link._came = dict.fromkeys(link._came, -math.inf)
         wait_for(lambda: link._listen(0.01, lambda *_: link._beat > 0.0) and len(link._messages) > 1)
         with pytest.raises(DriveError, match=r"does not tell its torque.*torques_msg_rate_ms = 10"):
             link.enable(LIMITS)

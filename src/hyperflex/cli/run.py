@@ -111,7 +111,10 @@ def run(
     ] = 0.3,
     follow: Annotated[bool, typer.Option("--follow", help="Correct the moves while the rope swings.")] = False,
     decision_time: Annotated[float, typer.Option(help="Time for such a correction, s.")] = 0.3,
-    repeat: Annotated[int, typer.Option(help="Casts at most.", min=1, max=100)] = 1,
+    repeat: Annotated[
+        int | None,
+        typer.Option(help="Casts at most. [default: 10 with --learn, else 1]", min=1, max=100),
+    ] = None,
     learn: Annotated[
         bool, typer.Option("--learn", help="Learn from each cast; stop when the rope winds three times running.")
     ] = False,
@@ -127,7 +130,8 @@ def run(
     Read the how-to page "Run a plan on a drive" before you connect a motor. All of this was tested on emulated drives
     only.
 
-    A real motor needs --zero and --torque. Before each cast the command waits for Enter: the arm will move.
+    A real motor needs --zero and --torque. Before each cast the command waits for Enter: the arm will move. With --yes
+    a run ends where it would only tell you that zero, rope or arm may be wrong.
 
     A camera (--camera, --calibration, --arc-lengths) shows whether the rope hangs still and whether it is wound, and
     what --follow and --learn need. A run whose camera no longer sees the rope is stopped.
@@ -148,12 +152,14 @@ def run(
     limits, chosen = _of_drive(planned, drive, torque, options)
     if follow and learn:
         raise InvalidInput("a learned motion is not followed in closed loop", fix="Give --follow or --learn")
+    count = _count(repeat, learn)
     sight.check(emulated)
-    blind = {"--learn": learn, "--follow": follow, "--yes and --repeat": yes and repeat > 1}
+    blind = {"--learn": learn, "--follow": follow, "--yes and --repeat": yes and count > 1}
     known = None if emulated or dry_run else _check_real(motor, zero, limits, sight, blind)
+    link = open_link("moteus:none" if emulated else motor)
+    Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
+    planned = _within(planned, limits) if follow or learn else planned
     if dry_run:
-        link = open_link("moteus:none" if emulated else motor)
-        Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
         output.show({"success": True, "dry_run": True}, "The motion keeps to the limits. Nothing was connected.")
         return
     if emulated:
@@ -174,7 +180,9 @@ def run(
         def real(motion: Any = None) -> "CastRun":
             connect = partial(open_drive, motor, limits, known, max_deviation)
             with nullcontext() if task is None else CameraRope(sight.camera or "", task) as source:
-                return run_plan(planned, connect, motion=motion, source=source, ready=ready, **given)
+                return run_plan(
+                    planned, connect, motion=motion, source=source, ready=ready, doubt=_refuse if yes else say, **given
+                )
 
         def ready() -> None:
             wait_for_enter("Unwind the rope and keep clear", yes)
@@ -184,7 +192,7 @@ def run(
                 connect = partial(open_drive, address, limits, None, max_deviation)
                 return run_plan(planned, connect, motion=motion, source=source, **given)
 
-        _carry_out(planned, emulate if emulated else real, out, repeat=repeat, learn=learn, emulated=emulated, say=say)
+        _carry_out(planned, emulate if emulated else real, out, repeat=count, learn=learn, emulated=emulated, say=say)
         if shown is not None:
             shown.end(f"{shown.phase}; the casts are over")
 
@@ -238,8 +246,34 @@ def _of_drive(
         fit = DriveFit.from_toml(drive)
         if fit.message:
             raise InvalidInput(f"{drive} does not describe its drive", got=fit.message, fix="Identify it again")
+        fastest = float(abs(plan.required(plan.motion, "motion").extrema(1)[1]).max())
+        if "rate_limit" not in fit.values and fastest > fit.reached[0]:
+            text = f"{drive} shows nothing above {fit.reached[0]:.3g} rad/s, and the plan reaches {fastest:.3g} rad/s"
+            warnings.warn(f"{text}. Identify with a greater --speed and --stroke", UserWarning, stacklevel=2)
         limits, options = fit.motor_limits(limits), {"lag": fit.lag} | options
     return limits if torque is None else replace(limits, torque=torque), RunOptions(**options)
+
+
+def _within(plan: "CastPlan", limits: "MotorLimits") -> "CastPlan":
+    """Return the plan with limits that new moves keep to; refuse limits with which the planned ones are others."""
+    changed = replace(plan, problem=replace(plan.problem, limits=limits))
+    if changed.motion != plan.motion:
+        raise InvalidInput("the plan's moves are others on this drive", fix="Plan again with --drive")
+    return changed
+
+
+def _count(repeat: int | None, learn: bool) -> int:
+    """Return the number of casts at most; refuse one with which learning cannot succeed."""
+    from hyperflex.execution import LearningOptions
+
+    count, wins = repeat or (10 if learn else 1), LearningOptions().wins
+    if learn and count < wins:
+        raise InvalidInput("learning ends when casts wind in a row", got=count, allowed=f"--repeat {wins} or more")
+    return count
+
+
+def _refuse(doubt: str) -> None:
+    raise InvalidInput(doubt, fix="Mend it, or leave out --yes and judge for yourself")
 
 
 def _check_real(

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.errors import HyperflexError, InvalidInput, SimulationError
 from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible, stoppable
@@ -280,6 +280,10 @@ def learn_cast(
     Notes
     -----
     A cast that winds leaves the motion as it is. Of contact nothing is learned. Tested in simulation only.
+
+    Each cast begins with the last cast's parameters and the standard deviations of `prior`, as they were given: earlier
+    casts count through their mean alone. Where a model lacks something, as the bending of the arm, its parameters must
+    change from one motion to another; averages over many casts, with deviations that shrink, could not follow.
     """
     checks.instance("plan", plan, CastPlan)
     problem, moves = plan.problem, plan.required(plan.moves, "motion")
@@ -341,6 +345,8 @@ class _Learner:
             position, speed = self._learn(log, arcs)
         except InvalidInput as error:
             problem = error.what
+        except SimulationError as error:
+            problem = str(error)
         factors = {each.name: 1.0 + each.value for each in self._prior}
         self.attempts.append(Attempt(number, made, log.wound, position, speed, factors, self.lag, problem))
 

@@ -104,6 +104,7 @@ def run_plan(
     options: RunOptions | None = None,
     say: Callable[[str], None] = lambda _: None,
     ready: Callable[[], object] = lambda: None,
+    doubt: Callable[[str], object] | None = None,
     page: RunPage | None = None,
 ) -> CastRun:
     """Carry out a planned cast on a drive.
@@ -125,6 +126,9 @@ def run_plan(
         Is told each phase in a line.
     ready : callable
         Is called when the drive has been read, before its torque is switched on: to ask a person, say.
+    doubt : callable, optional
+        Is told in a line that the zero, the rope or the arm may be wrong, by default as `say` is. Where nobody can
+        judge that, let it raise: it ends the run.
     page : RunPage, optional
         Shows the run in a browser.
 
@@ -137,7 +141,7 @@ def run_plan(
     ------
     InvalidInput
         If the plan has no motion, or the motion exceeds the drive's limits; nothing has moved. Later, if the rope does
-        not hang still, or the arm is held by a torque of the wrong sign.
+        not hang still.
     DriveError
         If the drive cannot be reached, or the arm does not come to its start.
     Interrupted
@@ -183,7 +187,7 @@ def run_plan(
             with drive:
                 if page is not None:
                     page.attach(drive, lambda: watch.newest, source)
-                _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say, ready)
+                _prepare(drive, float(made.angle(0.0)), source, plan.problem, chosen, say, ready, doubt or say)
                 known = None if source is None else source.rope
                 begin = time.monotonic() + LEAD
                 touch = prediction.touch if prediction else math.inf
@@ -247,17 +251,18 @@ def _prepare(
     options: RunOptions,
     say: Callable[[str], None],
     ready: Callable[[], object],
+    doubt: Callable[[str], object],
 ) -> None:
     """Bring the arm to the start, rad, wait until the rope hangs still, and count down."""
     free = drive.state().angle
     if abs(free - problem.rope.hanging_angle) > HANGS:
-        say(f"without torque the arm stands at {free:.2f} rad: if it hangs freely there, its zero is wrong")
+        doubt(f"without torque the arm stands at {free:.2f} rad: if it hangs freely there, its zero is wrong")
     ready()
     if source is not None:  # a rope that is still wound would be pulled
         _wait_until_still(drive, hold_arm(drive.state().angle), source, problem.rope, options, say, still=math.inf)
     _approach(drive, start, problem, options, say)
     _wait_until_still(drive, hold_arm(start), source, problem.rope, options, say)
-    _compare_weight(drive.log(), problem, say)
+    _compare_weight(drive.log(), problem, doubt)
     for k in range(math.ceil(options.countdown), 0, -1):
         say(f"the cast begins in {k} s")
         _sleep_until(time.monotonic() + min(1.0, options.countdown), drive)
@@ -336,10 +341,10 @@ def _turned(angles: Array) -> Array:
     return np.asarray((angles + math.pi) % math.tau - math.pi)
 
 
-def _compare_weight(log: StreamLog, problem: Problem, say: Callable[[str], None]) -> None:
-    """Say so if the last half second's torque is far from what holds arm and rope: zero or direction may be wrong.
+def _compare_weight(log: StreamLog, problem: Problem, doubt: Callable[[str], object]) -> None:
+    """Say so if the last half second's torque is far from what holds arm and rope; one of the wrong sign is refused.
 
-    A torque of the wrong sign is refused.
+    It does not show a wrong direction, with which angle and torque both have the other sign.
     """
     angle, torque = (log.column(name)[-math.ceil(0.5 * log.rate) :] for name in ("angle", "torque"))
     if not np.isfinite(torque).any():
@@ -347,11 +352,11 @@ def _compare_weight(log: StreamLog, problem: Problem, say: Callable[[str], None]
     where, held = float(angle.mean()), float(np.nanmean(torque))
     expected, most = (weight_torque(problem, each) for each in (where, problem.rope.hanging_angle + 0.5 * math.pi))
     if held * expected < 0.0 and min(abs(held), abs(expected)) > 0.5 * most:
-        what, fix = "the motor holds arm and rope with a torque of the wrong sign", "Check zero and direction"
+        what, fix = "the motor holds arm and rope with a torque of the wrong sign", "Check the zero"
         raise InvalidInput(what, got=held, allowed=f"about {expected:.3f} N m", fix=fix)
     if abs(held - expected) > 0.5 * most:
-        causes = "Check zero, direction, rope and arm; friction of a gear may hide the weight"
-        say(f"at {where:.2f} rad the motor holds arm and rope with {held:.3f} N m, not {expected:.3f}. {causes}")
+        causes = "Check zero, rope and arm; friction of a gear may hide the weight"
+        doubt(f"at {where:.2f} rad the motor holds arm and rope with {held:.3f} N m, not {expected:.3f}. {causes}")
 
 
 def _supervise(follow: Callable[[], FollowResult], drive: MotionStream, watch: RopeWatch) -> FollowResult:

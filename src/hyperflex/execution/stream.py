@@ -1,6 +1,7 @@
 """A motion streamed to a drive at a fixed rate, by a process of its own that nothing else delays."""
 
 import math
+import multiprocessing
 import signal
 import time
 from bisect import bisect_right
@@ -104,6 +105,9 @@ class MotionStream:
         Clear a fault of the device at the start.
     waits : bool
         Whether a motion waits for a process that was late by more than a cycle, instead of being caught up with.
+    patience : float
+        Time, s, without a request or a call of :meth:`raise_if_ended` after which this program counts as hanging: once
+        its motion is over, the process switches the torque off and ends.
 
     Attributes
     ----------
@@ -127,11 +131,14 @@ class MotionStream:
         duration: float = 300.0,
         clear: bool = False,
         waits: bool = False,
+        patience: float = 5.0,
     ) -> None:
         self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
         rows = math.ceil(self.rate * checks.number("duration", duration, sign="positive", unit="s"))
         self._records = Records(rows, len(FIELDS))
-        arguments = connect, clear, 1.0 / self.rate, waits, self._records
+        self._alive = multiprocessing.get_context("spawn").RawValue("d")  # when this program last showed that it is, s
+        patience = checks.number("patience", patience, sign="positive", unit="s")
+        arguments = connect, clear, 1.0 / self.rate, waits, self._records, self._alive, patience
         self._child = Child("The process of the drive", DriveError, stream, *arguments)
         self._zero, self.late = 0.0, 0
         self.motion: Motion | None = None
@@ -155,7 +162,7 @@ class MotionStream:
         """Make a moment of the monotonic clock, s, or now, t = 0; what is held then is held until the next motion."""
         self._zero = time.monotonic() if at is None else checks.number("at", at, unit="s")
         self.motion = None
-        self._child.ask("clock", self._zero)
+        self._ask("clock", self._zero)
 
     @property
     def now(self) -> float:
@@ -164,15 +171,15 @@ class MotionStream:
 
     def enable(self) -> DriveState:
         """Switch the torque on; the arm holds where it is. Return the state."""
-        return checks.instance("answer", self._child.ask("enable"), DriveState)
+        return checks.instance("answer", self._ask("enable"), DriveState)
 
     def off(self) -> None:
         """Switch the torque off."""
-        self._child.ask("off")
+        self._ask("off")
 
     def state(self) -> DriveState:
         """Return the newest state of the drive, with the torque on or off."""
-        return checks.instance("answer", self._child.ask("state"), DriveState)
+        return checks.instance("answer", self._ask("state"), DriveState)
 
     def set_motion(self, motion: Motion, at: float, torque: tuple[npt.ArrayLike, npt.ArrayLike] | None = None) -> bool:
         """Stream a motion from a time `at` (s) on; see :class:`hyperflex.interfaces.Motor`.
@@ -188,7 +195,7 @@ class MotionStream:
             times = checks.times("torque times", torque[0])
             values = checks.array("torque", torque[1], times.shape, unit="N m")
         path = Path(motion.breaks.tolist(), motion.coef[:, ANGLE].tolist(), times.tolist(), values.tolist())
-        taken = bool(self._child.ask("motion", checks.number("at", at, unit="s"), path))
+        taken = bool(self._ask("motion", checks.number("at", at, unit="s"), path))
         self.motion, self.late = motion if taken else self.motion, self.late + (not taken)
         return taken
 
@@ -210,7 +217,12 @@ class MotionStream:
 
     def raise_if_ended(self) -> None:
         """Raise what ended the process, if it has ended."""
+        self._alive.value = time.monotonic()
         self._child.raise_if_ended()
+
+    def _ask(self, *request: Any) -> Any:
+        self._alive.value = time.monotonic()
+        return self._child.ask(*request)
 
 
 class Path(NamedTuple):
@@ -241,11 +253,19 @@ class Path(NamedTuple):
 
 
 def stream(
-    link: Connection, connect: Callable[[], Drive], clear: bool, period: float, waits: bool, records: Records
+    link: Connection,
+    connect: Callable[[], Drive],
+    clear: bool,
+    period: float,
+    waits: bool,
+    records: Records,
+    alive: Any,
+    patience: float,
 ) -> None:
     """Serve requests and, with the torque on, send a goal each period, s, until the parent ends or asks for the end.
 
-    The exit code is 0 if the torque is off for certain.
+    It also ends when the motion is over and the parent has not been `alive`, a time, for a patience, s. The exit code
+    is 0 if the torque is off for certain.
     """
     drive, ended = connect(), None
 
@@ -260,7 +280,7 @@ def stream(
             cycle = _Cycle(drive, period, waits, link, records)
             link.send((0, cycle.zero))
             run_in_real_time()
-            cycle.run()
+            cycle.run(lambda: alive.value + patience)
     except HyperflexError as error:
         ended = error
     except SystemExit:
@@ -289,8 +309,8 @@ class _Cycle:
             "state": drive.read,
         }
 
-    def run(self) -> None:
-        """Serve and send until the end is asked for, or the parent has ended."""
+    def run(self, patient: Callable[[], float]) -> None:
+        """Serve and send until the end is asked for or the parent has ended; after a motion be `patient`."""
         due = time.monotonic()
         while serve(self.link, self.answers):
             due += self.period
@@ -301,6 +321,8 @@ class _Cycle:
             _wait_until(due)
             if self.drive.enabled:
                 self.send(due)
+                if due > max(patient(), self.zero + self.paths[-1][1].breaks[-1]):
+                    raise DriveError("The program has been silent since its motion was over. The torque is off.")
 
     def send(self, due: float) -> None:
         """Send the goal of now, and log it with the answer."""

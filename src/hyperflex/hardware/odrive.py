@@ -6,7 +6,6 @@ Sources: the CAN protocol and the DBC file of firmware 0.6.10 and 0.6.11, python
 import math
 import struct
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum, IntFlag
@@ -151,7 +150,7 @@ class ODriveLink:
         self._trial = bool(trial)
         self._bus: Any = None
         self._messages: dict[int, bytes] = {}  # the newest of each kind
-        self._came = defaultdict[int, float](lambda: -math.inf)  # when it came, s
+        self._came = dict.fromkeys(range(32), -math.inf)  # when it came, s
         self._limited = False  # whether there is a limit of torque
         self._asked = -math.inf  # when the encoder was asked for last, s
         self._missing = 0  # replies of the encoder that have not come
@@ -162,8 +161,7 @@ class ODriveLink:
         """Open the bus and find the axis; its torque stays as it is."""
         extras.require(("can",), "odrive", "ODrive controllers")
         self._bus = self._open_bus()
-        self._messages, self._missing = {}, 0
-        self._came.clear()
+        self._messages, self._came, self._missing = {}, dict.fromkeys(self._came, -math.inf), 0
         with _as_os_error():
             self._identify()
 
