@@ -156,7 +156,7 @@ class CurveDetector:
     LEAST_STD = 0.1  # px, of an offset, in addition to noise: compression, texture
     ALIKE = 16.0  # pieces and frames over which such errors, and those of straight links, are alike
     CONTRAST_STD = 0.35  # of a contrast, relative
-    CLEAR, SURE = 3.0, 10.0  # log-likelihood ratio to "nothing" of what may, and of what surely is the rope
+    CLEAR, SURE = 3.0, 10.0  # log-likelihood ratio to "nothing" of what may be the rope, and most that a profile proves
     HIDDEN = 3.0  # log-likelihood ratio at which a piece begins or ends to be hidden
 
     def __init__(self, blur: float = 0.7) -> None:
@@ -207,9 +207,9 @@ class CurveDetector:
         contrast = found[:, :, profiles.AMPLITUDE]
         with np.errstate(invalid="ignore", divide="ignore"):
             unlike = (contrast - 1.0) ** 2 / (self.CONTRAST_STD**2 + noise / found[:, :, profiles.CERTAINTY])
-            ratios = 0.5 * (found[:, :, profiles.GAIN] / noise - unlike)
+            ratios = np.minimum(0.5 * found[:, :, profiles.GAIN] / noise, self.SURE) - 0.5 * unlike
             variances = noise / (contrast**2 * found[:, :, profiles.ENERGY])
-        ratios = np.where(ratios > self.CLEAR, np.minimum(ratios, self.SURE), -np.inf)
+        ratios = np.where(ratios > self.CLEAR, ratios, -np.inf)
         return found[:, :, profiles.OFFSET], ratios, variances
 
     def _end(self, image: Image, look: RopeLook, view: CurveView, offset: float, weights: Array) -> tuple[float, float]:
