@@ -12,22 +12,24 @@ from hyperflex.cli.plain import PlainScene, answers_path
 from hyperflex.errors import InvalidInput
 from hyperflex.files import read_toml, write_toml
 from hyperflex.vision import Board, Camera, Renderer, RopeMotion, Scene, read_camera
-from tests.estimate.runs import free_swing, rope
+from tests.estimate.runs import free_swing
 
 CAMERA = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.002)
 ANSWERS = ("--pivot", "320", "20", "--tip", "found", "--size", "rope", "--mass", "0.125")
 COUNT = 12  # frames
 
 
-@pytest.fixture(scope="module")
-def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A free swing of a finer rope without markers."""
-    swing = free_swing(0, 4.0)
-    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
-    path = tmp_path_factory.mktemp("plain") / "phone.mp4"
-    scene = Scene([], rope_width=0.012)
+def film(path: Path, *markers: float) -> Path:
+    """Film a free swing of a finer rope, with markers at some arc lengths, m."""
+    motion, scene = RopeMotion.from_trajectory(free_swing(0, 4.0)), Scene(markers, rope_width=0.012)
     Renderer(CAMERA, motion, scene).write(path, 0.05 + np.arange(COUNT) / 30.0)
     return path
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A free swing without markers."""
+    return film(tmp_path_factory.mktemp("plain") / "phone.mp4")
 
 
 @pytest.fixture
@@ -48,13 +50,27 @@ def test_answers_are_kept_and_the_second_run_asks_nothing(hyperflex, hyperflex_j
     code, out, err = hyperflex("watch", "phone.mp4", "--json")
     assert (code, err) == (0, "")
     assert json.loads(out.splitlines()[-1])["found"] >= COUNT - 1
-    swing = free_swing(0, 4.0)
-    found = hf.read_recording("markers.nc")
-    near_tip = round(100 * 11.5 / 12)  # joint of the last place
-    truth = np.array([[np.interp(t, swing.t, swing.joints[:, near_tip, c]) for c in range(2)] for t in found.t])
-    assert np.hypot(*(found.data[:, -2:] - truth).T).max() < 0.03
+    assert off_near_tip().max() < 0.03
     assert hf.Rope.from_toml("markers-rope.toml").total_length == pytest.approx(2.0, rel=0.02)
     assert read_camera("markers-camera.toml").pixels_per_metre == pytest.approx(200.0, rel=0.02)
+
+
+def off_near_tip() -> np.ndarray:
+    """How far the last place of markers.nc is off in each frame, m."""
+    swing, found = free_swing(0, 4.0), hf.read_recording("markers.nc")
+    near_tip = round(100 * 11.5 / 12)  # its joint
+    truth = np.array([[np.interp(t, swing.t, swing.joints[:, near_tip, c]) for c in range(2)] for t in found.t])
+    return np.hypot(*(found.data[:, -2:] - truth).T)
+
+
+def test_a_few_markers_on_a_plain_rope_are_used_too(hyperflex_json, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    film(tmp_path / "phone.mp4", 0.5, 1.0, 1.5)
+    code, found = hyperflex_json("track", "phone.mp4", "--length", "2.0", *ANSWERS, "--arc-lengths", "0.5,1.0,1.5")
+    assert code == 0, found
+    assert found["doubts"] == []
+    assert found["seen"] > 0.9
+    assert off_near_tip().max() < 0.03
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])

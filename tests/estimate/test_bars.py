@@ -118,7 +118,7 @@ def withheld(tracker, path, every, skip=0):
                 continue
             if number > skip + 20 and number % every == 0:
                 expected, base = tracker.expect(frame.time), tracker.estimator.process.base(frame.time)[0]
-                pixels, _ = tracker.measurement.measure(frame.image, tracker, base, expected)
+                pixels, _ = tracker.measurement.measure(frame.image, tracker, base, expected, tracker.arc_lengths)
                 whole = np.repeat(tracker.measurement.detector.find(frame.image).areas > 0.9, 2)
                 errors.append((pixels - expected.pixels)[whole])
             else:

@@ -1,15 +1,36 @@
 """A rope without markers, followed by a filter with fewer links than the rope has."""
 
+import cv2
 import numpy as np
 
-from hyperflex.estimate import CurveMeasurement, MovingHorizon, Observations, RopeFilter, RopeTracker, curve_arc_lengths
+from hyperflex.estimate import (
+    CurveMeasurement,
+    EstimatedParameter,
+    MovingHorizon,
+    Observations,
+    RopeFilter,
+    RopeTracker,
+    TrackingTask,
+    curve_arc_lengths,
+)
 from hyperflex.estimate.observations import UNMEASURED, InputFrame
-from hyperflex.vision import Camera, Frame, Renderer, RopeLook, RopeMotion, Scene
+from hyperflex.vision import (
+    Camera,
+    CurveDetector,
+    Frame,
+    MarkerColour,
+    Renderer,
+    RopeLook,
+    RopeMotion,
+    Scene,
+    view_curve,
+)
 from tests.estimate.runs import free_swing, rope
 
 WIDTH, SCALE = 0.005, 200.0  # m, px/m
 CAMERA = Camera.facing((640, 480), pixels_per_metre=SCALE, origin=(320.0, 30.0), exposure=0.01)
 LOOK = RopeLook(np.array([45.0, 45.0, 45.0]), WIDTH * SCALE)
+MARKERS, RED = np.array([0.5, 1.0, 1.5]), MarkerColour(np.array([40.0, 30.0, 210.0]), area=20.0)  # m
 
 
 def test_a_direction_that_is_not_measured_has_no_effect():
@@ -27,25 +48,30 @@ def test_a_direction_that_is_not_measured_has_no_effect():
     np.testing.assert_allclose(frame.log_determinant, -np.log(0.6), rtol=1e-6)
 
 
-def followed(kind=RopeFilter, frames=12, **options):
-    """A swing of 100 links, known to a pixel at first; returns errors of joints (T, n + 1), and the tracker."""
+def bare(kind=RopeFilter, **options):
+    """A tracker of 24 links by the curve."""
     cable, arcs = rope(24), curve_arc_lengths(rope(24), 20)
+    return RopeTracker(kind(cable, arcs, camera=CAMERA, **options), CurveMeasurement(LOOK))
+
+
+def followed(tracker, frames=12, **scene):
+    """A swing of 100 links, known to a pixel at first; returns errors of joints (T, n + 1), and the tracker."""
     motion = RopeMotion.from_trajectory(free_swing(3, 2.0))
-    renderer = Renderer(CAMERA, motion, Scene([], rope_width=WIDTH, seed=3))
-    tracker = RopeTracker(kind(cable, arcs, camera=CAMERA, **options), CurveMeasurement(LOOK))
-    tracker.estimator.update(Observations(0.05, CAMERA.project(motion.places([0.05], arcs)[0]), std=1.0))
-    off = []
+    renderer = Renderer(CAMERA, motion, Scene(**{"arc_lengths": [], "rope_width": WIDTH, "seed": 3} | scene))
+    places = motion.places([0.05], tracker.arc_lengths)[0]
+    tracker.estimator.update(Observations(0.05, CAMERA.project(places), std=1.0))
+    off, joints = [], np.append(0.0, np.cumsum(tracker.estimator.process.rope.length))
     for k in range(frames):
         t = 0.05 + (k + 1) / 30.0
         tracked = tracker.look(Frame(t, renderer.image(t), k))
-        true = motion.places([t], np.append(0.0, np.cumsum(cable.length)))[0, :, :2]
+        true = motion.places([t], joints)[0, :, :2]
         off.append(np.linalg.norm(tracker.estimator.joints(tracked.state)[0] - true, axis=1))
     return np.array(off), tracker
 
 
 def test_a_filter_follows_the_bare_rope():
     """A pixel is 5 mm: a tenth of it for the curve, and half of it for its end, in spite of longer links."""
-    off, tracker = followed()
+    off, tracker = followed(bare())
     assert np.sqrt(np.mean(off[6:] ** 2)) < 5e-4
     assert off[6:, -1].max() < 2.5e-3
     assert not tracker.warning
@@ -53,6 +79,39 @@ def test_a_filter_follows_the_bare_rope():
 
 
 def test_a_moving_horizon_follows_it_too():
-    off, tracker = followed(MovingHorizon, 8, starts=1)
+    off, tracker = followed(bare(MovingHorizon, starts=1), 8)
     assert np.sqrt(np.mean(off[6:] ** 2)) < 5e-4
     assert len(tracker.estimator.smoothed) == 8
+
+
+def test_three_markers_and_the_curve_together_are_better_than_each():
+    """The scale is 1 % off: the curve shows the shape, but only its end the scale, which the markers show."""
+    lens, doubt, off = CAMERA.adjusted(1.01, 0.0, (0.0, 0.0)), [EstimatedParameter("scale", 0.02)], []
+    for colours, look in (([RED], None), ((), LOOK), ([RED], LOOK)):
+        arcs = MARKERS if colours else curve_arc_lengths(rope(24))
+        tracker = TrackingTask(rope(24), arcs, lens, colours, look=look, parameters=doubt).tracker()
+        off.append(followed(tracker, 8, arc_lengths=MARKERS)[0][4:])
+    markers, curve, both = (np.sqrt(np.mean(each**2)) for each in off)
+    assert both < 0.7 * min(markers, curve)
+
+
+def test_a_marker_at_the_free_end_is_measured_in_place_of_it():
+    arcs = np.append(MARKERS, 2.0)
+    tracker = TrackingTask(rope(24), arcs, CAMERA, [RED], look=LOOK).tracker()
+    off, _ = followed(tracker, 4, arc_lengths=arcs)
+    assert off[-1, -1] < 0.01
+    assert tracker.estimator.used[-1]
+    assert not tracker.estimator.used[-2]
+    assert tracker.measurement.end_seen == 1.0
+
+
+def test_a_shadow_that_is_less_dark_is_not_taken_for_the_rope():
+    """It lies nearer to where the rope is expected, by half a standard deviation."""
+    image = np.full((200, 200, 3), 180.0)
+    image[:, [100, 120]] = [[45.0], [130.0]]
+    image = cv2.GaussianBlur(image, (0, 0), 0.6) + np.random.default_rng(1).normal(0.0, 2.0, image.shape)
+    v = np.append(np.arange(20.0, 160.0), 180.0)
+    moving = np.tile(np.stack([np.full(141, 112.0), v], axis=1), (3, 1, 1))
+    view = view_curve(moving, 20, 8.0**2 * np.ones((42, 42)) + np.eye(42), 4.0, 50)
+    found = CurveDetector().find(image.astype(np.uint8), LOOK, view)
+    np.testing.assert_allclose(view.points[:, 3, 0] + found.offsets * view.normals[:, 3, 0], 100.0, atol=0.2)

@@ -15,6 +15,7 @@ import numpy as np
 import typer
 
 from hyperflex import checks, files
+from hyperflex.checks import Array
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
 from hyperflex.cli.plain import CLICKED, Plain, PlainScene, answers_path
@@ -96,20 +97,24 @@ class Markers:
         from hyperflex.vision import read_camera
 
         lens, line = read_camera(self.camera or ""), Rope.from_toml(self.rope or "")
-        arcs = checks.array("--arc-lengths", numbers("--arc-lengths", self.arc_lengths or (), "0.2,0.4,0.6"), (-1,))
-        colours = marker_colours(images, self.click or ())
-        task = TrackingTask(line, arcs, lens, colours, tests=self._tests())
+        task = TrackingTask(line, self._arcs, lens, marker_colours(images, self.click or ()), tests=self._tests())
         doubt = origin_doubt / lens.pixels_per_metre
         return self._estimating(task, {"offset_x": doubt, "offset_y": doubt} if origin_doubt else {})
 
     def plain_task(self, scene: PlainScene) -> "TrackingTask":
-        """Return what is tracked of a plain rope."""
+        """Return what is tracked of a plain rope, and of some markers on it if their arc lengths are given."""
         from hyperflex.estimate import TrackingTask, curve_arc_lengths
 
-        rope = scene.rope
+        arcs, colours = curve_arc_lengths(scene.rope), list["MarkerColour"]()
+        if self.arc_lengths:
+            arcs, colours = self._arcs, marker_colours([scene.image], self.click or ())
         tests = self._tests() if self.changes else None  # friction and mass are not known
-        task = TrackingTask(rope, curve_arc_lengths(rope), scene.camera, (), look=scene.found.look, tests=tests)
+        task = TrackingTask(scene.rope, arcs, scene.camera, colours, look=scene.found.look, tests=tests)
         return self._estimating(task, scene.doubts)
+
+    @property
+    def _arcs(self) -> Array:
+        return checks.array("--arc-lengths", numbers("--arc-lengths", self.arc_lengths or (), "0.2,0.4,0.6"), (-1,))
 
     def _tests(self) -> "ChangeTests | None":
         from hyperflex.estimate import ChangeTests
@@ -183,7 +188,7 @@ def track(
 
     A plain rope needs its --length alone: the command asks for what else it needs, in the terminal and in a page of the
     browser, and keeps the answers in a file beside the video, so that a second run asks nothing. It also writes the
-    rope and the camera, for hyperflex identify and watch.
+    rope and the camera, for hyperflex identify and watch. A few markers on it are used, too, with --arc-lengths.
 
     A rope with markers hangs from the origin of the swing plane. Its markers are found and ordered in the first frames;
     from then on each is searched where the rope's motion predicts it. `hyperflex identify` continues from the file.
@@ -366,7 +371,7 @@ def watch(
         follow = Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
         if pictures is not None:
             output.note(f"pictures at {pictures.address}")
-        with WatchLog(out, task.rope.n_links, task.arc_lengths.size, source) as log, ExitStack() as films:
+        with WatchLog(out, task.rope.n_links, len(tracker.arc_lengths), source) as log, ExitStack() as films:
             record = _Record(tracker, markers.preview, pictures, films)
             with stoppable() as stop:
                 _run(follow, until, [log.note, record.take])

@@ -17,9 +17,11 @@ if TYPE_CHECKING:
         BarMeasurement,
         BaseElsewhere,
         CurveMeasurement,
+        MarkedCurveMeasurement,
         MarkerMeasurement,
         bar_arc_lengths,
         curve_arc_lengths,
+        marked_arc_lengths,
     )
     from hyperflex.estimate.moving_horizon import MovingHorizon, SmoothedTrack, smooth
     from hyperflex.estimate.observations import MarkerModel, Observations

@@ -74,14 +74,14 @@ class MarkerMeasurement:
         return max(each.radius for each in self.detectors)
 
     def measure(
-        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
+        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None, arcs: Array
     ) -> tuple[Array, Array]:
         """Return the markers seen in a frame."""
         if self._clutter is None:
             self._clutter = ClutterMap(tracker.camera.image_size)
-            self._colours = np.full(len(tracker.estimator.model.arc_lengths), -1)
+            self._colours = np.full(len(arcs), -1)
         if expected is None:
-            return self._first(image, tracker, base, self._clutter)
+            return self._first(image, tracker, base, arcs, self._clutter)
         spread, clutter = expected.covariance + self.DOUBT**2 * np.eye(len(expected.covariance)), self._clutter
         gates = self._gates(tracker.camera, expected, spread) if self._dark < self.LOST else None
         (blobs, colours), level = self._detect(image, gates), max(1.0, tracker.estimator.measurement_noise.value)
@@ -97,10 +97,11 @@ class MarkerMeasurement:
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
         return found.places, found.covariances / level**2
 
-    def _first(self, image: Image, tracker: RopeTracker, base: Array, clutter: ClutterMap) -> tuple[Array, Array]:
+    def _first(
+        self, image: Image, tracker: RopeTracker, base: Array, arcs: Array, clutter: ClutterMap
+    ) -> tuple[Array, Array]:
         """Find the whole rope: NaN if the frame does not tell which marker is which."""
-        declared = tracker.estimator.model.arc_lengths
-        pixels, wide = np.full((len(declared), 2), np.nan), np.full((len(declared), 2, 2), np.nan)
+        pixels, wide = np.full((len(arcs), 2), np.nan), np.full((len(arcs), 2, 2), np.nan)
         blobs, colours = self._detect(image)
         if not len(blobs.places):
             return pixels, wide
@@ -110,9 +111,6 @@ class MarkerMeasurement:
         relative = self.SURE * float(np.hypot(stds["scale"], stds["length"]))
         absolute = max(std for name, std in [("arc[", 0.0), *stds.items()] if name.startswith("arc["))
         noise = max(noise, 1e-4) + 0.5 * self.SURE * (absolute + max(stds["offset_x"], stds["offset_y"]))
-        arcs = tracker.estimator.parameters.arc_lengths(declared, tracker.values)
-        if (np.diff(arcs, prepend=0.0)[declared > 0.0] <= 0.0).any():  # impossible estimates
-            arcs = declared
         arcs, everything = np.maximum(arcs, 1e-6), np.arange(len(places))
         used, order = everything, order_markers(places, arcs, base, noise=noise, slack=relative)
         moving = np.flatnonzero(~clutter.still(blobs))
@@ -127,7 +125,7 @@ class MarkerMeasurement:
                 away = float(np.linalg.norm(places[used[order.indices[first]]] - base))
                 raise BaseElsewhere(
                     "the rope does not begin at its first joint: a marker is farther from there than the rope reaches",
-                    got=f"{away:.3g} m, at {declared[first]:.3g} m along the rope",
+                    got=f"{away:.3g} m, at {arcs[first]:.3g} m along the rope",
                     fix="Give the arm's motion (RopeFilter(motion=, arm=)), calibrate with the hook's pixel, or "
                     "estimate a joint that moves in an unknown way: parameters=moving_base(rope)",
                 )
@@ -138,7 +136,7 @@ class MarkerMeasurement:
         self._waited, self._elsewhere, self._begun = 0, 0, True
         taken = used[order.indices[found]]
         pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
-        self._colours = np.full(len(declared), -1)
+        self._colours = np.full(len(arcs), -1)
         self._colours[found] = colours[taken]
         for k, detector in enumerate(self.detectors):
             if (own := taken[colours[taken] == k]).size:
@@ -207,7 +205,7 @@ class CurveMeasurement:
     PATIENCE = 16  # frames between searches in vain, at most: one takes as long as many frames
     FOUND_STD = 3.0  # px, of places on a rope that was found in the whole picture
 
-    count = None
+    count: int | None = None
 
     def __init__(self, look: RopeLook, detector: CurveDetector | None = None) -> None:
         self.look, self.detector = look, CurveDetector() if detector is None else detector
@@ -221,16 +219,16 @@ class CurveMeasurement:
         return 0.5 * self.look.width
 
     def measure(
-        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
+        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None, arcs: Array
     ) -> tuple[Array, Array]:
         """Return the rope seen in a frame: each piece across itself, and the free end along itself."""
         self.look, self.searched = self.look.in_light_of(image), True
         if expected is None:
-            return self._found(image, tracker, base)
+            return self._found(image, tracker, base, arcs)
         view = self._view(tracker, expected)
         seen = self.detector.find(image, self.look, view)
         if np.median(np.sqrt(np.diag(expected.covariance))) > self.LOST and np.isnan(seen.offsets).mean() > self.HIDDEN:
-            return self._found(image, tracker, base)
+            return self._found(image, tracker, base, arcs)
         self.searched = False
         self.end_seen += (float(np.isfinite(seen.end)) - self.end_seen) / self.MEMORY
         points, normals = view.middles
@@ -258,10 +256,9 @@ class CurveMeasurement:
         spacing = estimator.disturbances.correlation * pieces
         return view_curve(moving, pieces, expected.covariance, spacing, estimator.n_links, row_slope)
 
-    def _found(self, image: Image, tracker: RopeTracker, base: Array) -> tuple[Array, Array]:
+    def _found(self, image: Image, tracker: RopeTracker, base: Array, arcs: Array) -> tuple[Array, Array]:
         """Search the whole picture; all NaN if the rope is not found."""
-        estimator, camera = tracker.estimator, tracker.adjusted_camera
-        arcs = estimator.parameters.arc_lengths(estimator.model.arc_lengths, tracker.values)
+        camera = tracker.adjusted_camera
         pixels, wide = np.full((len(arcs), 2), np.nan), np.full((len(arcs), 2, 2), np.nan)
         self._waited += 1
         if self._waited < self._wait:
@@ -280,6 +277,52 @@ class CurveMeasurement:
         there = arcs <= along[-1]
         pixels[there] = np.stack([np.interp(arcs[there], along, each) for each in curve.T], axis=1)
         wide[there] = self.FOUND_STD**2 * np.eye(2)
+        return pixels, wide
+
+
+def marked_arc_lengths(rope: Rope, markers: npt.ArrayLike, pieces: int = 40) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return arc lengths, m, at which a rope with some markers is measured, and which of them are the markers'.
+
+    `markers` are theirs, m; the others are of :func:`curve_arc_lengths`.
+    """
+    curve = (1.0 - 1e-6) * curve_arc_lengths(rope, pieces)  # never that of a marker
+    arcs = np.append(curve, checks.array("arc_lengths", markers, (-1,), unit="m"))
+    order = np.argsort(arcs)
+    return arcs[order], order > pieces
+
+
+class MarkedCurveMeasurement(CurveMeasurement):
+    """Measures a rope with some markers (a :class:`Measurement`): them, and its curve between them.
+
+    Parameters
+    ----------
+    look : RopeLook
+        How the rope looks.
+    marked : (K,) bool
+        Which of the estimator's arc lengths are the markers', as of :func:`marked_arc_lengths`.
+    *detectors : MarkerDetector
+        One for each colour of the markers.
+
+    Notes
+    -----
+    Markers show how far the rope is along itself, and the curve what it is like between them. If a marker covers the
+    free end, this is measured as the marker alone.
+    """
+
+    def __init__(self, look: RopeLook, marked: npt.NDArray[np.bool_], *detectors: MarkerDetector) -> None:
+        super().__init__(look)
+        self.markers, self.marked, self.count = MarkerMeasurement(*detectors), marked, len(marked)
+
+    def measure(
+        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None, arcs: Array
+    ) -> tuple[Array, Array]:
+        """Return the markers, and the rope between them, seen in a frame."""
+        pixels, wide = np.empty((len(arcs), 2)), np.empty((len(arcs), 2, 2))
+        for own, measure in ((self.marked, self.markers.measure), (~self.marked, super().measure)):
+            pixels[own], wide[own] = measure(image, tracker, base, expected and expected.of(own), arcs[own])
+        bare = (arcs[-1] - arcs[self.marked][-1]) * tracker.camera.pixels_per_metre
+        if bare < 2.0 * self.markers.radius:
+            pixels[np.flatnonzero(~self.marked)[-1]], self.end_seen = np.nan, 1.0
         return pixels, wide
 
 
@@ -327,11 +370,11 @@ class BarMeasurement:
         return 2 * len(self.detector.colours)
 
     def measure(
-        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None
+        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None, arcs: Array
     ) -> tuple[Array, Array]:
         """Return two points of each bar seen in a frame."""
         seen, sides = self.detector.find(image), np.full((len(self.detector.colours), 2), np.nan)
-        camera, arcs = tracker.adjusted_camera, tracker.estimator.model.arc_lengths
+        camera = tracker.adjusted_camera
         if expected is not None:
             sides = expected.pixels[1::2] - expected.pixels[::2]
         angles = link_angles(seen, camera.project(base[None])[0], np.arctan2(sides[:, 0], sides[:, 1]))

@@ -35,6 +35,11 @@ class Prediction(NamedTuple):
     covariance: Array
     speeds: Array
 
+    def of(self, own: npt.NDArray[np.bool_]) -> "Prediction":
+        """Return the prediction of those points alone (K,) that are in a part."""
+        both = np.repeat(own, 2)
+        return Prediction(self.pixels[own], self.covariance[np.ix_(both, both)], self.speeds[own])
+
 
 class Measurement(Protocol):
     """What is measured in frames: markers, bars, or anything else that gives places of points of the rope."""
@@ -52,7 +57,7 @@ class Measurement(Protocol):
         """Part of the recent frames in which the free end of a rope without markers was seen; else 1."""
 
     def measure(
-        self, image: Image, tracker: "RopeTracker", base: Array, expected: Prediction | None
+        self, image: Image, tracker: "RopeTracker", base: Array, expected: Prediction | None, arcs: Array
     ) -> tuple[Array, Array]:
         """Return the points seen in a frame: pixels (K, 2), NaN if not seen, and covariances (K, 2, 2), px^2.
 
@@ -65,6 +70,8 @@ class Measurement(Protocol):
             Place of the first joint, m.
         expected : Prediction or None
             None if the rope has not been found.
+        arcs : (K,) float64
+            Arc lengths of the points, m, with the estimates until now.
         """
 
 
@@ -145,6 +152,13 @@ class RopeTracker:
         return self.estimator.parameters.camera_at(self.camera, self.values)
 
     @property
+    def arc_lengths(self) -> Array:
+        """Of the points measured (K,), m, as they are estimated; as declared if that is impossible."""
+        declared = self.estimator.model.arc_lengths
+        arcs = self.estimator.parameters.arc_lengths(declared, self.values)
+        return declared if (np.diff(arcs, prepend=0.0)[declared > 0.0] <= 0.0).any() else arcs
+
+    @property
     def delay(self) -> float:
         """Estimated age of the pictures at their time stamps, s."""
         return self.estimator.parameters.value("delay", self.values)
@@ -157,7 +171,7 @@ class RopeTracker:
         t, estimator = self.camera.middle_of(frame.time), self.estimator
         expected = self.expect(t)
         base = estimator.process.base(t)[0] + estimator.parameters.base_offset(self.values)
-        pixels, covariances = self.measurement.measure(frame.image, self, base, expected)
+        pixels, covariances = self.measurement.measure(frame.image, self, base, expected, self.arc_lengths)
         rows = self.rows(pixels)
         estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
         predicted, gates = np.full_like(pixels, np.nan), np.full_like(covariances, np.nan)

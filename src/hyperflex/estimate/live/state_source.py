@@ -20,7 +20,12 @@ from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, Source, open_frames
 from hyperflex.estimate.live.watch import Watch
-from hyperflex.estimate.measurements import CurveMeasurement, MarkerMeasurement
+from hyperflex.estimate.measurements import (
+    CurveMeasurement,
+    MarkedCurveMeasurement,
+    MarkerMeasurement,
+    marked_arc_lengths,
+)
 from hyperflex.estimate.parameters import EstimatedParameter
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
 from hyperflex.interfaces import RopeState
@@ -45,8 +50,8 @@ class TrackingTask:
     colours : sequence of MarkerColour
         Of the markers: mostly one.
     look : RopeLook, optional
-        Of a rope without markers: `colours` are then not used, and `arc_lengths` are those of
-        :func:`curve_arc_lengths`.
+        Of a rope that is measured between its markers, too. Without `colours` it has none, and `arc_lengths` are those
+        of :func:`curve_arc_lengths`.
     waits : bool
         Whether the rope is looked for only from the arm's first motion on: before, its place is not known.
     """
@@ -63,18 +68,24 @@ class TrackingTask:
 
     def tracker(self) -> RopeTracker:
         """Return a new tracker of the rope."""
+        arcs, marked = self.arc_lengths, np.zeros(0, bool)
+        if self.look is not None and self.colours:
+            arcs, marked = marked_arc_lengths(self.rope, arcs)
         estimator = RopeFilter(
             self.rope,
-            self.arc_lengths,
+            arcs,
             motion=None if self.arm is None else hold_arm(0.0),
             arm=self.arm,
             camera=self.camera,
             parameters=self.parameters,
             tests=self.tests,
         )
-        if self.look is not None:
-            return RopeTracker(estimator, CurveMeasurement(self.look))
-        return RopeTracker(estimator, MarkerMeasurement(*map(MarkerDetector, self.colours)))
+        detectors = map(MarkerDetector, self.colours)
+        if self.look is None:
+            return RopeTracker(estimator, MarkerMeasurement(*detectors))
+        if marked.size:
+            return RopeTracker(estimator, MarkedCurveMeasurement(self.look, marked, *detectors))
+        return RopeTracker(estimator, CurveMeasurement(self.look))
 
     def rehearse(self) -> None:
         """Track drawn frames of the hanging rope, so that the first real frame compiles nothing."""
@@ -90,7 +101,7 @@ class TrackingTask:
             image[:] = 128 + np.where(self.look.bgr < 128.0, 64, -64)
             thick = max(1, round(self.look.width))
             cv2.polylines(image, [pixels.astype(np.int32)], False, self.look.bgr.tolist(), thick, cv2.LINE_AA, 4)
-        else:
+        if self.colours:
             radius = round(16.0 * (max(2.0, tracker.measurement.radius) - 0.5))  # OpenCV adds half a pixel
             for place in pixels[1:]:
                 cv2.circle(image, place.tolist(), radius, self.colours[0].bgr.tolist(), -1, cv2.LINE_AA, 4)
