@@ -1,15 +1,17 @@
 """MuJoCo's renderer (OpenGL through EGL) as an independent eye: a rope of capsules before a wall, lit by lamps.
 
-Nothing of `hyperflex.vision` takes part: pinhole, perspective, shading, shine and shadows are MuJoCo's. The exposure is
-the mean of pictures at instants within it.
+Nothing of `hyperflex.vision` draws: pinhole, perspective, shading, shine and shadows are MuJoCo's. The exposure is the
+mean of pictures at instants within it.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from hyperflex.vision import Camera, RopeMotion, Scene
 from tests.reference.dense import Real
 
 NEAR = 0.9  # m from the swing plane to the wall behind it
@@ -84,7 +86,7 @@ cutoff="80" exponent="0"/>
         self._gpu = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gpu)
 
-    def picture(self, instants: Real, gain: float = 1.0) -> Any:
+    def picture(self, instants: Real, gain: float | Real = 1.0) -> Any:
         """Return the picture (height, width, 3), blue, green, red, of joints (S, n + 1, 2), m, at instants exposed."""
         width, height = self._size
         total = np.zeros((height, width, 3))
@@ -116,3 +118,24 @@ cutoff="80" exponent="0"/>
         """Free the context."""
         self._gpu.free()
         self._context.free()
+
+
+def film(camera: Camera, motion: RopeMotion, scene: Scene, stamps: Iterable[float], count: int = 60) -> Iterator[Any]:
+    """Yield pictures of a plain rope by MuJoCo, of what camera and scene say: a capsule for each of `count` parts.
+
+    Between two of the instants that make up an exposure, the rope moves by 1.5 px at most.
+    """
+    look = Look(
+        tuple(np.asarray(scene.rope_colour)), 0.5 * scene.rope_width, float(scene.shine > 0.0),
+        tuple(np.asarray(scene.background)), scene.wall_texture, scene.shadow[2] > 0.0, scene.noise,
+    )  # fmt: skip
+    focal, away, origin = camera.matrix[0, 0], camera.axes[1][2], camera.project([[0.0, 0.0]])[0]
+    eye = Eye(camera.image_size, float(focal), float(away), origin, count, look, scene.seed)
+    arcs = np.linspace(0.0, motion.joint_arc_lengths[-1], count + 1)
+    for stamp in stamps:
+        before, after = motion.places(stamp + camera.exposure * np.array([-0.5, 0.5]), arcs)
+        moved = float(np.linalg.norm(after - before, axis=1).max()) * camera.pixels_per_metre
+        parts = max(2, int(np.ceil(moved / 1.5)))
+        times = stamp + camera.exposure * ((np.arange(parts) + 0.5) / parts - 0.5)
+        yield eye.picture(motion.places(times, arcs)[:, :, :2], scene.light(stamp))
+    eye.close()
