@@ -374,13 +374,13 @@ class BarMeasurement:
     ) -> tuple[Array, Array]:
         """Return two points of each bar seen in a frame."""
         seen, sides = self.detector.find(image), np.full((len(self.detector.colours), 2), np.nan)
-        camera = tracker.adjusted_camera
+        camera, declared = tracker.adjusted_camera, tracker.estimator.model.arc_lengths
         if expected is not None:
             sides = expected.pixels[1::2] - expected.pixels[::2]
         angles = link_angles(seen, camera.project(base[None])[0], np.arctan2(sides[:, 0], sides[:, 1]))
         along = np.stack([np.sin(angles), np.cos(angles)], axis=1)
         across = np.stack([along[:, 1], -along[:, 0]], axis=1)
-        reach = 0.5 * np.diff(arcs.reshape(-1, 2), axis=1)[:, 0] * camera.pixels_per_metre
+        reach = 0.5 * np.diff(declared.reshape(-1, 2), axis=1)[:, 0] * camera.pixels_per_metre
         pixels = np.repeat(seen.centres, 2, axis=0) + np.kron(reach[:, None] * along, [[-1.0], [1.0]])
         pixels[np.isnan(pixels).any(axis=1)] = np.nan
         missing = reach * np.sqrt(12.0) - seen.lengths
