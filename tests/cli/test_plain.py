@@ -11,7 +11,7 @@ import hyperflex as hf
 from hyperflex.cli.plain import PlainScene, answers_path
 from hyperflex.errors import InvalidInput
 from hyperflex.files import read_toml, write_toml
-from hyperflex.vision import Board, Camera, Renderer, RopeMotion, Scene, read_camera
+from hyperflex.vision import Board, Camera, Renderer, RopeMotion, Scene, VideoReader, VideoWriter, read_camera
 from tests.estimate.runs import free_swing
 
 CAMERA = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.002)
@@ -71,6 +71,44 @@ def test_a_few_markers_on_a_plain_rope_are_used_too(hyperflex_json, tmp_path, mo
     assert found["doubts"] == []
     assert found["seen"] > 0.9
     assert off_near_tip().max() < 0.03
+
+
+def filmed_again(change):
+    """Write the video again, each picture changed by its number."""
+    with VideoReader("phone.mp4") as reader:
+        changed = [(np.ascontiguousarray(change(each.image.copy(), k)), each.time) for k, each in enumerate(reader)]
+    with VideoWriter("phone.mp4", changed[0][0].shape[1::-1]) as writer:
+        for image, t in changed:
+            writer.write(image, t)
+
+
+def test_a_part_that_is_seldom_seen_is_named(hyperflex_json, folder):
+    def hidden(image, k):
+        image[300 if k >= 4 else 480 :] = image[0, 0]
+        return image
+
+    filmed_again(hidden)
+    code, found = hyperflex_json("track", "phone.mp4", "--length", "2.0", *ANSWERS)
+    assert code == 0, found
+    (note,) = (each for each in found["notes"] if "was seen in less than 50% of the frames" in each)
+    assert note.endswith("1.92 m was seen in less than 50% of the frames: check what hides it")
+
+
+WALL = (175, 185, 190)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda image, k: np.full_like(image, WALL), "no rope is seen at the pivot"),
+        (lambda image, k: np.minimum(image, np.roll(image[:, ::-1], 1, axis=1)), "two ropes are seen"),
+        (lambda image, k: image[:240], "the rope leaves the view"),
+    ],
+    ids=["no rope", "two ropes", "leaves the view"],
+)
+def test_a_video_that_does_not_show_the_rope_is_refused_in_a_line(refused, folder, change, said):
+    filmed_again(change)
+    assert said in refused("track", "phone.mp4", "--length", "2.0", *ANSWERS)
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
