@@ -15,7 +15,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.evidence import unlike_lengths
 from hyperflex.identification.findings import text
 from hyperflex.identification.fit import Window
-from hyperflex.identification.model import CONSTANT, Motors, Parameters, Plant, parse, pivot_places
+from hyperflex.identification.model import CONSTANT, PRECISION, Motors, Parameters, Plant, parse, pivot_places
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.uncertainty.noise import CHANCE, LAGS
 from hyperflex.model import Rope
@@ -436,6 +436,8 @@ def build_plant(
     else:
         place = checks.array("origin", origin, (2,), unit="m")
     parameters = Parameters(guess, chosen).starting({"origin_x": float(place[0]), "origin_y": float(place[1])})
+    if recording.noise is not None:  # of a rollout that is rougher the squares have no clear minimum
+        how["precision"] = float(np.clip(1e-4 * np.median(recording.noise) / guess.total_length, 1e-9, PRECISION))
     return Plant(parameters, Markers(arc_lengths, place), **how)
 
 

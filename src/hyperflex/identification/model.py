@@ -461,7 +461,7 @@ def _scaled(rope: Rope) -> Array:
 
 # Factors that are tested, and cannot be free: of the angles and torque as read, and of the arm's length
 ANGLES, TORQUE, ARM_LENGTH = "angle_factor", f"{CONSTANT}:factor", "arm_length"
-PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
+PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below the errors of most measured angles
 # Steps of a rollout, beyond which it counts as failed: real ropes take some tens a second. A rope whose last
 # link has hardly an inertia turns it at 1e3 rad/s, and a fit that goes there would take minutes.
 MOST_STEPS, MOST_STEPS_A_SECOND = 2000, 1000
@@ -532,7 +532,7 @@ class Plant:
 
     `motion` and `arm` move the first joint; by default it is fixed. `motors` in the joints turn the links by their
     measured torque; of the arm's motor, whose motion is prescribed, the torque is a channel, and `constant` its torque
-    over the reading.
+    over the reading. precision: tolerance of a rollout over the rope's length.
     """
 
     parameters: Parameters
@@ -542,11 +542,12 @@ class Plant:
     torque: bool = False
     constant: float = 1.0
     motors: Motors | None = None
+    precision: float = PRECISION
 
     def __post_init__(self) -> None:
         guess = self.parameters.guess
         self.motor = MotorTorque(self.arm, self.constant) if self.torque and self.arm is not None else None
-        self._setup = Setup(guess, self.motion, self.arm, tol=PRECISION * guess.total_length)
+        self._setup = Setup(guess, self.motion, self.arm, tol=self.precision * guess.total_length)
         self._last: tuple[bytes | None, _Evaluation | None] = (None, None)
         # parameters that are values of the sensor or, numbered after those, of the motor: number, number of the value
         places = {"origin_x": 0, "origin_y": 1, ANGLES: 0}
@@ -576,7 +577,7 @@ class Plant:
         at = self._at(x)
         if at is None:
             raise InvalidInput("the parameters describe no rope", got=x)
-        return Plant(Parameters(divided(at.rope, pieces), []), at.sensor, at.motion, at.arm)
+        return Plant(Parameters(divided(at.rope, pieces), []), at.sensor, at.motion, at.arm, precision=self.precision)
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         """Return the channels (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
