@@ -111,6 +111,14 @@ def test_a_video_that_does_not_show_the_rope_is_refused_in_a_line(refused, folde
     assert said in refused("track", "phone.mp4", "--length", "2.0", *ANSWERS)
 
 
+def test_a_camera_that_moves_is_doubted(hyperflex_json, folder):
+    filmed_again(lambda image, k: np.roll(image, 4 * k, axis=1))
+    code, found = hyperflex_json("track", "phone.mp4", "--length", "2.0", *ANSWERS)
+    assert code == 0, found
+    (doubt,) = found["doubts"]
+    assert doubt.startswith("the rope's first joint moves, by 0.06")
+
+
 @pytest.mark.parametrize("command", ["track", "watch"])
 def test_answers_that_are_missing_are_named_and_nothing_hangs(hyperflex, folder, command):
     code, out, err = hyperflex(command, "phone.mp4", "--length", "2.0", "--pivot", "320", "20", "--json")
@@ -142,6 +150,25 @@ def test_an_impossible_answer_is_refused(refused, folder, changed, said):
     words = [word for name, values in (given | {"--mass": ("1",)} | changed).items() for word in (name, *values)]
     assert said in refused("track", "phone.mp4", *words)
     assert not Path("phone.answers.toml").exists()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("length", "said"), [(0.45, 0.11), (0.55, -0.09)])
+def test_a_wrong_length_is_said(hyperflex_json, tmp_path, monkeypatch, length, said):
+    """A rope of 0.5 m that swings for 1.6 s, longer than its period."""
+    monkeypatch.chdir(tmp_path)
+    short = hf.Rope.uniform(0.5, 0.03, 40, 0.004, friction=1e-4)
+    swing = hf.simulate(short, duration=1.7, q0=np.linspace(0.5, 0.9, 40), t_eval=np.arange(0.0, 1.7, 2e-3))
+    camera = Camera.facing((320, 240), pixels_per_metre=320.0, origin=(160.0, 30.0), exposure=0.002)
+    stamps = np.arange(48) / 30.0
+    Renderer(camera, RopeMotion.from_trajectory(swing), Scene([], rope_width=0.008)).write("phone.mp4", stamps)
+    answers = ("--pivot", "160", "30", "--tip", "found", "--size", "rope", "--mass", "unknown")
+    code, found = hyperflex_json("track", "phone.mp4", "--length", length, *answers)
+    assert code == 0, found
+    (doubt,) = found["doubts"]
+    before, _, part = doubt.rpartition(" ")
+    assert before == "the rope swings as one whose length differs from the given one by"
+    assert float(part[:-1]) / 100.0 == pytest.approx(said, abs=0.02)
 
 
 def test_a_file_of_answers_that_is_of_another_video_is_refused(refused, folder):
