@@ -6,7 +6,7 @@ import pytest
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, RecordingSetup, identify
-from hyperflex.identification.measurements import measure
+from hyperflex.identification.measurements import build_plant, measure
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
@@ -211,3 +211,13 @@ def test_a_rope_held_at_both_ends_is_not_called_reversed():
     places = run.joints[:, ::-1] + 1e-4 * np.random.default_rng(0).standard_normal((t.size, 3, 2))
     with pytest.raises(InvalidInput, match="The first marker moves"):
         identify(Recording(t, places.reshape(t.size, -1), kind="markers"), DOUBLE)
+
+
+@pytest.mark.parametrize(("noise", "precision"), [(1e-2, 1e-7), (1e-4, 5e-9), (1e-9, 1e-9)])
+def test_rollouts_are_as_fine_as_the_markers_are_known(noise, precision):
+    """Of places known to 0.1 mm the squares are so rough with a tolerance of 1e-7 that no fit converges."""
+    line, t = Rope.uniform(2.0, 0.1, 4, friction=1e-4), np.linspace(0.0, 1.0, 5)
+    places = Recording(t, np.zeros((5, 4)), kind="markers", noise=noise)
+    setup = RecordingSetup(origin=(0.0, 0.0))
+    plant = build_plant(places, line, ["friction:shared"], np.array([1.0, 2.0]), setup)
+    assert plant.precision == pytest.approx(precision)
