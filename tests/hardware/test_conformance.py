@@ -184,7 +184,12 @@ def test_over_temperature_switches_off(motor, link):
 
 # ---------------------------------------------------------------------- spoiled wires
 
-COUNTS = [300, pytest.param(10_000, marks=pytest.mark.nightly)]
+COUNTS = [150, pytest.param(10_000, marks=pytest.mark.nightly)]  # of spoiled packets
+
+
+def spoiled(rig) -> int:
+    """How many requests and replies came late, changed, in part or not at all."""
+    return sum(wire.counts[kind] for wire in (rig.requests, rig.replies) for kind in KINDS)
 
 
 @pytest.mark.parametrize("count", COUNTS)
@@ -200,7 +205,7 @@ def test_no_state_is_stale_without_saying_so(make, rig, motor, count):
     good = stale = 0
     with Drive(make.link(rig, patience=0.005), LIMITS) as drive:
         rig.spoil(make.faults)
-        while good + stale < count:
+        while spoiled(rig) < count:
             begun = time.monotonic()
             try:
                 state = drive.read()
@@ -213,8 +218,8 @@ def test_no_state_is_stale_without_saying_so(make, rig, motor, count):
             good, stale = good + (not state.stale), stale + state.stale
             assert state.stale == (state.received < begun)
         rig.spoil(WireFaults())
-    assert good > 0.2 * count
-    assert stale > 0.1 * count
+    assert good > 0.2 * (good + stale)
+    assert stale > 0.03 * (good + stale)
     assert all(rig.replies.counts[kind] > 0 for kind in KINDS if getattr(make.faults, kind))
 
 
@@ -225,7 +230,7 @@ def test_no_command_beyond_the_limits_arrives_over_a_bad_wire(make, rig, motor, 
     rng = np.random.default_rng(2)
     with Drive(make.link(rig, patience=0.005), LIMITS, max_deviation=9.0) as drive:
         rig.spoil(make.faults)
-        while len(sent) < count:
+        while spoiled(rig) < count:
             with suppress(DriveError):
                 if drive.fault or not drive.enabled:
                     drive.acknowledge()
@@ -242,7 +247,7 @@ def test_no_command_beyond_the_limits_arrives_over_a_bad_wire(make, rig, motor, 
     assert not motor.enabled
     assert refused > 0
     come = np.array([goal.angle for _, goal in motor.goals])
-    assert come.size > 0.2 * count
+    assert come.size > 0.2 * len(sent)
     assert np.abs(come).max() <= 1.5 + make.resolution
     known = np.unique(sent)
     k = np.clip(np.searchsorted(known, come), 1, known.size - 1)
