@@ -55,7 +55,6 @@ from hyperflex.execution import (
 from hyperflex.hardware import Emulator, MotorModel, emulated_device, identify_drive
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, MotorLimits, Peg, Rope
-from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, FollowOptions, read_plan, scaled_rope
 from hyperflex.vision import Camera
 
@@ -76,7 +75,7 @@ class Rig:
 
     def __init__(self, path: Path, plan: CastPlan, motor: str, lag: float, stack: ExitStack) -> None:
         other = scaled_rope(plan.problem.rope, LENGTH, MASS, FRICTION)
-        self.plan, self.rope = plan, replace(plan, problem=replace(plan.problem, rope=other)).setup().rope
+        self.rope = replace(plan, problem=replace(plan.problem, rope=other)).setup().rope
         self.peg = replace(plan.target, x=plan.target.x + ASIDE)
         make, self.emulator = emulator_of(plan, motor, model(motor), rope=self.rope, obstacles=(self.peg,))
         stack.enter_context(self.emulator)
@@ -87,23 +86,23 @@ class Rig:
         self.connect = partial(open_drive, address, plan.problem.limits, None, 0.5)
         self.options = RunOptions(wait=5.0, countdown=0.0, lag=lag)
 
-    def cast(self, motion: Motion | None = None, follow: bool = False) -> tuple[CastRun | None, dict[str, Any]]:
-        """Carry the plan out, again if the emulator fell behind the clock; return the run, and what became of it."""
+    def cast(self, plan: CastPlan, follow: bool = False) -> tuple[CastRun | None, dict[str, Any]]:
+        """Carry a plan out, again if the emulator fell behind the clock; return the run, and what became of it."""
         unfair: list[dict[str, Any]] = []
         while True:
-            run, found = self.once(motion, follow)
+            run, found = self.once(plan, follow)
             if found["behind"] <= BEHIND or len(unfair) == REPEATS:
                 return run, {**found, "unfair": unfair}
             unfair.append({name: found[name] for name in ("behind", "won", "stopped")})
 
-    def once(self, motion: Motion | None, follow: bool) -> tuple[CastRun | None, dict[str, Any]]:
-        """Unwind the rope, and carry the plan out; return the run, and what became of it."""
-        plan, closed = self.plan, FollowOptions(decision_time=0.3) if follow else None
-        made = motion or plan.required(plan.motion, "motion")
+    def once(self, plan: CastPlan, follow: bool) -> tuple[CastRun | None, dict[str, Any]]:
+        """Unwind the rope, and carry a plan out; return the run, and what became of it."""
+        closed = FollowOptions(decision_time=0.3) if follow else None
+        made = plan.required(plan.motion, "motion")
         begin = time.monotonic()
         self.emulator.hang(float(made.angle(0.0)))
         try:
-            run = run_plan(plan, self.connect, motion=motion, source=self.source, follow=closed, options=self.options)
+            run = run_plan(plan, self.connect, source=self.source, follow=closed, options=self.options)
         except HyperflexError as error:  # before the cast
             return None, lost(str(error), self.behind(begin))
         turns = true_turns(self.emulator, plan, self.rope, self.peg)
@@ -173,21 +172,21 @@ def row(path: Path, motor: str, lag: float) -> dict[str, Any]:
             rig = Rig(path, plan, motor, lag, stack)
             started = time.monotonic()
 
-            def cast(motion: Motion | None = None, follow: bool = False) -> CastRun | None:
-                run, made = rig.cast(motion, follow)
-                casts.append(made)
+            def cast(made: CastPlan, follow: bool = False) -> CastRun | None:
+                run, became = rig.cast(made, follow)
+                casts.append(became)
                 return run
 
-            nominal = cast()
+            nominal = cast(plan)
             found["nominal"] = casts[0]
-            cast(follow=True)
+            cast(plan, follow=True)
             found["closed"] = casts[1]
             first = [] if nominal is None or nominal.recording is None else [nominal.cast_log()]
 
-            def once(motion: Motion) -> CastLog:
+            def once(made: CastPlan) -> CastLog:
                 if first:
                     return first.pop()
-                run = cast(motion)
+                run = cast(made)
                 if run is None:
                     raise InvalidInput(casts[-1]["stopped"])
                 return run.cast_log()
@@ -196,7 +195,7 @@ def row(path: Path, motor: str, lag: float) -> dict[str, Any]:
             learned = learn_cast(plan, once, attempts=CASTS, options=options)
             learned_from = [str(each) for each in learned.attempts]
             if not learned.success:
-                cast(learned.motion)
+                cast(replace(plan, problem=learned.problem, moves=learned.moves))
             found["learned"] = casts[0] if learned.success and len(learned.attempts) == 1 else casts[-1]
     except HyperflexError as error:
         why = str(error)

@@ -36,7 +36,7 @@ from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.execution import CastLog, LearningOptions, learn_cast
 from hyperflex.model import divided
 from hyperflex.model.properties import LINK_NAMES
-from hyperflex.motion import Motion, lagged
+from hyperflex.motion import lagged
 from hyperflex.planning import (
     CastPlan,
     Problem,
@@ -123,12 +123,13 @@ def on_bending_arm(problem: Problem, side: int) -> Problem:
     return replace(problem, rope=whole, arm=arm, side=side, q0=q0, qd0=(0.0,) * len(q0))
 
 
-def caster(plan: CastPlan, lacks: str) -> Callable[[Motion], CastLog]:
+def caster(plan: CastPlan, lacks: str) -> Callable[[CastPlan], CastLog]:
     """Makes casts with the true rope, each measured with an error of its own."""
     rigid, random = true_problem(plan.problem, lacks), np.random.default_rng(SEED)
     arcs = PARTS * rigid.rope.total_length + (FLEXIBLE * rigid.arm.length if lacks == "arm" else 0.0)
 
-    def carry_out(motion: Motion) -> CastLog:
+    def carry_out(cast: CastPlan) -> CastLog:
+        motion = cast.required(cast.motion, "motion")
         made = lagged(motion, LAG)
         true = on_bending_arm(rigid, 1 if motion.angle(0.0) > 0.0 else -1) if lacks == "arm" else rigid
         outcome = verify_cast(true, plan.target, made)
@@ -180,7 +181,7 @@ def made(plan: CastPlan, way: str, lacks: str) -> list[dict[str, Any]]:
     rope = rope.replace(drag=AIRIER * rope.drag) if lacks == "drag" else rope
     budget = Budget(GIVEN.planning, threads=1, clock=time.process_time)
     found = plan_cast(rope, known.arm, plan.target, known.limits, time_budget=budget)
-    wound = found.motion is not None and bool(carry_out(found.motion).wound)
+    wound = found.motion is not None and bool(carry_out(found).wound)
     return [{"wound": wound, "position": math.nan, "problem": found.message}]
 
 

@@ -37,10 +37,13 @@ class Twin:
     ) -> None:
         self.rope, self.arm, self.lag, self.winds = divided(rope, 2), arm, lag, winds
         self.casts: list[Motion] = []
+        self.ropes: list[hf.Rope] = []  # of the plans
 
-    def __call__(self, motion: Motion) -> CastLog:
+    def __call__(self, cast: CastPlan) -> CastLog:
         """Make a cast."""
+        motion = cast.required(cast.motion, "motion")
         self.casts.append(motion)
+        self.ropes.append(cast.problem.rope)
         made, t = lagged(motion, self.lag), np.arange(0.0, 2.6, 0.01)
         seen = places(self.rope, self.arm, made, t, PARTS * self.rope.total_length)
         random = np.random.default_rng(len(self.casts))
@@ -76,6 +79,15 @@ def test_parameters_of_rope_and_motor_are_learned_from_one_cast():
     assert one.factors["drag"] == pytest.approx(2.0, abs=0.4)
     assert one.lag == pytest.approx(0.015, abs=1e-3)
     assert done.rope.total_length == pytest.approx(one.factors["length"] * ROPE.total_length)
+
+
+def test_each_cast_gets_the_plan_with_the_next_moves_and_the_rope_as_it_is_known():
+    twin = Twin(scaled_rope(ROPE, 1.03, 1.0, 1.0))
+    done = learn_cast(PLAN, twin, attempts=2, options=OPTIONS)
+    assert [rope.total_length / ROPE.total_length for rope in twin.ropes] == pytest.approx(
+        [1.0, done.attempts[0].factors["length"]]
+    )
+    assert twin.casts[0] == PLAN.motion != twin.casts[1]
 
 
 @pytest.mark.parametrize("parameters", [True, False])
@@ -117,13 +129,13 @@ def test_a_search_that_finds_nothing_leaves_the_motion_as_it_is(monkeypatch):
     assert done.moves is MOVES
 
 
-def failing(twin: Twin, after: int, error: BaseException) -> Callable[[Motion], CastLog]:
+def failing(twin: Twin, after: int, error: BaseException) -> Callable[[CastPlan], CastLog]:
     """A cast that raises an error after some."""
 
-    def carry_out(motion: Motion) -> CastLog:
+    def carry_out(cast: CastPlan) -> CastLog:
         if len(twin.casts) == after:
             raise error
-        return twin(motion)
+        return twin(cast)
 
     return carry_out
 
@@ -148,8 +160,8 @@ def check_kept(done: LearningResult, status: Status) -> None:
 
 
 def test_a_log_with_too_little_data_says_so_and_changes_nothing():
-    def carry_out(motion: Motion) -> CastLog:
-        log = Twin()(motion)
+    def carry_out(cast: CastPlan) -> CastLog:
+        log = Twin()(cast)
         data = log.recording.data.copy()
         data[log.recording.t > 1.5] = np.nan  # the strike was not seen
         return CastLog(replace(log.recording, data=data), log.arc_lengths, log.arm_angle, False)
@@ -175,10 +187,10 @@ def test_a_filter_that_fails_changes_nothing_and_says_so(monkeypatch):
 def test_angles_teach_as_markers_do():
     twin = Twin()
 
-    def carry_out(motion: Motion) -> CastLog:
-        log = twin(motion)
+    def carry_out(cast: CastPlan) -> CastLog:
+        log = twin(cast)
         rope = scaled_rope(ROPE, 1.0, 1.0, 1.5)
-        run = hf.simulate(rope, motion, arm=PROBLEM.arm, duration=2.6, t_eval=log.recording.t)
+        run = hf.simulate(rope, twin.casts[-1], arm=PROBLEM.arm, duration=2.6, t_eval=log.recording.t)
         return CastLog(Recording(log.recording.t, run.q, noise=1e-3), None, None, log.wound)
 
     done = learn_cast(PLAN, carry_out, attempts=1, options=OPTIONS)
@@ -186,19 +198,19 @@ def test_angles_teach_as_markers_do():
 
 
 def test_bad_input_is_refused():
-    log = Twin()(MOVES.motion(PROBLEM.limits))
+    log = Twin()(PLAN)
     with pytest.raises(InvalidInput, match="plan"):
         learn_cast("cast.toml", Twin())  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="do not strike"):
         learn_cast(replace(PLAN, moves=Moves(-1, np.array([-1.0]), np.array([0.1]))), Twin())
     with pytest.raises(InvalidInput, match="carry_out"):
-        learn_cast(PLAN, lambda motion: None)  # type: ignore[arg-type, return-value]
+        learn_cast(PLAN, lambda plan: None)  # type: ignore[arg-type, return-value]
     with pytest.raises(InvalidInput, match="arc_lengths"):
         CastLog(log.recording, [0.1])
     with pytest.raises(InvalidInput, match="prior"):
         LearningOptions(prior=0.2)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="other links"):
-        learn_cast(PLAN, lambda motion: CastLog(log.recording))
+        learn_cast(PLAN, lambda plan: CastLog(log.recording))
 
 
 def test_the_figure_shows_each_way():

@@ -177,20 +177,18 @@ def run(
         given: dict[str, Any] = {"follow": closed, "options": chosen, "say": say, "page": shown}
         task = None if emulated or sight.camera is None else sight.task(planned)
 
-        def real(motion: Any = None) -> "CastRun":
+        def real(cast: "CastPlan") -> "CastRun":
             connect = partial(open_drive, motor, limits, known, max_deviation)
             with nullcontext() if task is None else CameraRope(sight.camera or "", task) as source:
-                return run_plan(
-                    planned, connect, motion=motion, source=source, ready=ready, doubt=_refuse if yes else say, **given
-                )
+                return run_plan(cast, connect, source=source, ready=ready, doubt=_refuse if yes else say, **given)
 
         def ready() -> None:
             wait_for_enter("Unwind the rope and keep clear", yes)
 
-        def emulate(motion: Any = None) -> "CastRun":
+        def emulate(cast: "CastPlan") -> "CastRun":
             with _emulated(planned, motor, sight) as (address, source):  # a new one for each cast: nobody unwinds it
                 connect = partial(open_drive, address, limits, None, max_deviation)
-                return run_plan(planned, connect, motion=motion, source=source, **given)
+                return run_plan(cast, connect, source=source, **given)
 
         _carry_out(planned, emulate if emulated else real, out, repeat=count, learn=learn, emulated=emulated, say=say)
         if shown is not None:
@@ -298,8 +296,8 @@ def _carry_out(
     runs: list[CastRun] = []
     lines: list[str] = []
 
-    def cast(motion: Any = None) -> Any:
-        done, halted = output.run(lambda: once(motion))
+    def cast(made: "CastPlan") -> Any:
+        done, halted = output.run(lambda: once(made))
         runs.append(done)
         written.update(_write(runs[-1], out, f"run-{len(runs)}" if repeat > 1 else "run"))
         say(f"cast {len(runs)}: {runs[-1].message or 'the rope is wound'}")
@@ -327,7 +325,7 @@ def _carry_out(
 
         def several() -> None:
             while len(runs) < repeat and not (runs and runs[-1].stopped):
-                cast()
+                cast(plan)
 
         stopped = output.run(several)[1]
         good, message = (

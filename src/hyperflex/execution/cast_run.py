@@ -65,9 +65,9 @@ class Prediction:
     side: int
 
     @classmethod
-    def of(cls, plan: CastPlan, motion: Motion) -> "Prediction | None":
-        """Return that of a motion, with the plan's rope as given; None if it cannot be simulated."""
-        problem, criteria = plan.problem, plan.problem.criteria
+    def of(cls, plan: CastPlan) -> "Prediction | None":
+        """Return that of the plan's motion, with its rope as given; None if it cannot be simulated."""
+        problem, criteria, motion = plan.problem, plan.problem.criteria, plan.required(plan.motion, "motion")
         duration = float(motion.breaks[-1]) + criteria.settle + criteria.watch
         pegs = (plan.target, *problem.obstacles)
         try:

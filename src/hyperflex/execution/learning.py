@@ -249,7 +249,7 @@ class LearningResult:
 @interruptible(LearningResult)
 def learn_cast(
     plan: CastPlan,
-    carry_out: Callable[[Motion], CastLog],
+    carry_out: Callable[[CastPlan], CastLog],
     *,
     attempts: int = 10,
     options: LearningOptions | None = None,
@@ -262,8 +262,9 @@ def learn_cast(
     plan : CastPlan
         With moves that wind in the model, as planned or read by :func:`hyperflex.read_plan`.
     carry_out : callable
-        Makes a motion of the arm from t = 0, on hardware or in a simulation, with the rope hanging at rest, and returns
-        what was measured. A HyperflexError ends the learning; what was learned is kept.
+        Makes the motion of a plan from t = 0, on hardware or in a simulation, with the rope hanging at rest, and
+        returns what was measured. It gets the plan with the next moves, and the rope as it is known; no simulated run
+        verifies it. A HyperflexError ends the learning; what was learned is kept.
     attempts : int
         Casts at most.
     options : LearningOptions, optional
@@ -296,7 +297,7 @@ def learn_cast(
     with stoppable() as stop:
         while len(learner.attempts) < count and not learner.done:
             try:
-                log = carry_out(learner.moves.motion(problem.limits))
+                log = carry_out(replace(learner.plan, moves=learner.moves))
             except HyperflexError as refused:
                 error = str(refused)
                 break

@@ -98,7 +98,6 @@ def run_plan(
     plan: CastPlan,
     connect: Callable[[], Drive],
     *,
-    motion: Motion | None = None,
     source: ClockedSource | None = None,
     follow: FollowOptions | None = None,
     options: RunOptions | None = None,
@@ -115,8 +114,6 @@ def run_plan(
         With a motion.
     connect : callable
         Returns the drive, as :class:`MotionStream` takes it; its limits are the drive's own.
-    motion : Motion, optional
-        Carried out in place of the plan's, with the same start: one that was learned, for example.
     source : ClockedSource, optional
         The rope's state: for waiting until it hangs still, for the closed loop, and to see whether it wound.
     follow : FollowOptions, optional
@@ -147,14 +144,12 @@ def run_plan(
     Interrupted
         With the run until then.
     """
-    chosen, made = options or RunOptions(), motion or plan.required(plan.motion, "motion")
+    chosen, made = options or RunOptions(), plan.required(plan.motion, "motion")
     if follow is not None and source is None:
         raise InvalidInput("a plan is followed by what is seen of the rope", fix="Give a source, or a camera")
-    if follow is not None and motion is not None:
-        raise InvalidInput("a motion in place of the plan's is not followed in closed loop", fix="Leave out follow")
     connect().check_motion(made)
     say("simulating the plan")
-    prediction, stop, found, known = Prediction.of(plan, made), "", None, None
+    prediction, stop, found, known = Prediction.of(plan), "", None, None
     watch = RopeWatch(None, 0.0, made, plan, math.inf, lag=chosen.lag, rate=chosen.sampling)
     duration = 120.0 + 2.0 * float(made.breaks[-1])
     drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
