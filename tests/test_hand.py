@@ -52,7 +52,7 @@ def test_an_unfair_cast_is_repeated_three_times_at_most():
     lags = iter([0.05, 0.01, 0.03, 0.03, 0.03, 0.03])
     rig = object.__new__(hand.Rig)
     rig.once = lambda *_: (None, hand.lost("", next(lags)))
-    first, second = rig.cast()[1], rig.cast()[1]
+    first, second = rig.cast(None)[1], rig.cast(None)[1]
     assert (first["behind"], [each["behind"] for each in first["unfair"]]) == (0.01, [0.05])
     assert (second["behind"], len(second["unfair"])) == (0.03, 3)
 
