@@ -16,7 +16,7 @@ a width would not be held by a target of that width.
 - start: the same from the start, for the small tilt.
 - casts: MuJoCo takes over 20 ms before the first touch, in the predicted state, and winds the rope. A cast winds if it
   makes 1.25 turns in the planned direction for 0.3 s, until 1.3 s after the planar run first has them. Where a link
-  leans by more than 45 degrees, the predicted state means nothing: such casts are not flown, and count as lost.
+  then leans by more than 90 degrees, the predicted state means nothing: such casts are not flown, and count as lost.
 """
 
 import argparse
@@ -45,7 +45,8 @@ SMALL, LEAN = 0.1, 5.0  # degrees: tilt of which the first order holds, unless a
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # m, of the target
 STAY = 30  # samples with the turns required, in which a cast counts as wound
 BEFORE = 0.02  # s before the first touch at which MuJoCo takes over
-LATE, LOST = 1.3, 45.0  # s, and degrees, at which a cast is given up
+LATE, LOST = 1.3, 90.0  # s, and degrees, at which a cast is given up
+STEP = 2.0 * planar.STEP  # s, of casts: turns and places on the target are then those of the planar step to 1 %
 LEAD, SAMPLE = 2.0, 2.5e-3  # s
 FLIGHT = 1e-4  # s, step of a flight without armature
 PARTS = ("cost", "strike", "start", "casts")
@@ -203,7 +204,7 @@ def cast(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
     """Return turns in MuJoCo, and how far from the plane the rope then lies on the target, m."""
     setup, found, link = predicted(path)
     k, lean, run = found.t.size - round(BEFORE / SAMPLE), math.radians(tilt), found.run
-    most = tilt * float(np.abs(found.angles[: k + 1]).max())
+    most = tilt * float(np.abs(found.angles[k]).max())  # degrees, of a tilt of 1 rad
     peg = setup.round_pegs[0]
     turns = planar.swept_turns(run.joints, peg)
     expected = float(turns[-1])
@@ -253,7 +254,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, help="folders, looked through, or set-ups of plans")
     parser.add_argument("--part", choices=PARTS, help="by default all")
-    parser.add_argument("--step", type=float, help=f"of MuJoCo, s ({planar.STEP:g}; flights {FLIGHT:g})")
+    parser.add_argument("--step", type=float, help=f"of MuJoCo, s ({STEP:g}; flights {FLIGHT:g})")
     parser.add_argument("--count", type=int, default=1000, help="casts at most of each part")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
@@ -267,7 +268,7 @@ def main() -> None:
     work["start"] = functools.partial(strike, lead=math.inf), (SMALL,)
     for part in [options.part] if options.part else PARTS:
         measure, tilts = work[part]
-        step = options.step or (FLIGHT if part in ("strike", "start") else planar.STEP)
+        step = options.step or (FLIGHT if part in ("strike", "start") else STEP)
         for name, tilt in [(name, tilt) for name in names[: options.count] for tilt in tilts]:
             if (part, name, tilt) in made:
                 continue
