@@ -7,7 +7,8 @@ import pytest
 
 from hyperflex import InvalidInput
 from hyperflex.vision import Camera, NoRope, Occluder, Reason, Renderer, RopeLook, RopeMotion, Scene, find_rope
-from hyperflex.vision.look import rope_along
+from hyperflex.vision.first_frame import _check_end
+from hyperflex.vision.look import Cover, rope_along
 
 LINKS, LENGTH = 60, 1.0  # m
 CAMERA = Camera.facing((480, 360), pixels_per_metre=260.0, origin=(230.0, 40.0), exposure=0.004)
@@ -80,6 +81,12 @@ def test_clutter_beyond_a_sharp_end_is_no_rope():
     bar = Occluder((x + 0.08, y - 0.02), (x + 0.4, y - 0.15), 0.012, (90.0, 130.0, 90.0))
     image, truth = shown(motion, occluders=(bar,))
     assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
+
+
+def test_an_end_beyond_which_nothing_was_looked_at_is_not_clear():
+    with pytest.raises(NoRope) as refused:
+        _check_end(Cover(np.ones(80), np.zeros(80), np.zeros(80)), 5)
+    assert refused.value.reason is Reason.END
 
 
 def test_a_click_tells_the_look():

@@ -154,7 +154,8 @@ def _check_end(seen: Cover, near: int) -> None:
     if off.mean() > 0.1:
         reason = Reason.BLURRED if mass[off].mean() < 1.0 else Reason.END
         raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
-    before, after = (float(part.mean()) for part in (seen.mass[last - near : last], seen.mass[last + 1 :][:near]))
+    beyond = np.append(seen.mass[last + 1 :], 1.0)[:near]  # where nothing was looked at, the rope may go on
+    before, after = float(seen.mass[last - near : last].mean()), float(beyond.mean())
     if abs(before - 1.0) > 0.35 or before - after < 0.5:
         got = f"{before:.2f} of its width before it, {after:.2f} beyond"
         raise NoRope(Reason.END, got, "1 within 0.35, and 0.5 less beyond")
