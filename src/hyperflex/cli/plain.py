@@ -274,7 +274,7 @@ class PlainScene:
         scale, std = (100.0 * each for each in found["scale"])
         readout, late = (1e3 * each for each in found["readout"])
         said = [
-            f"the camera is level: found {roll:+.1f} +- {wide:.1f} degrees",
+            f"the camera is level: found {roll:+.2f} +- {wide:.2f} degrees",
             f"the scale is as answered: found {scale:+.2f} +- {std:.2f} %",
             f"all rows are exposed at once: found {readout:+.1f} +- {late:.1f} ms from the first to the last",
             "the swing plane is at a right angle to the view: 5 degrees make lengths across 0.4 % too small",
