@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 import hyperflex as hf
 from hyperflex import files
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.vision import Camera, Renderer, RopeMotion, Scene
 
 RESULTS = Path(__file__).parent / "results" / "plain.jsonl"
@@ -174,7 +175,7 @@ def main() -> int:
     for seed in range(given.seed, given.seed + given.count):
         with tempfile.TemporaryDirectory() as folder:
             rows.append(examine(seed, MARKERS if given.markers else 0, Path(folder)))
-        rows[-1]["kernels"] = machine.SOURCE_HASH
+        rows[-1]["kernels"] = SOURCE_HASH
         print(json.dumps(rows[-1]), flush=True)
         if given.out != "-":
             log.append(Path(given.out), rows[-1])
@@ -189,9 +190,18 @@ def main() -> int:
 
 def page(rows: list[log.Row], table: list[str]) -> str:
     """The results as Markdown."""
-    what = " ".join("\n\n".join(__doc__.split("\n\n")[2:]).split())
-    grades = [f"{row['markers']} markers, seed {row['seed']}: {row['grade']}, {row['seconds']:.0f} s" for row in rows]
-    lines = ["# A plain rope from a video and a length", "", what, "", *table, "", "; ".join(grades) + ".", ""]
+    what = " ".join("\n\n".join(str(__doc__).split("\n\n")[2:]).split())
+    lines = ["# A plain rope from a video and a length", "", what, "", *table, ""]
+    lines += [
+        "| seed | markers | grade | doubts in the identification | processor, s | readout found, ms |",
+        "|---" * 6 + "|",
+    ]
+    for row in rows:
+        kinds = ", ".join(each["kind"] for each in row["findings"]) or "-"
+        late = f"{1e3 * row['estimated']['readout']['value']:.1f}" if row["estimated"] else "-"
+        cells = [row["seed"], row["markers"], row["grade"], kinds, round(row["seconds"]), late]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    lines += ["", "The pictures are exposed at once, so that a readout other than 0 is an error.", ""]
     return "\n".join([*lines, f"{log.made(rows)} {machine.sentence(machine.describe())}\n"])
 
 
