@@ -5,12 +5,12 @@ python -m benchmarks.plain --count 2 --out -    a look; nothing is written
 python -m benchmarks.plain --markers            the same ropes with ten markers, for the widths
 python -m benchmarks.plain --count 0            the page from what there is
 
-Each twin is a uniform rope of FINE links, simulated with a tolerance of 1e-9 and filmed by the renderer for 10 s:
+Each twin is a uniform rope of 80 links, simulated with a tolerance of 1e-9 and filmed by the renderer for 10 s:
 1280x720, 30 frames/s, compressed, with the noise of a phone; the camera is rolled by some tenths of a degree. The
 user's part is done by the command line: `hyperflex track` with a length and answers (the clicks are off by a pixel),
 `hyperflex identify` with its first guess. With markers the camera, its roll too, is known exactly.
 
-What is fitted is a chain of LINKS links. "Converted" is what `hf.with_links` makes of the finer rope: friction stands
+What is fitted is a chain of 20 links. "Converted" is what `hf.with_links` makes of the finer rope: friction stands
 for the same bending viscosity, inertia is that of a straight link. "Best" is what the same fit finds in the exact
 places of the rope: links that are long differ from a smooth rope, and their inertia makes up for a part of it, so that
 no other inertia is true of such a chain. Mass is not known: what is compared is friction, inertia and drag over mass.
@@ -198,7 +198,8 @@ def page(rows: list[log.Row], table: list[str]) -> str:
     ]
     for row in rows:
         kinds = ", ".join(each["kind"] for each in row["findings"]) or "-"
-        late = f"{1e3 * row['estimated']['readout']['value']:.1f}" if row["estimated"] else "-"
+        readout = row["estimated"].get("readout")
+        late = f"{1e3 * readout['value']:.1f}" if readout else "-"
         cells = [row["seed"], row["markers"], row["grade"], kinds, round(row["seconds"]), late]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += ["", "The pictures are exposed at once, so that a readout other than 0 is an error.", ""]
