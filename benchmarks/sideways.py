@@ -325,10 +325,10 @@ def page(rows: list[dict[str, Any]]) -> str:
             own = [row for row in some if row["tilt"] == tilt]
             wide = [sum(row["winds"] and row["furthest"] <= 0.5 * w for row in own) for w in WIDTHS]
             text += [f"| {tilt:g} | {len(own)} | {sum(row['winds'] for row in own)} | {' | '.join(map(str, wide))} |"]
-        never = sorted({f"{row['name']} at {row['tilt']:g} degrees" for row in some if not row["winds"]})
+        never = sorted({f"{row['name']} ({row['tilt']:g})" for row in some if not row["winds"]})
         text += [
             "",
-            f"On no width: {', '.join(never) or 'none'}.",
+            f"On no width (degrees): {', '.join(never) or 'none'}.",
             "",
         ]
     return "\n".join([*text, lines.made(rows), "", "Again: `python -m benchmarks.sideways FOLDER`", ""])
