@@ -228,7 +228,8 @@ def main() -> None:
             log.append(options.out, row)
         rows.append(row)
     made = f"{machine.sentence(machine.describe())} {log.made(rows)}"
-    text = page(rows) + f"\nSeed {options.seed}. {made}\n\nAgain: `python -m benchmarks.first_frame`\n"
+    again = f"--seed {options.seed} --count {options.count} --others {options.others}"
+    text = page(rows) + f"\nSeed {options.seed}. {made}\n\nAgain: `python -m benchmarks.first_frame {again}`\n"
     print(text)
     files.write_text(options.out.with_suffix(".md"), text)
 
