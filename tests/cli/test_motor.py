@@ -10,6 +10,7 @@ from hyperflex import execution
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware import Drive, DriveZero
 from tests.hardware.fake import FakeLink
+from tests.planning.known import planned
 
 
 @pytest.fixture
@@ -31,11 +32,25 @@ def test_check_says_what_is_possible_and_gives_limits(hyperflex):
 
 
 @pytest.mark.usefixtures("rope")
+def test_plans_count_with_their_own_torque_and_no_margin_is_absurd(hyperflex, hyperflex_json):
+    planned().to_toml("cast.toml")
+    how = "motor", "check", "cast.toml", "--rope", "rope.toml", "--rpm"
+    torque, part = planned().torque, 0.9
+    assert torque > 0.2  # the weight's is 0.13 N m
+    code, found = hyperflex_json(*how, 1000, "--torque", part * torque)
+    assert (code, found["demands"][2]["torque"], found["demands"][2]["possible"]) == (4, torque, False)
+    assert found["demands"][2]["margin"] == pytest.approx(1.0 - 1.0 / part)
+    _, out, _ = hyperflex(*how, 50, "--torque", 9)
+    assert ("the motor is too slow" in out, "-" in out.replace("--", "").replace("bang-bang", "")) == (True, False)
+
+
+@pytest.mark.usefixtures("rope")
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (("check", "--rope", "rope.toml"), "no motor is given"),
         (("check", "--motor", "nothing", "--rope", "rope.toml"), "not in the catalogue"),
+        (("check", "--motor", "XL430-W250", "--rpm", "100", "--rope", "rope.toml"), "given twice"),
         (("identify", "--motor", "nothing", "-o", "drive.toml"), "address is not known"),
         (("identify", "--motor", "moteus:/dev/not-there", "-o", "drive.toml"), "limit of torque"),
         (("identify", "--motor", "moteus:/dev/not-there", "-o", "drive.toml", "--torque", "1"), "needs its zero"),

@@ -1,5 +1,6 @@
 """``hyperflex run`` against emulated drives, and what it refuses."""
 
+import io
 import signal
 import threading
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 from hyperflex import execution
 from hyperflex.cli import output
 from hyperflex.execution import Attempt, LearningResult
+from hyperflex.execution.cast_run import Prediction
 from hyperflex.hardware import Drive, DriveFit, DriveModel, DriveZero
 from hyperflex.planning import read_plan, scaled_rope
 from tests.execution.ideal_link import open_ideal
@@ -133,6 +135,24 @@ def test_with_yes_an_arm_whose_zero_is_in_doubt_is_not_moved(hyperflex, plan, tm
     code, _, err = hyperflex("run", plan, "-o", tmp_path / "done", *real)
     assert (code, "without torque the arm stands at 0.30 rad" in err) == (2, True)
     assert (tmp_path / "notes").read_text().split() == ["open", "closed"]
+
+
+def test_who_does_not_press_enter_moves_nothing(hyperflex, plan, tmp_path, monkeypatch):
+    """The input ends, which the parser takes as Ctrl-C."""
+    monkeypatch.setattr(execution, "open_drive", partial(open_ideal, tmp_path / "notes"))
+    monkeypatch.setattr(Prediction, "of", lambda *_: None)  # not needed
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    real = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml", "--torque", 1
+    code, out, err = hyperflex("run", plan, "-o", tmp_path / "done", *real)
+    assert (code, out.strip(), err.splitlines()[-1]) == (130, "", "hyperflex: Interrupted; nothing moved")
+    assert "[]" not in err
+    assert not (tmp_path / "done").exists()
+
+
+def test_a_limit_of_torque_below_the_plans_is_refused(refused, plan, tmp_path):
+    how = "--motor", "emulator:moteus", "--torque", 0.1, "--dry-run"
+    assert "the plan's torque is beyond the limit" in refused("run", plan, "-o", tmp_path / "done", *how)
 
 
 def test_limits_and_lag_of_a_run_are_the_drives(drive):

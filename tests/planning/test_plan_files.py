@@ -266,3 +266,14 @@ def test_a_plan_that_lacks_a_part_is_refused(tmp_path, made, old, new):
     (tmp_path / "plan.toml").write_text(text.replace(old, new))
     with pytest.raises(InvalidInput, match="not complete"):
         hf.read_plan(tmp_path / "plan.toml")
+
+
+@pytest.mark.parametrize(("old", "new"), [("speed = 8.6", "speed = 4.3"), ("length = 0.105", "length = 0.3")])
+def test_a_plan_whose_limits_or_arm_were_changed_by_hand_is_refused(tmp_path, old, new):
+    planned().to_toml(tmp_path / "plan.toml")
+    text = (tmp_path / "plan.toml").read_text()
+    before, found, after = text.rpartition(old)
+    assert found
+    (tmp_path / "plan.toml").write_text(before + new + after)
+    with pytest.raises(InvalidInput, match="no longer fit"):
+        hf.read_plan(tmp_path / "plan.toml")

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,7 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, MotorLimits, Rope
 
 if TYPE_CHECKING:
-    from hyperflex.hardware import Drive, DriveZero
+    from hyperflex.hardware import Demand, Drive, DriveZero, MotorData
 
 RPM = 60.0 / math.tau  # rev/min per rad/s
 Address = Annotated[
@@ -53,12 +53,15 @@ def check(
     """Check whether a motor is fast and strong enough, before anything is planned.
 
     The motor is one of the catalogue, or given by its speed and torque. The torque falls linearly from stall to the
-    speed without load. The command compares it with a half turn of the arm under the hanging rope, and with plans. It
-    prints limits for the planner. The exit code is 4 if a half turn or a plan is not possible.
+    speed without load. The command compares it with a half turn of the arm under the hanging rope, and with plans: each
+    with its own arm and rope, and the torque of its simulated runs. It prints limits for the planner. The exit code is
+    4 if a half turn or a plan is not possible.
     """
-    from hyperflex.hardware import MotorData, check_motor, find_motor
+    from hyperflex.hardware import MotorData, check_motor, demand, find_motor
     from hyperflex.planning import read_plan
 
+    if motor is not None and (rpm or torque):
+        raise InvalidInput("the motor is given twice", fix="Give --motor NAME, or --rpm and --torque")
     if motor is not None:
         data = find_motor(motor)
         data = data if voltage is None else data.at(voltage)
@@ -67,14 +70,15 @@ def check(
     else:
         data = MotorData("your motor", rpm / RPM, torque, voltage or MotorData.voltage, source="given")
     arm = Arm() if arm_length is None else Arm(length=arm_length)
-    motions: dict[str, Any] = {}
+    found = check_motor(data, Rope.from_toml(rope), arm, move_time)
     for path in plans or ():
         plan = read_plan(path)
-        motions[str(path)] = plan.required(plan.moves, "motion").motion(plan.problem.limits)
-    found = check_motor(data, Rope.from_toml(rope), arm, move_time, motions=motions)
+        motion, own = plan.required(plan.motion, "motion"), plan.problem
+        asked = demand(data, str(path), motion, own.rope, own.arm, torque=plan.torque)
+        found = replace(found, demands=(*found.demands, asked))
     demands = {
         each.name: f"{'possible' if each.possible else 'NOT possible'}: "
-        f"{each.speed * RPM:.0f} rev/min, {each.torque:.3g} N m, {100 * each.margin:.0f} % to spare"
+        f"{each.speed * RPM:.0f} rev/min, {each.torque:.3g} N m, {_spare(each, data)}"
         for each in found.demands
     }
     limits = {"speed": found.limits.speed, "acceleration": found.limits.acceleration, "torque": found.limits.torque}
@@ -94,6 +98,12 @@ def check(
         f"Limits for cast, whip and insert: {words}",
         code=0 if found.success else output.ExitCode.NO_PLAN,
     )
+
+
+def _spare(demand: "Demand", motor: "MotorData") -> str:
+    if demand.possible:
+        return f"{100 * demand.margin:.0f} % to spare"
+    return "the motor is too slow" if demand.speed > motor.speed else "the motor is too weak"
 
 
 def identify(
@@ -216,7 +226,7 @@ def _direction(drive: "Drive", emulated: bool) -> int:
     """Return the direction of a drive that tells raw angles from its zero, from a quarter turn by hand."""
     if emulated:
         return 1
-    typer.prompt("Turn the arm by hand, a quarter turn to +x, and hold it there. Then Enter", default="", err=True)
+    _press_enter("Turn the arm by hand, a quarter turn to +x, and hold it there. Then Enter")
     turned = drive.read().angle
     if not 1.2 < abs(turned) < 1.9:  # rad: by hand, within 20 degrees
         fix = "Turn the arm by a quarter turn, or set the ratio of its gear in the drive"
@@ -250,7 +260,16 @@ def zero_of(address: str, path: Path | None) -> "DriveZero":
 def wait_for_enter(before: str, yes: bool) -> None:
     """Wait until a person allows that a real arm moves, unless that was allowed before."""
     if not yes:
-        typer.prompt(f"{before}: the arm will move. Enter switches the torque on", default="", err=True)
+        _press_enter(f"{before}: the arm will move. Enter switches the torque on")
+
+
+def _press_enter(text: str) -> None:
+    """Wait for Enter; Ctrl-C and an input that has ended are interrupts."""
+    try:
+        typer.prompt(text, default="", show_default=False, err=True)
+    except typer.Abort:
+        typer.echo(err=True)
+        raise KeyboardInterrupt from None
 
 
 @contextmanager

@@ -158,6 +158,11 @@ def run(
     known = None if emulated or dry_run else _check_real(motor, zero, limits, sight, blind)
     link = open_link("moteus:none" if emulated else motor)
     Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
+    if planned.torque > limits.torque:
+        allowed, fix = f"up to {limits.torque:.3g} N m", "Allow more, or plan again with --torque"
+        raise InvalidInput(
+            "the plan's torque is beyond the limit", got=round(planned.torque, 4), allowed=allowed, fix=fix
+        )
     planned = _within(planned, limits) if follow or learn else planned
     if dry_run:
         output.show({"success": True, "dry_run": True}, "The motion keeps to the limits. Nothing was connected.")
@@ -298,11 +303,12 @@ def _carry_out(
 
     def cast(made: "CastPlan") -> Any:
         done, halted = output.run(lambda: once(made))
-        runs.append(done)
-        written.update(_write(runs[-1], out, f"run-{len(runs)}" if repeat > 1 else "run"))
-        say(f"cast {len(runs)}: {runs[-1].message or 'the rope is wound'}")
+        if not halted or len(done.log.rows) > 1:  # else the torque was not on yet
+            runs.append(done)
+            written.update(_write(done, out, f"run-{len(runs)}" if repeat > 1 else "run"))
         if halted:
             raise Interrupted(done)
+        say(f"cast {len(runs)}: {done.message or 'the rope is wound'}")
         if learn and runs[-1].stopped:
             raise DriveError(runs[-1].stopped)
         return runs[-1].cast_log() if learn else None
@@ -335,14 +341,16 @@ def _carry_out(
     result = {"emulated": emulated, "casts": [each.summary() for each in runs], "learned": lines, "message": message}
     result |= {} if learned is None else {"lag": learned.lag}
     title = "Last cast (emulated)" if emulated else "Last cast"
+    told = message or "The rope is wound."
+    ended = "; nothing moved" if not runs else f": {told.removeprefix('interrupted: ')}"
     output.show(
         {**result, "success": good, "files": {name: str(path) for name, path in written.items()}},
         *([Rows(title, _figures(runs[-1]))] if runs else []),
-        message or "The rope is wound.",
+        *([] if stopped else [told]),
         *lines,
         *hint,
-        Rows("Written", [(name, str(path)) for name, path in written.items()]),
-        interrupted=f"Interrupted: {(message or 'the torque is off').removeprefix('interrupted: ')}" if stopped else "",
+        *([Rows("Written", [(name, str(path)) for name, path in written.items()])] if written else []),
+        interrupted=f"Interrupted{ended}" if stopped else "",
         code=0 if good else output.ExitCode.NO_PLAN,
     )
 

@@ -15,7 +15,15 @@ if TYPE_CHECKING:
     from hyperflex.hardware.moteus import MoteusLink
     from hyperflex.hardware.odrive import ODriveLink
     from hyperflex.hardware.simulated import SAMPLE_TIME, SimulatedMotor
-    from hyperflex.hardware.suitability import Demand, MotorData, Suitability, check_motor, find_motor, motor_catalogue
+    from hyperflex.hardware.suitability import (
+        Demand,
+        MotorData,
+        Suitability,
+        check_motor,
+        demand,
+        find_motor,
+        motor_catalogue,
+    )
     from hyperflex.hardware.zero import DriveZero
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -100,7 +100,7 @@ class Demand:
         Greatest torque, N m: inertia of the arm, and weight of arm and rope, which hangs straight down.
     margin : float
         Least of what the motor has left over what it has, of speed and of torque at the speed of each instant; negative
-        if the motion is not possible.
+        if the motion is not possible, at least -1.
     """
 
     name: str
@@ -186,23 +186,46 @@ def check_motor(
     arm = arm or Arm()
     move_time = checks.number("move_time", move_time, sign="positive", unit="s")
     rotor = checks.number("rotor_inertia", rotor_inertia, sign="nonnegative", unit="kg m^2")
-    gravity = math.hypot(*rope.gravity)
-    hanging = gravity * (rope.total_mass * arm.length + arm.mass * arm.com)
-    inertia = arm.inertia + arm.mass * arm.com**2 + rotor
+    hanging, inertia = _weight_torque(rope, arm), _inertia(arm, rotor)
     half = (-0.5 * math.pi, 0.5 * math.pi, move_time)
     profiles = {"bang-bang": "half turn, bang-bang", "minimum-jerk": "half turn, minimum jerk"}
     wanted = {text: move_arm(*half, profile) for profile, text in profiles.items()}  # type: ignore[arg-type]
-    demands = []
-    for name, motion in {**wanted, **(motions or {})}.items():
-        times = np.linspace(motion.breaks[0], motion.breaks[-1], 2001)
-        speed = motion.rate(times)
-        torque = inertia * motion.acceleration(times) + hanging * np.sin(motion.angle(times) - rope.hanging_angle)
-        torque += arm.friction * speed + arm.dry_friction * np.sign(speed)
-        driving = torque * speed > 0.0  # a braking torque is not limited by the speed
-        most = np.where(driving, motor.torque(speed), motor.stall_torque)
-        left = np.minimum(1.0 - np.abs(torque) / np.maximum(most, 1e-12), 1.0 - np.abs(speed) / motor.speed)
-        demands.append(Demand(name, float(np.abs(speed).max()), float(np.abs(torque).max()), float(left.min())))
+    demands = [demand(motor, name, each, rope, arm, rotor) for name, each in {**wanted, **(motions or {})}.items()]
     return Suitability(motor, hanging, tuple(demands), _limits(motor, hanging, inertia))
+
+
+def _weight_torque(rope: Rope, arm: Arm) -> float:
+    """Return the torque that holds arm and hanging rope at a quarter turn, N m."""
+    return math.hypot(*rope.gravity) * (rope.total_mass * arm.length + arm.mass * arm.com)
+
+
+def _inertia(arm: Arm, rotor: float) -> float:
+    return arm.inertia + arm.mass * arm.com**2 + rotor
+
+
+def demand(
+    motor: MotorData,
+    name: str,
+    motion: Motion,
+    rope: Rope,
+    arm: Arm,
+    rotor_inertia: float = 0.0,
+    torque: float = 0.0,
+) -> Demand:
+    """Return what a motion asks of a motor with an arm and a rope; a simulated run of it may show a greater `torque`.
+
+    That torque, N m, may be needed at any speed: it is compared with the torque at rest.
+    """
+    times = np.linspace(motion.breaks[0], motion.breaks[-1], 2001)
+    speed = motion.rate(times)
+    weight = _weight_torque(rope, arm) * np.sin(motion.angle(times) - rope.hanging_angle)
+    needed = _inertia(arm, rotor_inertia) * motion.acceleration(times) + weight
+    needed += arm.friction * speed + arm.dry_friction * np.sign(speed)
+    driving = needed * speed > 0.0  # a braking torque is not limited by the speed
+    most = np.where(driving, motor.torque(speed), motor.stall_torque)
+    left = np.minimum(1.0 - np.abs(needed) / np.maximum(most, 1e-12), 1.0 - np.abs(speed) / motor.speed)
+    spare = max(-1.0, min(float(left.min()), 1.0 - torque / motor.stall_torque))
+    return Demand(name, float(np.abs(speed).max()), max(float(np.abs(needed).max()), torque), spare)
 
 
 def _limits(motor: MotorData, hanging: float, inertia: float, used: float = 0.9) -> MotorLimits:

@@ -104,6 +104,12 @@ class Plan(ABC):
         return float(min((value for value in found if not math.isnan(value)), default=math.nan))
 
     @property
+    def torque(self) -> float:
+        """Greatest torque of the motor in the verified runs as a mean over 5 ms, N m; 0 if it is not known."""
+        found = [each.torque for each in (self.outcome, self.finer_outcome) if each is not None]
+        return float(max((value for value in found if not math.isnan(value)), default=0.0))
+
+    @property
     @abstractmethod
     def refuted(self) -> bool:
         """Whether a simulated run to the end shows that the plan fails."""

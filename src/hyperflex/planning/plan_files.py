@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, MotorLimits
@@ -39,12 +41,24 @@ def read_plan(path: files.PathLike) -> AnyPlan:
     if table.pop("source", None) != "simulated" or (kind := KINDS.get(table.pop("kind", ""))) is None:
         raise InvalidInput(f"{path} has no plan", got=sorted(content), allowed="a file that a plan's to_toml wrote")
     try:
-        return from_table(kind, table)
+        plan = from_table(kind, table)
+        whole = plan.motion is None or _carries(content, plan)
     except InvalidInput as error:
         raise InvalidInput(f"the plan in {path} is not complete: {error.what}", got=error.got, fix=_AGAIN) from None
     except (AttributeError, KeyError, IndexError, OverflowError, RecursionError, TypeError, ValueError) as error:
         missing = f"the key {error}" if isinstance(error, KeyError) else "a value of the right kind"
         raise InvalidInput(f"the plan in {path} is not complete: it lacks {missing}", fix=_AGAIN) from None
+    if not whole:
+        raise InvalidInput(f"the moves in {path} no longer fit their limits or arm", fix="Plan again")
+    return plan
+
+
+def _carries(content: Mapping[str, Any], plan: AnyPlan) -> bool:
+    """Whether the set-up of a file is that of the plan in it: its arm, and its motion but for rounding."""
+    moves, written = {**plan.required(plan.motion, "motion").spec}, {**content["motion"]}
+    same = moves.pop("kind") == written.pop("kind") and moves.keys() == written.keys()
+    same = same and content["arm"] == content[PLAN]["problem"]["arm"]
+    return same and all(np.allclose(value, written[name]) for name, value in moves.items())
 
 
 def read_limits(path: files.PathLike) -> MotorLimits | None:
