@@ -109,6 +109,23 @@ def test_a_quarter_turn_by_hand_shows_the_direction(hyperflex_json, tmp_path, mo
     assert DriveZero.from_toml(tmp_path / "zero.toml").direction == -direction
 
 
+def test_a_fault_is_cleared_only_if_that_is_asked_for(refused, hyperflex, tmp_path, monkeypatch):
+    link = FakeLink(4.0, fault="over temperature (38)")
+    monkeypatch.setattr(execution, "open_drive", lambda *_, **__: Drive(link, hf.MotorLimits()))
+    how = "motor", "zero", "--motor", "moteus:/dev/ttyACM0", "-o", tmp_path / "zero.toml", "--direction", 1
+    assert "give --clear-fault" in refused(*how)
+    assert link.state["fault"]
+    assert hyperflex(*how, "--clear-fault")[0] == 0
+    assert not link.state["fault"]
+
+
+@pytest.mark.parametrize("more", [(), ("--help",)])
+def test_the_commands_of_a_motor_are_listed(hyperflex, more):
+    code, out, _ = hyperflex("motor", *more)
+    assert code == 0
+    assert all(f"  motor {each} " in out for each in ("check", "identify", "zero"))
+
+
 @pytest.mark.nightly
 def test_an_emulated_drive_is_identified_and_zeroed(hyperflex, tmp_path):
     drive, picture, zero = tmp_path / "drive.toml", tmp_path / "drive.png", tmp_path / "zero.toml"

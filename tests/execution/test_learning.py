@@ -149,7 +149,7 @@ def test_an_interrupted_cast_keeps_what_was_learned():
 def test_a_camera_that_fails_ends_it_and_keeps_what_was_learned():
     done = learn_cast(PLAN, failing(Twin(), 1, EstimatorLost("The camera is dark.")), options=OPTIONS)
     check_kept(done, Status.FAILED)
-    assert done.message == "The camera is dark.; 0 of 1 casts wound, 1 in a row required"
+    assert done.message == "The camera is dark; 0 of 1 casts wound, 1 in a row required"
 
 
 def check_kept(done: LearningResult, status: Status) -> None:

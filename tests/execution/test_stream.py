@@ -234,6 +234,24 @@ def test_a_test_motion_is_recorded_and_the_torque_is_off_after_it(tmp_path: Path
     assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
 
 
+def test_a_process_that_was_killed_is_named_before_the_advice(tmp_path: Path) -> None:
+    stream = MotionStream(partial(ideal_drive, tmp_path / "notes")).__enter__()
+    os.kill(stream.pid, signal.SIGKILL)
+    with pytest.raises(DriveError) as killed:
+        wait(stream)
+    with pytest.raises(
+        DriveError, match=r"signal 9\. The drive did not confirm that its torque is off\. Cut its power\."
+    ):
+        stream.__exit__(DriveError, killed.value)
+
+
+def test_a_test_motion_from_a_wrong_zero_names_the_turns(tmp_path: Path) -> None:
+    connect = partial(ideal_drive, tmp_path / "notes", angle=-6.28)
+    with pytest.raises(DriveError, match="1 turn away: its counter may have wrapped"):
+        record_test_motion(connect)
+    assert lines(tmp_path / "notes") == ["open", "closed"]
+
+
 def test_a_test_motion_beyond_the_limits_moves_nothing(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="beyond the limits"):
         record_test_motion(partial(ideal_drive, tmp_path / "notes"), move_arm(0.3, 2.0, duration=0.1))

@@ -162,14 +162,14 @@ def test_a_fault_of_the_device_is_latched_until_it_is_acknowledged(make, rig, mo
 
 def test_a_device_in_fault_is_refused_in_one_line(make, rig, motor, link):
     make.fail(rig.device)
-    with pytest.raises(DriveError, match=r"reports .*clear=True") as refused:
+    with pytest.raises(DriveError, match=r"reports .*clear_fault=True") as refused:
         Drive(link, LIMITS).connect()
     assert "\n" not in str(refused.value)
     assert motor.goals == []
     with pytest.raises(DriveError, match="reports"):  # it is still there
         Drive(make.link(rig), LIMITS).connect()
     drive = Drive(make.link(rig), LIMITS)
-    assert drive.connect(clear=True).fault == ""
+    assert drive.connect(clear_fault=True).fault == ""
     drive.close()
 
 
@@ -307,7 +307,7 @@ def test_a_host_that_is_killed_leaves_a_passive_device(make, rig, motor, link, h
     wait(lambda: make.passive(rig.device))
     assert link.watchdog <= 0.1
     drive = Drive(make.link(rig), LIMITS)
-    drive.connect(clear=True)
+    drive.connect(clear_fault=True)
     with drive:  # the next program may use it
         drive.enable()
         drive.command(Goal(0.0))

@@ -71,12 +71,12 @@ def test_torque_that_was_left_on_is_switched_off(link):
 
 def test_a_device_in_fault_is_refused_and_nothing_is_sent_to_it(link):
     link.state["fault"] = "over temperature (38)"
-    with pytest.raises(DriveError, match=r"over temperature \(38\).*clear=True"):
+    with pytest.raises(DriveError, match=r"over temperature \(38\).*clear_fault=True"):
         Drive(link, LIMITS).connect()
     assert [name for name, *_ in link.log] == ["open", "read"]
     assert not link.opened
     drive = Drive(link, LIMITS)
-    assert drive.connect(clear=True).fault == ""
+    assert drive.connect(clear_fault=True).fault == ""
     drive.close()
 
 

@@ -149,12 +149,12 @@ def test_a_controller_in_timeout_may_hold_with_torque_and_is_stopped_first(rig, 
     state = link.read()
     link.close()
     assert (state.enabled, state.fault) == (True, "watchdog expired (mode 11)")
-    with pytest.raises(DriveError, match=r"watchdog expired \(mode 11\).*clear=True"):
+    with pytest.raises(DriveError, match=r"watchdog expired \(mode 11\).*clear_fault=True"):
         Drive(MoteusLink(rig.port, patience=1.0), MotorLimits()).connect()
     assert device.mode == 0
     device._enter(11)
     drive = Drive(MoteusLink(rig.port, patience=1.0, watchdog=0.1), MotorLimits())
-    drive.connect(clear=True)
+    drive.connect(clear_fault=True)
     with drive:
         drive.set_zero(0.0)
         device._enter(11)

@@ -64,11 +64,15 @@ class _Commands(TyperGroup):
 
     def get_command(self, context: Any, name: str) -> Any:
         """Return a command; None if there is none of this name."""
+        single = typer.Typer(rich_markup_mode=None, add_completion=False)
+        if members := [each for each in COMMANDS if each.startswith(f"{name} ")]:
+            lines = "\n".join(f"  {each:16}{_summary(each)}" for each in members)
+            single.command(name, epilog=f"\b\nCommands:\n{lines}")(_show_help)
+            return typer.main.get_command(single)
         if name not in COMMANDS:
             return None
         module, example = COMMANDS[name]
         function = getattr(importlib.import_module(f"hyperflex.cli.{module}"), _function(name))
-        single = typer.Typer(rich_markup_mode=None, add_completion=False)
         single.command(name, epilog=f"\b\nExample:\n  hyperflex {name} {example}")(command(function))
         return typer.main.get_command(single)
 
@@ -80,6 +84,11 @@ class _Commands(TyperGroup):
         """List the commands with the first line of their help, which is read without loading them."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, _summary(name)) for name in COMMANDS])
+
+
+def _show_help(context: typer.Context) -> None:
+    """List the commands of two words that begin with this one."""
+    typer.echo(context.get_help())
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:

@@ -29,6 +29,8 @@ ZeroFile = Annotated[
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="Do not wait for Enter before the arm of a real motor moves.")]
 
+ClearFault = Annotated[bool, typer.Option("--clear-fault", help="Clear a fault of the device at the start.")]
+
 
 def check(
     plans: Annotated[
@@ -120,6 +122,7 @@ def identify(
     ] = 0.3,
     picture: Annotated[Path | None, typer.Option(help="Picture of the test motion to write, .png.")] = None,
     yes: Yes = False,
+    clear_fault: ClearFault = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print what would be done; open and move nothing.")
     ] = False,
@@ -155,8 +158,8 @@ def identify(
             check_torque(chosen)
             zero_of(motor, zero)
             wait_for_enter("Take the rope off and keep clear", yes)
-        output.note(f"{connect().link.name}: the arm makes the test motion")
-        record = record_test_motion(connect, stroke=stroke)
+        output.note(f"{connect().link.name}: connecting; then the arm makes the test motion")
+        record = record_test_motion(connect, stroke=stroke, clear_fault=clear_fault)
     fit = identify_drive(record)
     fit.to_toml(out)
     written = {"drive": out}
@@ -194,6 +197,7 @@ def zero(
             help="-1 if the device's angle grows clockwise, else 1. [default: as a quarter turn by hand shows it]"
         ),
     ] = None,
+    clear_fault: ClearFault = False,
 ) -> None:
     """Set the zero of a drive from the arm as it hangs now, with its torque off; nothing moves by itself.
 
@@ -206,11 +210,14 @@ def zero(
     from hyperflex.hardware import DriveZero, emulated_device
 
     check_destination(out, ".toml", [])
-    with _drive(motor, MotorLimits(), None) as connect, connect() as drive:
-        name, raw = drive.link.name, drive.set_zero(0.0)
-        if direction is not None:
-            output.note("nothing shows whether this direction is right, or whether a gear's ratio is set")
-        way = _direction(drive, emulated_device(motor) is not None) if direction is None else direction
+    with _drive(motor, MotorLimits(), None) as connect:
+        drive = connect()
+        drive.connect(clear_fault=clear_fault)
+        with drive:
+            name, raw = drive.link.name, drive.set_zero(0.0)
+            if direction is not None:
+                output.note("nothing shows whether this direction is right, or whether a gear's ratio is set")
+            way = _direction(drive, emulated_device(motor) is not None) if direction is None else direction
     raw -= way * angle
     DriveZero(raw, way, motor).to_toml(out)
     result = {"motor": name, "raw_angle": raw, "direction": way, "angle": angle, "files": {"zero": out}}

@@ -16,7 +16,12 @@ REST = 0.3  # s before and after the motion, in which the arm comes to rest
 
 @interruptible()
 def record_test_motion(
-    connect: Callable[[], Drive], motion: Motion | None = None, *, stroke: float | None = None, rate: float = 200.0
+    connect: Callable[[], Drive],
+    motion: Motion | None = None,
+    *,
+    stroke: float | None = None,
+    rate: float = 200.0,
+    clear_fault: bool = False,
 ) -> DriveRecord:
     """Make a test motion on a drive; its torque is on during the motion, and off after it.
 
@@ -33,6 +38,8 @@ def record_test_motion(
         Of that, rad.
     rate : float
         Goals a second, Hz.
+    clear_fault : bool
+        Clear a fault of the device at the start.
 
     Raises
     ------
@@ -42,7 +49,8 @@ def record_test_motion(
         As of :class:`MotionStream`.
     """
     drive = connect()
-    with MotionStream(connect, rate=rate, waits=True) as stream:
+    with MotionStream(connect, rate=rate, waits=True, clear_fault=clear_fault) as stream:
+        drive.check_turn(stream.state())
         chosen = motion or plan_test_motion(drive.limits, stream.state().angle, stroke=stroke)
         drive.check_motion(chosen)
         stream.enable()

@@ -237,7 +237,8 @@ class LearningResult:
             return ""
         wound = sum(bool(each.wound) for each in self.attempts)
         found = f"{wound} of {len(self.attempts)} casts wound, {self.required} in a row required"
-        return f"{self.error or self.status}; {found}" if self.ended else found
+        why = (self.error or self.status).rstrip(".")
+        return f"{why}; {found}" if self.ended and self.attempts else why if self.ended else found
 
     def plot(self) -> "Figure":
         """Draw how far each cast was from the strike that winds, and which ones wound: return a Matplotlib figure."""

@@ -152,7 +152,7 @@ def run_plan(
     prediction, stop, found, known = Prediction.of(plan), "", None, None
     watch = RopeWatch(None, 0.0, made, plan, math.inf, lag=chosen.lag, rate=chosen.sampling)
     duration = 120.0 + 2.0 * float(made.breaks[-1])
-    drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear=chosen.clear_fault)
+    drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear_fault=chosen.clear_fault)
     begun = False
 
     def result() -> CastRun:

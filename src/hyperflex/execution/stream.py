@@ -101,7 +101,7 @@ class MotionStream:
         Goals a second, Hz.
     duration : float
         Longest time for which rows are logged, s; later cycles replace the oldest.
-    clear : bool
+    clear_fault : bool
         Clear a fault of the device at the start.
     waits : bool
         Whether a motion waits for a process that was late by more than a cycle, instead of being caught up with.
@@ -129,7 +129,7 @@ class MotionStream:
         *,
         rate: float = 200.0,
         duration: float = 300.0,
-        clear: bool = False,
+        clear_fault: bool = False,
         waits: bool = False,
         patience: float = 5.0,
     ) -> None:
@@ -138,7 +138,7 @@ class MotionStream:
         self._records = Records(rows, len(FIELDS))
         self._alive = multiprocessing.get_context("spawn").RawValue("d")  # when this program last showed that it is, s
         patience = checks.number("patience", patience, sign="positive", unit="s")
-        arguments = connect, clear, 1.0 / self.rate, waits, self._records, self._alive, patience
+        arguments = connect, clear_fault, 1.0 / self.rate, waits, self._records, self._alive, patience
         self._child = Child("The process of the drive", DriveError, stream, *arguments)
         self._zero, self.late = 0.0, 0
         self.motion: Motion | None = None
@@ -147,12 +147,12 @@ class MotionStream:
         self._zero = self._child.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _kind: object = None, raised: object = None, _trace: object = None) -> None:
         self._child.send("end")
         error = self._child.end(ANSWER)
         if self._child.code != 0:
-            why = "" if error is None else f" {error}"
-            raise DriveError(f"The drive did not confirm that its torque is off.{why} Cut its power.")
+            causes = [f"{each} " for each in (raised or error,) if isinstance(each, HyperflexError)]
+            raise DriveError(f"{''.join(causes)}The drive did not confirm that its torque is off. Cut its power.")
 
     def stop(self) -> bool:
         """Switch the torque off at once and end the process; return whether the device confirmed it. For any thread."""
@@ -255,7 +255,7 @@ class Path(NamedTuple):
 def stream(
     link: Connection,
     connect: Callable[[], Drive],
-    clear: bool,
+    clear_fault: bool,
     period: float,
     waits: bool,
     records: Records,
@@ -275,7 +275,7 @@ def stream(
 
     signal.signal(signal.SIGTERM, leave)
     try:
-        drive.connect(clear=clear)
+        drive.connect(clear_fault=clear_fault)
         with drive:
             cycle = _Cycle(drive, period, waits, link, records)
             link.send((0, cycle.zero))

@@ -235,10 +235,10 @@ class Drive:
 
     # ------------------------------------------------------------------ connection
 
-    def connect(self, *, clear: bool = False) -> DriveState:
+    def connect(self, *, clear_fault: bool = False) -> DriveState:
         """Open the link and read the state. Nothing moves; torque that was left on is switched off.
 
-        A device that is in fault is refused, and nothing is sent to it, unless `clear` acknowledges its fault.
+        A device that is in fault is refused, and nothing is sent to it, unless `clear_fault` acknowledges its fault.
         """
         if self._connected:
             raise DriveError(f"{self.link.name} is connected already.")
@@ -252,10 +252,10 @@ class Drive:
                 self._enabled = state.enabled
                 if self._enabled:
                     self.off()
-                if clear:
+                if clear_fault:
                     self.acknowledge()
                 elif state.fault:
-                    fix = "Remove the cause, then connect with clear=True"
+                    fix = "Remove the cause, then give clear_fault=True"
                     raise DriveError(f"{self.link.name}: the device reports {state.fault}. {fix}.")
                 return self._first_reading()
         except BaseException:
@@ -350,7 +350,7 @@ class Drive:
             before = self._first_reading()
             if before.fault:
                 self._latch(f"the device reports {before.fault}")
-            self._check_turn(before)
+            self.check_turn(before)
             self._goal, self._sent, self._beyond = Goal(before.angle), None, []
             limits = self.limits
             self._angle_pace = _Pace(limits.speed, STEP)
@@ -471,6 +471,18 @@ class Drive:
                     allowed="a motion that starts and ends at rest, without jumps",
                 )
 
+    def check_turn(self, state: DriveState) -> None:
+        """Refuse a shaft outside the limits: its counter has wrapped by turns, or the zero is wrong."""
+        least, greatest = self.limits.angles
+        if least - STEP <= state.angle <= greatest + STEP:
+            return
+        what = f"{self.link.name}: the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
+        away = (state.angle - 0.5 * (least + greatest)) / math.tau
+        turns = round(away) if math.isfinite(away) else 0
+        if turns:
+            what += f", {abs(turns)} turn{'s' * (abs(turns) > 1)} away: its counter may have wrapped"
+        raise DriveError(f"{what}. Let the arm hang and set the zero again.")
+
     def _check_goal(self, goal: Goal, now: float, at: float) -> None:
         limits = self.limits
         for name, value in (("angle", goal.angle), ("rate", goal.rate), ("torque", goal.torque)):
@@ -566,18 +578,6 @@ class Drive:
 
     def _jumped(self, state: DriveState, before: DriveState) -> bool:
         return abs(state.angle - before.angle) > 2.0 * self.limits.speed * (state.received - before.sent) + STEP
-
-    def _check_turn(self, state: DriveState) -> None:
-        """Refuse a shaft outside the limits: its counter has wrapped by turns, or the zero is wrong."""
-        least, greatest = self.limits.angles
-        if least - STEP <= state.angle <= greatest + STEP:
-            return
-        what = f"{self.link.name}: the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
-        away = (state.angle - 0.5 * (least + greatest)) / math.tau
-        turns = round(away) if math.isfinite(away) else 0
-        if turns:
-            what += f", {abs(turns)} turn{'s' * (abs(turns) > 1)} away: its counter may have wrapped"
-        raise DriveError(f"{what}. Let the arm hang and set the zero again.")
 
     def _latch(self, why: str) -> None:
         """Latch a fault, switch the torque off, and raise."""
