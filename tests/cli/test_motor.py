@@ -2,11 +2,13 @@
 
 import json
 import tomllib
+from types import SimpleNamespace
 
 import pytest
 
 import hyperflex as hf
 from hyperflex import execution
+from hyperflex.cli import motor
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware import Drive, DriveZero
 from tests.hardware.fake import FakeLink
@@ -117,6 +119,28 @@ def test_a_fault_is_cleared_only_if_that_is_asked_for(refused, hyperflex, tmp_pa
     assert link.state["fault"]
     assert hyperflex(*how, "--clear-fault")[0] == 0
     assert not link.state["fault"]
+
+
+def test_run_and_identify_emulate_the_same_motor(monkeypatch):
+    made = []
+
+    def emulator(device, model, rope=None, arm=None, **_):
+        made.append((model, arm or hf.Arm()))
+        raise InvalidInput("seen")
+
+    for module in ("hyperflex.hardware", "hyperflex.execution.emulated"):
+        monkeypatch.setattr(f"{module}.Emulator", emulator)
+    with pytest.raises(InvalidInput, match="seen"):
+        execution.emulator_of(planned(), "emulator:moteus")
+    with pytest.raises(InvalidInput, match="seen"):
+        motor._drive("emulator:moteus", hf.MotorLimits(), None).__enter__()
+    assert made[0] == made[1]
+    assert made[0][0].extrapolates
+
+
+def test_an_emulator_that_was_late_is_no_fair_trial():
+    with pytest.warns(UserWarning, match="behind the clock"):
+        motor.warn_if_behind(SimpleNamespace(unfair="motor fell 50 ms behind the clock"))
 
 
 @pytest.mark.parametrize("more", [(), ("--help",)])

@@ -34,6 +34,29 @@ def test_a_dry_run_checks_the_plan_and_connects_nothing(hyperflex_json, plan, tm
     assert not (tmp_path / "done").exists()
 
 
+def test_a_dry_run_tells_speed_torque_and_duration(hyperflex_json, plan, tmp_path):
+    _, result = hyperflex_json("run", plan, "--motor", "emulator:moteus", "-o", tmp_path / "done", "--dry-run")
+    motion = planned().motion
+    assert result["peak_speed"] == pytest.approx(planned().problem.limits.speed, rel=1e-3)
+    assert (result["duration"], result["torque"]) == pytest.approx((motion.breaks[-1], planned().torque))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("emulator:moteus?foo=1",), "foo"),
+        (("emulator:moteus", "--zero", "none.toml"), "none.toml"),
+        (("emulator:moteus", "--camera", "emulated", "--calibration", "none.toml"), "none.toml"),
+        (("emulator:moteus", "--camera", "emulated", "--arc-lengths", "x"), "--arc-lengths"),
+        (("emulator:moteus", "--camera", "emulated", "--arc-lengths", "0.2,9"), "not all on the rope"),
+        (("emulator:moteus", "--page", "99999"), "99999"),
+        (("emulator:moteus", "--click", "3,4"), "--click is of a camera"),
+    ],
+)
+def test_a_dry_run_refuses_what_the_run_refuses(refused, plan, tmp_path, options, message):
+    assert message in refused("run", plan, "-o", tmp_path / "done", "--dry-run", "--motor", *options)
+
+
 @pytest.mark.parametrize(
     ("motor", "message"),
     [

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.cli.run import _refuse
+from hyperflex.errors import InvalidInput
 from hyperflex.execution import CastRun, StreamLog
 from hyperflex.execution.cast_run import Prediction, weight_torque
+from hyperflex.execution.run import _compare_weight
 from hyperflex.execution.stream import FIELDS
+from hyperflex.files import read_netcdf
 from tests.execution.test_run import short_plan
 
 PLAN = short_plan()
@@ -77,3 +81,30 @@ def test_the_rope_is_compared_with_the_plan_as_late_as_the_drive_is():
     tips = PLAN.problem.arm.tip(MOTION.angle(t))
     expected = [np.hypot(tips[:, 0] - (t - lag), tips[:, 1]) for lag in (0.0, 0.1)]
     np.testing.assert_allclose(seen, expected, atol=0.02)
+
+
+def test_a_source_that_knows_no_contact_tells_no_deviation_after_the_strike():
+    t = np.linspace(0.0, 1.0, 5)
+    recording = hf.Recording(t, np.zeros((5, PLAN.problem.rope.n_links)), "angles")
+    cast = replace(run(0.0), recording=recording, lag=0.1)
+    cast = replace(cast, prediction=replace(cast.prediction, touch=0.5))
+    ends = [replace(cast, contact=contact).deviation[0][-1] for contact in (True, False)]
+    assert ends == [1.0, 0.5]
+
+
+def test_the_log_and_the_figure_say_which_motor_carried_out_which_plan(tmp_path):
+    cast = replace(run(0.0), motor="emulator:moteus (simulated motor and rope)")
+    cast.to_netcdf(tmp_path / "run.nc")
+    notes = read_netcdf(tmp_path / "run.nc").attributes
+    assert notes["motor"] == cast.motor
+    assert notes["date"].startswith("20")
+    assert "target: x 0.3 m, y -0.5 m" in notes["plan"]
+    assert cast.plot().axes[0].get_title(loc="left").startswith(cast.motor)
+
+
+def test_an_arm_of_another_length_is_refused_where_nobody_can_judge():
+    longer = replace(PLAN.problem, arm=hf.Arm(length=0.3))
+    log = run(0.0, held=weight_torque(longer, float(MOTION.angle(0.0)))).log
+    before = replace(log, rows=log.rows[log.column("sent") < 0.0])
+    with pytest.raises(InvalidInput, match="Check zero, rope and arm"):
+        _compare_weight(before, PLAN.problem, _refuse)

@@ -26,7 +26,7 @@ def test_the_page_shows_the_arm_and_the_phase(tmp_path: Path) -> None:
             shown = json.load(answer)
         with urlopen(page.address) as answer:
             assert b'id="stop"' in answer.read()
-    assert shown["phase"] == "the cast runs"
+    assert (shown["motor"], shown["phase"]) == ("a drive", "the cast runs")
     assert shown["now"]["angle"] == pytest.approx(0.3)
     assert len(shown["past"]) > 5
     assert shown["markers"] == [[[1.0, 1.0]]]

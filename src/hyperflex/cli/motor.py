@@ -1,6 +1,7 @@
 """``hyperflex motor check``, ``identify`` and ``zero``: is it fast enough, how does it move, where is its zero."""
 
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -17,7 +18,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, MotorLimits, Rope
 
 if TYPE_CHECKING:
-    from hyperflex.hardware import Demand, Drive, DriveZero, MotorData
+    from hyperflex.hardware import Demand, Drive, DriveZero, Emulator, MotorData
 
 RPM = 60.0 / math.tau  # rev/min per rad/s
 Address = Annotated[
@@ -284,8 +285,8 @@ def _drive(
     address: str, limits: MotorLimits, zero: Path | None, max_deviation: float = 0.5
 ) -> "Iterator[Callable[[], Drive]]":
     """Give what returns a drive, or an emulated one that runs as long as the block; its arm has no rope."""
-    from hyperflex.execution import open_drive
-    from hyperflex.hardware import DriveZero, Emulator, MotorModel, emulated_device
+    from hyperflex.execution import motor_model, open_drive
+    from hyperflex.hardware import DriveZero, Emulator, emulated_device
 
     known = DriveZero(0.0) if zero is None else DriveZero.from_toml(zero)
     known.check(address)
@@ -295,5 +296,12 @@ def _drive(
         yield partial(connect, address)
         return
     make, kind = device if "?" in address else emulated_device(f"{address}?watchdog=1") or device  # a busy computer
-    with Emulator(kind, MotorModel(), None, Arm(inertia=1e-3)) as emulator:
+    with Emulator(kind, motor_model(make)) as emulator:
         yield partial(connect, f"{make}:{emulator.port}")
+        warn_if_behind(emulator)
+
+
+def warn_if_behind(emulator: "Emulator") -> None:
+    """Warn where a busy computer has spoiled an emulated motion: motor and rope were slower than the clock."""
+    if why := emulator.unfair:
+        warnings.warn(f"{why}. Lower this computer's load, or plan with fewer links", UserWarning, stacklevel=2)

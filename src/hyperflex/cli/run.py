@@ -13,7 +13,7 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, Given, OutFolder, numbers, positive
-from hyperflex.cli.motor import Yes, ZeroFile, check_torque, wait_for_enter, zero_of
+from hyperflex.cli.motor import Yes, ZeroFile, check_torque, wait_for_enter, warn_if_behind, zero_of
 from hyperflex.cli.output import Rows
 from hyperflex.errors import DriveError, Interrupted, InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
@@ -21,7 +21,7 @@ from hyperflex.execution import RunOptions
 if TYPE_CHECKING:
     from hyperflex.estimate import TrackingTask
     from hyperflex.execution import CastRun, ClockedSource, LearningResult
-    from hyperflex.hardware import DriveZero, Emulator
+    from hyperflex.hardware import DriveZero
     from hyperflex.model import MotorLimits
     from hyperflex.planning import CastPlan
     from hyperflex.vision import Camera
@@ -65,6 +65,9 @@ class Sight:
     def check(self, emulated: bool) -> None:
         """Refuse, before any work, a camera that cannot see this rope, and missing options."""
         if self.camera is None:
+            for name, given in (("--calibration", self.calibration), ("--click", self.click)):
+                if given:
+                    raise InvalidInput(f"{name} is of a camera, which is not given", fix="Give --camera")
             return
         if emulated != (self.camera == "emulated"):
             whose, fix = ("an emulated", "emulated") if emulated else ("a real", "the number of a camera")
@@ -119,7 +122,9 @@ def run(
         bool, typer.Option("--learn", help="Learn from each cast; stop when the rope winds three times running.")
     ] = False,
     sight: Sight,
-    page: Annotated[int | None, typer.Option(help="Show the run in a browser at this port; 0 for any.")] = None,
+    page: Annotated[
+        int | None, typer.Option(help="Show the run in a browser at this port; 0 for any.", min=0, max=65535)
+    ] = None,
     yes: Yes = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the plan; connect nothing.")] = False,
 ) -> None:
@@ -155,22 +160,19 @@ def run(
     count = _count(repeat, learn)
     sight.check(emulated)
     blind = {"--learn": learn, "--follow": follow, "--yes and --repeat": yes and count > 1}
+    _check_given(planned, motor, zero, sight)
     known = None if emulated or dry_run else _check_real(motor, zero, limits, sight, blind)
     link = open_link("moteus:none" if emulated else motor)
     Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
-    if planned.torque > limits.torque:
-        allowed, fix = f"up to {limits.torque:.3g} N m", "Allow more, or plan again with --torque"
-        raise InvalidInput(
-            "the plan's torque is beyond the limit", got=round(planned.torque, 4), allowed=allowed, fix=fix
-        )
     planned = _within(planned, limits) if follow or learn else planned
     if dry_run:
-        output.show({"success": True, "dry_run": True}, "The motion keeps to the limits. Nothing was connected.")
+        _show_motion(planned)
         return
     if emulated:
         output.note(EMULATED)
     closed = FollowOptions(decision_time=decision_time) if follow else None
-    with nullcontext() if page is None else RunPage(planned, page) as shown:
+    name = f"{motor} (simulated motor and rope)" if emulated else motor
+    with nullcontext() if page is None else RunPage(planned, page, name) as shown:
         if shown is not None:
             output.note(f"the run is shown at {shown.address}")
 
@@ -179,7 +181,7 @@ def run(
             if shown is not None:
                 shown.say(phase)
 
-        given: dict[str, Any] = {"follow": closed, "options": chosen, "say": say, "page": shown}
+        given: dict[str, Any] = {"follow": closed, "options": chosen, "say": say, "page": shown, "motor": name}
         task = None if emulated or sight.camera is None else sight.task(planned)
 
         def real(cast: "CastPlan") -> "CastRun":
@@ -200,17 +202,37 @@ def run(
             shown.end(f"{shown.phase}; the casts are over")
 
 
+def _check_given(plan: "CastPlan", motor: str, zero: Path | None, sight: Sight) -> None:
+    """Refuse, before any work, an address or files that cannot be used, and markers that are not on the rope."""
+    from hyperflex.hardware import DriveZero, emulated_device
+
+    known = None if zero is None else DriveZero.from_toml(zero)
+    if emulated_device(motor) is None and known is not None:
+        known.check(motor)
+    _, arcs, length = sight.view, sight.arcs, plan.problem.rope.total_length
+    if arcs is not None and (arcs.min() < 0.0 or arcs.max() > 1.1 * length):  # it may be longer than it is planned
+        raise InvalidInput("--arc-lengths are not all on the rope", got=arcs.tolist(), allowed=f"0 to {length:g} m")
+
+
+def _show_motion(plan: "CastPlan") -> None:
+    """Print the result of a dry run."""
+    motion = plan.required(plan.motion, "motion")
+    figures = {"peak_speed": float(abs(motion.extrema(1)[1]).max()), "torque": plan.torque}
+    figures["duration"] = float(motion.breaks[-1])
+    told = "The motion keeps to the limits. Nothing was connected."
+    output.show({"success": True, "dry_run": True, **figures}, output.rows("Motion, SI units", figures), told)
+
+
 @contextmanager
 def _emulated(plan: "CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str, ClockedSource]]":
     """Yield the address of an emulated motor, and its rope: its true state, or what an emulated camera sees of it."""
     from hyperflex.execution import CameraRope, EmulatedCamera, EmulatedRope, emulator_of
-    from hyperflex.hardware import MotorModel
 
-    make, emulator = emulator_of(plan, motor, MotorModel(extrapolates=motor.startswith("emulator:moteus")))
+    make, emulator = emulator_of(plan, motor)
     rope = plan.setup().rope
     with ExitStack() as stack:
         stack.enter_context(emulator)
-        stack.callback(_warn_if_behind, emulator)
+        stack.callback(warn_if_behind, emulator)
         address = f"{make}:{emulator.port}"
         if sight.camera is None:
             yield address, EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
@@ -218,12 +240,6 @@ def _emulated(plan: "CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str
         camera = EmulatedCamera(plan, emulator, rope, camera=sight.view, arc_lengths=sight.arcs)
         stack.enter_context(camera)
         yield address, stack.enter_context(CameraRope(camera.frames, camera.task))
-
-
-def _warn_if_behind(emulator: "Emulator") -> None:
-    """Warn where a busy computer has spoiled an emulated cast: its motor and rope were slower than the clock."""
-    if why := emulator.unfair:
-        warnings.warn(f"{why}. Lower this computer's load, or plan with fewer links", UserWarning, stacklevel=2)
 
 
 def _cast_of(path: Path) -> "CastPlan":
@@ -254,7 +270,11 @@ def _of_drive(
             text = f"{drive} shows nothing above {fit.reached[0]:.3g} rad/s, and the plan reaches {fastest:.3g} rad/s"
             warnings.warn(f"{text}. Identify with a greater --speed and --stroke", UserWarning, stacklevel=2)
         limits, options = fit.motor_limits(limits), {"lag": fit.lag} | options
-    return limits if torque is None else replace(limits, torque=torque), RunOptions(**options)
+    limits = limits if torque is None else replace(limits, torque=torque)
+    if plan.torque > limits.torque:
+        allowed, fix = f"up to {limits.torque:.3g} N m", "Allow more, or plan again with --torque"
+        raise InvalidInput("the plan's torque is beyond the limit", got=round(plan.torque, 4), allowed=allowed, fix=fix)
+    return limits, RunOptions(**options)
 
 
 def _within(plan: "CastPlan", limits: "MotorLimits") -> "CastPlan":

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from hyperflex.execution.camera import CameraRope, EmulatedCamera, measured_length
     from hyperflex.execution.cast_run import CastRun, observed_turns
     from hyperflex.execution.drive_record import record_test_motion
-    from hyperflex.execution.emulated import EmulatedRope, emulator_of
+    from hyperflex.execution.emulated import EmulatedRope, emulator_of, motor_model
     from hyperflex.execution.learning import Attempt, CastLog, LearningOptions, LearningResult, learn_cast
     from hyperflex.execution.page import RunPage
     from hyperflex.execution.rope_watch import ClockedSource

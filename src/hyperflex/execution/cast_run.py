@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -124,6 +125,10 @@ class CastRun:
         Corrections that came too late to be carried out.
     lag : float
         Known lag of the drive, s.
+    contact : bool
+        Whether the source of the rope's state is right while the rope touches the target.
+    motor : str
+        The drive, in words.
     """
 
     plan: CastPlan
@@ -138,6 +143,8 @@ class CastRun:
     late: int = 0
     rope: Rope | None = None
     lag: float = 0.0
+    contact: bool = True
+    motor: str = ""
 
     @property
     def message(self) -> str:
@@ -230,11 +237,15 @@ class CastRun:
 
     @cached_property
     def deviation(self) -> tuple[Array, Array] | None:
-        """Distance (T, n + 1) of each observed joint from the plan's, m, and the recording's times (T,), s."""
+        """Times (T,), s, and the distance (T, n + 1) of each observed joint from the plan's, m.
+
+        Until the predicted strike, if the source knows no contact: what it says then is not where the rope is.
+        """
         if self.recording is None or self.prediction is None:
             return None
         t = self.recording.t
-        return t, np.linalg.norm(self._joints - self.prediction.joints(t - self.lag), axis=-1)
+        known = slice(t.size if self.contact else int(np.searchsorted(t, self.prediction.touch + self.lag)))
+        return t[known], np.linalg.norm(self._joints - self.prediction.joints(t - self.lag), axis=-1)[known]
 
     @property
     def left_plan(self) -> tuple[float, int] | None:
@@ -319,6 +330,8 @@ class CastRun:
             drive["link_angle"] = Variable(("time", "link"), self.recording.data, {"units": "rad"})
         notes = {"format": "hyperflex cast run 1", "rate": self.log.rate, "missed_cycles": self.log.missed}
         notes |= {"message": self.message, "interrupted": int(self.interrupted), "judged_by": self.judged_by}
+        notes |= {"motor": self.motor, "date": datetime.now(UTC).isoformat(timespec="seconds")}
+        notes |= {"plan": "; ".join(f"{name}: {text}" for name, text in self.plan.notes().items())}
         files.write_netcdf(path, NetCDF(drive, notes))
 
     def to_mcap(self, path: PathLike) -> None:

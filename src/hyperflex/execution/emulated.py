@@ -16,6 +16,11 @@ from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, scaled_rope
 
 
+def motor_model(make: str) -> MotorModel:
+    """Return the emulated motor of a make: that of a moteus goes on at its goal's rate."""
+    return MotorModel(extrapolates=make == "moteus")
+
+
 def emulator_of(plan: CastPlan, address: str, model: MotorModel | None = None, **changes: Any) -> tuple[str, Emulator]:
     """Return the make and the emulator of "emulator:MAKE" for a plan: its arm, its target, and its rope, cut near it.
 
@@ -27,7 +32,7 @@ def emulator_of(plan: CastPlan, address: str, model: MotorModel | None = None, *
     address : str
         "emulator:moteus", for example.
     model : MotorModel, optional
-        The emulated motor.
+        The emulated motor; by default that of :func:`motor_model`.
     **changes
         Further arguments of :class:`hyperflex.hardware.emulate.Emulator`, or another `rope` or `obstacles`.
 
@@ -42,7 +47,7 @@ def emulator_of(plan: CastPlan, address: str, model: MotorModel | None = None, *
     make, device = found
     rope, pegs = plan.setup().rope, (plan.target, *plan.problem.obstacles)
     given: dict[str, Any] = {"rope": rope, "arm": plan.problem.arm, "obstacles": pegs}
-    return make, Emulator(device, model or MotorModel(), **given | {"duration": 120.0} | changes)
+    return make, Emulator(device, model or motor_model(make), **given | {"duration": 120.0} | changes)
 
 
 class EmulatedRope:

@@ -29,6 +29,8 @@ class RunPage(LocalServer):
     plan : CastPlan
     port : int
         0: any that is free; see `address`.
+    motor : str
+        The drive, in words.
 
     Raises
     ------
@@ -36,9 +38,9 @@ class RunPage(LocalServer):
         If the port is taken, or not allowed.
     """
 
-    def __init__(self, plan: CastPlan, port: int = 0) -> None:
+    def __init__(self, plan: CastPlan, port: int = 0, motor: str = "a drive") -> None:
         super().__init__(port)
-        self.plan, self.phase, self.over = plan, "preparing", False
+        self.plan, self.motor, self.phase, self.over = plan, motor, "preparing", False
         self._drive: MotionStream | None = None
         self._source: Any = None
         self._state: Callable[[], RopeState | None] = lambda: None
@@ -77,7 +79,12 @@ class RunPage(LocalServer):
     def figures(self) -> dict[str, Any]:
         """Return what the page shows: phase, arm, goal and drive, their past, and the rope if it is seen."""
         problem, peg = self.plan.problem, self.plan.target
-        shown: dict[str, Any] = {"phase": self.phase, "over": self.over, "limits": problem.limits.angles}
+        shown: dict[str, Any] = {
+            "motor": self.motor,
+            "phase": self.phase,
+            "over": self.over,
+            "limits": problem.limits.angles,
+        }
         shown |= {"pivot": problem.arm.pivot, "reach": problem.arm.length + problem.rope.total_length}
         shown |= {"peg": [peg.x, peg.y, peg.radius], "rope": None, "now": None, "past": []}
         if self._drive is None:

@@ -105,6 +105,7 @@ def run_plan(
     ready: Callable[[], object] = lambda: None,
     doubt: Callable[[str], object] | None = None,
     page: RunPage | None = None,
+    motor: str = "",
 ) -> CastRun:
     """Carry out a planned cast on a drive.
 
@@ -128,6 +129,8 @@ def run_plan(
         judge that, let it raise: it ends the run.
     page : RunPage, optional
         Shows the run in a browser.
+    motor : str
+        The drive in words, for log and figure: say of an emulated one that it is.
 
     Returns
     -------
@@ -175,6 +178,8 @@ def run_plan(
             drive.late,
             known,
             chosen.lag,
+            source is None or source.contact,
+            motor,
         )
 
     with stoppable() as stopped, threadpool_limits(1):  # of small matrices: more threads wait for each other

@@ -22,7 +22,8 @@ def cast_run_figure(run: "CastRun") -> "Figure":
         angle.plot(t, run.log.column("goal_angle")[some], color=GREY, linewidth=2.5, label="goal")
         angle.plot(t, run.log.column("angle")[some], color=BLUE, linewidth=1.2, label="arm")
         angle.set(ylabel="angle, rad")
-        angle.set_title(run.message or "The rope is wound", loc="left", wrap=True)
+        words = run.message or "the rope is wound"
+        angle.set_title(f"{run.motor}: {words}".removeprefix(": "), loc="left", wrap=True)
         error.plot(t, 1e3 * run.log.tracking_error[some], color=BLUE, linewidth=1.0)
         error.set(ylabel="error, mrad")
         torque.plot(t, run.log.column("torque")[some], color=BLUE, linewidth=1.0)
