@@ -12,10 +12,10 @@ found on, and for 0.1 s after blackouts not. The stated 90 % is that of the curv
 is that of straight links), and of the free end in both directions. A run counts as lost if the curve is off by more
 than 100 mm rms in one of the last ten frames, and as doubted if the tracker says at the end what may be wrong. Times
 are processor time of a core, decoding left out. Camera, motion of the arm, length, mass and friction are known exactly,
-and the wall is plain: what is unknown of them in a real video adds its error. With texture, shadow and steps, the wall
-has a grain of 8 levels, the rope's shadow on it lacks 30 % of the light (in MuJoCo all light of the lamp, on a wall
-0.9 m behind), and the exposure changes by -20 % and then by +37 %. MuJoCo's pictures are means of instants at most
-1.5 px apart. Seeds below 100 were used while the method was developed.
+and the wall is plain in rows that name no texture: what is unknown of them in a real video adds its error. With
+texture, shadow and steps, the wall has a grain of 8 levels, the rope's shadow on it lacks 30 % of the light (in MuJoCo
+all light of the lamp, on a wall 0.9 m behind), and the exposure changes by -20 % and then by +37 %. MuJoCo's pictures
+are means of instants at most 1.5 px apart. Seeds below 100 were used while the method was developed.
 """
 
 import argparse

@@ -141,6 +141,7 @@ def test_answers_that_are_missing_are_named_and_nothing_hangs(hyperflex, folder,
         ({"--size": ("1,2,3,4",)}, "--size does not answer: What tells the size of the picture?"),
         ({"--size": ("0,0,100,0,-1.0",)}, "--size"),
         ({"--size": ("0,0,100,0,1000",)}, "--size makes an impossible picture"),
+        ({"--size": ("0,0,100,0,0.6",)}, "--size contradicts the rope's length: got '2.4"),
         ({"--mass": ("0",)}, "--mass"),
         ({"--length": ("-1",)}, "--length"),
     ],
@@ -186,8 +187,10 @@ def scene(image: np.ndarray, size: str | list[float]) -> PlainScene:
 def test_the_size_of_the_picture_is_known_by_points_a_sheet_or_a_board():
     image = np.full((480, 640, 3), 128, np.uint8)
     assert scene(image, [100.0, 50.0, 100.0, 150.0, 0.5]).camera.pixels_per_metre == pytest.approx(200.0)
-    corners = [100.0, 100.0, 142.0, 100.0, 142.0, 159.4, 100.0, 159.4]
+    corners = [100.0, 100.0, 142.0, 100.0, 100.0, 159.4, 142.0, 159.4]  # in reading order
     assert scene(image, corners).camera.pixels_per_metre == pytest.approx(200.0, rel=1e-3)
+    with pytest.raises(InvalidInput, match="not the corners of an A4 sheet"):
+        _ = scene(image, [*corners[:5], 142.0, 142.0, 142.0]).camera
     with pytest.raises(InvalidInput, match="no chessboard was found"):
         _ = scene(image, [7.0, 5.0, 0.03]).camera
     board = Board((7, 5), 0.1).draw(20)

@@ -110,15 +110,16 @@ class Plain:
             return question._replace(default=question.ways[0].word, line=line)
 
         def check(name: str, answers: Mapping[str, Answer]) -> None:
-            scene(answers).check(name)
+            for each in (name, *known) if name == "pivot" else (name,):
+                scene(answers).check(each)
             if name == "pivot":  # where no rope hangs from it, another one may be clicked
                 _ = scene(answers).found
 
         known = kept | self.answers()
         check_terminal([each for each in QUESTIONS if each.name not in known])
-        for each in QUESTIONS:
-            if each.name in known:
-                scene(known).check(each.name)
+        if "pivot" in known:  # else they are checked with its answer: against the rope that hangs from it
+            for name in known:
+                scene(known).check(name)
         answers = ask(Dialogue(QUESTIONS, known, prepare, check), image)
         if (answers, length) != (kept, before):
             content = {"format": FORMAT, "image_size": _size(image), "answers": {"length": length, **answers}}
@@ -193,8 +194,14 @@ class PlainScene:
         elif len(numbers) == 8:
             corners = np.reshape(numbers, (4, 2))
             sheet = 0.210 * 0.297  # m^2, A4
-            sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
-            scale = float(np.sqrt((sides[0] + sides[2]) * (sides[1] + sides[3]) / (4.0 * sheet)))
+            around = np.argsort(np.arctan2(*(corners - corners.mean(axis=0)).T))  # clicked in any order
+            sides = np.linalg.norm(np.diff(corners[[*around, around[0]]], axis=0), axis=1)
+            sides = 0.5 * (sides[:2] + sides[2:])
+            if abs(sides.max() / np.sqrt(2.0) / max(sides.min(), CLICKED) - 1.0) > 0.1:  # clicks and perspective
+                got = f"sides of {sides[0]:.0f} and {sides[1]:.0f} px"
+                allowed = "sides as 1.41 to 1, seen at a right angle"
+                raise InvalidInput("--size: these are not the corners of an A4 sheet", got=got, allowed=allowed)
+            scale = float(np.sqrt(sides.prod() / sheet))
         else:
             scale = self.found.length / self.length
         return Camera.facing((width, height), pixels_per_metre=scale, origin=self.answers["pivot"], **timing)
@@ -227,6 +234,12 @@ class PlainScene:
         if name == "size" and not self.length / 10.0 < height / self.camera.pixels_per_metre < 100.0 * self.length:
             got = f"a picture {height / self.camera.pixels_per_metre:.3g} m high, for a rope of {self.length:g} m"
             raise InvalidInput("--size makes an impossible picture", got=got, fix="Give distances in metres")
+        if name == "size":
+            seen = float(np.hypot(*np.diff(self.camera.locate(self.found.curve), axis=0).T).sum())  # m
+            if not 0.9 < seen / self.length < 1.1:
+                fix = "Correct --length or --size; it looks shorter if its end is hidden or it hangs out of the plane"
+                got, allowed = f"{seen:.3g} m in the picture", f"its length, {self.length:g} m, within 10 %"
+                raise InvalidInput("--size contradicts the rope's length", got=got, allowed=allowed, fix=fix)
 
     @cached_property
     def rope(self) -> "Rope":
