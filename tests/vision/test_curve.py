@@ -2,6 +2,7 @@
 
 import itertools
 
+import cv2
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -103,3 +104,16 @@ def test_a_line_beside_the_rope_is_not_taken_for_a_piece_of_it():
     there = np.isfinite(found.offsets)
     assert there.sum() >= PIECES - 3
     assert (np.abs(found.offsets - true) < 1.0)[there].all()
+
+
+@pytest.mark.parametrize("part", [0.04, 0.3, 0.5])
+def test_a_faint_line_is_no_rope_that_is_not_seen(part):
+    """3 px beside where the rope is expected to a few px, a line of its width with a part of its contrast."""
+    image = np.full((200, 200, 3), 180.0)
+    image[:, 103] -= part * (180.0 - DARK)
+    image = cv2.GaussianBlur(image, (0, 0), 0.6) + np.random.default_rng(1).normal(0.0, 1.0, image.shape)
+    moving = np.tile(np.stack([np.full(141, 100.0), np.append(np.arange(20.0, 160.0), 180.0)], axis=1), (3, 1, 1))
+    view = view_curve(moving, 20, 9.0 * np.kron(np.ones((21, 21)), np.eye(2)), 4.0, 50)
+    found = CurveDetector().find(image.astype(np.uint8), RopeLook(DARK, 1.0), view)
+    assert np.isnan(found.offsets).all()
+    assert np.isnan(found.end)

@@ -155,7 +155,7 @@ class CurveDetector:
     WIDEST = 60.0  # px, largest offset
     LEAST_STD = 0.1  # px, of an offset, in addition to noise: compression, texture
     ALIKE = 16.0  # pieces and frames over which such errors, and those of straight links, are alike
-    CONTRAST_STD = 0.35  # of a contrast, relative
+    CONTRAST_STD = 0.1  # of a contrast, relative: ropes have 0.73 to 1.21; SURE and CLEAR allow 3.7 of it
     CLEAR, SURE = 3.0, 10.0  # log-likelihood ratio to "nothing" of what may be the rope, and most that a profile proves
     HIDDEN = 3.0  # log-likelihood ratio at which a piece begins or ends to be hidden
 
@@ -222,7 +222,7 @@ class CurveDetector:
         profiles.sum_across(image, view.end + offset * np.array([-along[1], along[0]]), along, self.STEP, side, seen)
         profiles.match_end(seen @ weights, view.end_sweep, self.blur, self.STEP, reach, found)
         noise, contrast = found[profiles.RESIDUAL] / self.STEP, found[profiles.AMPLITUDE] / look.width
-        if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 2.0 * self.CONTRAST_STD):
+        if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 4.0 * self.CONTRAST_STD):
             return np.nan, np.nan
         variance = noise / (found[profiles.AMPLITUDE] ** 2 * found[profiles.ENERGY])
         variance += self.ALIKE * self.LEAST_STD**2 + (0.5 * look.width) ** 2  # an end may be cut or round
