@@ -33,6 +33,11 @@ from hyperflex.vision import (
 )
 
 
+def _stds(tracker: RopeTracker) -> defaultdict[str, float]:
+    """Return the standard deviations of the estimator's parameters; 0 of others."""
+    return defaultdict(float, {name: std for name, (_, std) in tracker.estimator.values.items()})
+
+
 class BaseElsewhere(InvalidInput):
     """Markers are seen in an order that the rope allows, but not from its first joint on: an arm moves it, say."""
 
@@ -107,7 +112,7 @@ class MarkerMeasurement:
             return pixels, wide
         places, covariances = tracker.adjusted_camera.locate_with_covariance(blobs.places, blobs.covariances)
         noise = float(np.sqrt(np.median(np.trace(covariances, axis1=1, axis2=2) / 2.0)))
-        stds = defaultdict(float, {name: std for name, (_, std) in tracker.estimator.values.items()})
+        stds = _stds(tracker)
         relative = self.SURE * float(np.hypot(stds["scale"], stds["length"]))
         absolute = max(std for name, std in [("arc[", 0.0), *stds.items()] if name.startswith("arc["))
         noise = max(noise, 1e-4) + 0.5 * self.SURE * (absolute + max(stds["offset_x"], stds["offset_y"]))
@@ -272,7 +277,9 @@ class CurveMeasurement:
         self._wait = 1
         places = camera.locate(curve)
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
-        if abs(along[-1] / arcs[-1] - 1.0) < self.LENGTH:
+        stds = _stds(tracker)
+        short = np.hypot(stds["scale"], stds["length"]) + self.FOUND_STD / (arcs[-1] * camera.pixels_per_metre)
+        if -short < along[-1] / arcs[-1] - 1.0 < self.LENGTH:  # a shorter one has its end hidden
             along *= arcs[-1] / along[-1]
         there = arcs <= along[-1]
         pixels[there] = np.stack([np.interp(arcs[there], along, each) for each in curve.T], axis=1)
