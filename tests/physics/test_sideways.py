@@ -140,7 +140,7 @@ def test_runs_that_it_cannot_follow_are_refused(made, words):
 
 def test_a_motion_that_is_not_finite_is_an_error(monkeypatch):
     run = swing(0.1)
-    monkeypatch.setattr(out_of_plane, "integrate", lambda *of: of[5].fill(math.inf))  # angles at the end
+    monkeypatch.setattr(out_of_plane, "integrate", lambda *of: of[6].fill(math.inf))  # angles
     with pytest.raises(hf.SimulationError, match="beyond all bounds") as caught:
         hf.sideways(run, tilt=DEGREE)
     assert (caught.value.status, caught.value.time) == (Status.NOT_FINITE, run.t[-1])

@@ -77,11 +77,14 @@ class VibrationPosture:
         return tilt_of(self.rope, self.q, "chain")
 
     @cached_property
+    def _model(self) -> "Averaged":
+        return Averaged(self.rope, self.arm, self.direction, self.frequency)
+
+    @cached_property
     def eigenvalues(self) -> npt.NDArray[np.complex128]:
         """Of small slow motion about the posture (2 n,), 1/s: M z'' + D z' + H z = 0, D of the joints' friction."""
-        n, bend = self.q.size, _bending(self.q.size)
-        damping = bend.T @ (self.rope.friction[:, None] * bend)
-        slopes = -np.linalg.solve(mass_matrix(self.rope, self.q), np.hstack([self.hessian, damping]))
+        n, loads = self.q.size, np.hstack([self.hessian, self._model.damping])
+        slopes = -np.linalg.solve(mass_matrix(self.rope, self.q), loads)
         return np.asarray(np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), slopes])), dtype=np.complex128)
 
     @property
@@ -104,9 +107,8 @@ class VibrationPosture:
         where U is what the vibration makes of it. Where gravity takes most of U away, as near the threshold of an
         upright rope, this must be small against the rest (docs/theory/vibration.md).
         """
-        model = Averaged(self.rope, self.arm, self.direction, self.frequency)
-        own = self.hessian - model.at(self.q, 0.0)[1]
-        omitted = own @ np.linalg.solve(mass_matrix(self.rope, self.q) + model.resistance, own)
+        own = self.hessian - self._model.at(self.q, 0.0)[1]
+        omitted = own @ np.linalg.solve(mass_matrix(self.rope, self.q) + self._model.resistance, own)
         square = float(np.abs(np.linalg.eigvals(np.linalg.solve(self.hessian, omitted))).max())
         fastest = max(float(np.abs(self.eigenvalues.imag).max()), math.sqrt(square)) / math.tau
         turn = 0.0 if self.arm is None else 2.0 * self.amplitude / self.arm.length
@@ -159,11 +161,6 @@ class VibrationPosture:
         return f"VibrationPosture({kind}, tilt {self.tilt:.4g} rad, {what}{doubt})"
 
 
-def _bending(n: int) -> Array:
-    """Return the matrix (n, n) from link angles to the relative angles of their joints."""
-    return np.eye(n) - np.eye(n, k=-1)
-
-
 def tilt_of(rope: Rope, q: Array, of: Of) -> float:
     """Return the direction of the chain from end to end, or of the last link, rad."""
     if of == "tip":
@@ -184,11 +181,12 @@ class Averaged:
             fix = "rope.replace(...) without them"
             raise InvalidInput("averaging knows viscous friction and springs in the joints alone", got=got, fix=fix)
         self.rope, self.arm, self.direction, self.frequency = rope, arm, direction, frequency
-        n, omega, bend = rope.n_links, math.tau * frequency, _bending(rope.n_links)
+        n, omega = rope.n_links, math.tau * frequency
+        bend = np.eye(n) - np.eye(n, k=-1)  # from link angles to the relative angles of their joints
         self.coupling, self.lever = mass_matrix(rope, np.zeros(n)), first_moment(chain)
         joint = rope.friction / (1j * omega) - rope.stiffness / omega**2
         self.resistance = bend.T @ (joint[:, None] * bend)
-        self.spring = bend.T @ (rope.stiffness[:, None] * bend)
+        self.spring, self.damping = -(omega**2) * self.resistance.real, -omega * self.resistance.imag
         base = 0.0 if arm is None else direction - 0.5 * math.pi
         self.rest = np.cumsum(rope.rest_angle) + base  # link angles at which all springs are at rest
         self.hinge = 0.0 if arm is None else joint[0] / arm.length  # the arm turns as it moves the joint
@@ -200,20 +198,17 @@ class Averaged:
         """
         difference = q[:, None] - q
         cosines, sines = self.coupling * np.cos(difference), self.coupling * np.sin(difference)
-        along, across = (self.lever * each(self.direction - q) for each in (np.cos, np.sin))
-        matrix, forcing = cosines + self.resistance, (-v * across).astype(np.complex128)
+        along, across = (v * self.lever * each(self.direction - q) for each in (np.cos, np.sin))
+        matrix, forcing = cosines + self.resistance, (-across).astype(np.complex128)
         forcing[0] += self.hinge * v
         x = np.linalg.solve(matrix, forcing)
-        turned, carried = sines @ x, cosines @ x
-        by_q = np.linalg.solve(matrix, np.diag(turned + v * along) - sines * x)
+        turned = sines @ x + along
+        by_q = np.linalg.solve(matrix, np.diag(turned) - sines * x)
+        turned_by_q = np.diag(cosines @ x + across) - cosines * x + sines @ by_q
         gx, gy = self.rope.gravity
         torques = self.lever * (gx * np.cos(q) + gy * np.sin(q)) - self.spring @ (q - self.rest)
-        torques = torques - 0.5 * (x.conj() * turned + v * along * x).real
-        slopes = (
-            np.diag(0.5 * (x.conj() * carried + v * across * x).real) - 0.5 * (cosines * np.outer(x.conj(), x)).real
-        )
-        slopes = slopes + 0.5 * (turned[:, None] * by_q.conj() + x.conj()[:, None] * (sines @ by_q)).real
-        slopes = slopes + 0.5 * v * along[:, None] * by_q.real
+        torques = torques - 0.5 * (x.conj() * turned).real
+        slopes = 0.5 * (turned[:, None] * by_q.conj() + x.conj()[:, None] * turned_by_q).real
         weight = np.diag(self.lever * (gx * np.sin(q) - gy * np.cos(q)))
         return torques, np.asarray(weight + self.spring + slopes), np.asarray(x)
 

@@ -45,7 +45,7 @@ class VibrationPlan:
     @property
     def success(self) -> bool:
         """Whether the posture can be held, as far as averaging holds, by the given motor if there is one."""
-        return self.posture is not None and self.posture.holds and not self.missing
+        return not self.message
 
     @property
     def message(self) -> str:
@@ -133,15 +133,16 @@ def plan_vibration(
     line = None if direction is None else checks.number("direction", direction, unit="rad")
     checks.meant("direction", 0.0 if line is None else line, "rad")
     across = tilt + 0.5 * math.pi if push is None else checks.number("push", push, unit="rad")
-    rate = math.nan if frequency is None else checks.number("frequency", frequency, sign="positive", unit="Hz")
     checks.meant("tilt", tilt, "rad")
     family = _Family(rope, arm, tilt, of, line, wanted, across)
-    found, now = None, 20.0 * family.slow if math.isnan(rate) else rate
-    for _ in range(8):  # friction in the joints makes the posture depend on the frequency
-        found = family.weakest(now)
-        if found is None or not math.isnan(rate) or found.least_frequency <= now <= 1.2 * found.least_frequency:
+    given = 20.0 * family.slow if frequency is None else frequency
+    now = checks.number("frequency", given, sign="positive", unit="Hz")
+    found = family.weakest(now)
+    for _ in range(7):  # friction in the joints makes the posture depend on the frequency
+        if frequency is not None or found is None or 1.0 <= now / found.least_frequency <= 1.2:
             break
         now = 1.1 * found.least_frequency
+        found = family.weakest(now)
     if found is not None and stiffness is not None and math.isinf(found.stiffness(across)):
         raise InvalidInput("a straight rope does not yield along itself", got=f"push={across:g}", fix="Give another")
     if found is None or arm is None:
@@ -159,18 +160,23 @@ def plan_vibration(
     return VibrationPlan(found, motor, missing)
 
 
+@dataclass
 class _Family:
     """Vibrations that hold a rope at a tilt, from the strongest (0) to the weakest (1)."""
 
-    def __init__(
-        self, rope: Rope, arm: Arm | None, tilt: float, of: Of, direction: float | None, wanted: float, push: float
-    ) -> None:
-        self.rope, self.arm, self.tilt, self.of, self.wanted, self.push = rope, arm, tilt, of, wanted, push
-        pull = math.sin(tilt - rope.hanging_angle)
+    rope: Rope
+    arm: Arm | None
+    tilt: float
+    of: Of
+    direction: float | None
+    wanted: float
+    push: float
+
+    def __post_init__(self) -> None:
+        pull = math.sin(self.tilt - self.rope.hanging_angle)
         self.upright = abs(pull) < 1e-6  # or hanging: there any strength does, and below the tilt depends on it
         self.away = 0.0 if self.upright else math.copysign(1.0, pull)
-        self.direction = direction
-        self.slow = math.sqrt(float(np.hypot(*rope.gravity)) / rope.total_length) / math.tau
+        self.slow = math.sqrt(float(np.hypot(*self.rope.gravity)) / self.rope.total_length) / math.tau
 
     def member(self, u: float, frequency: float) -> VibrationPosture | None:
         """Return a member; None if the rope does not come to the tilt there."""

@@ -355,9 +355,7 @@ def _sinusoid(spec: dict[str, Any], unit: str, channels: dict[int, float], mean:
     for channel, part in channels.items():
         coef[:, channel] = part * spec["amplitude"] * pieces * rate ** np.arange(POWERS)
     coef[:, ANGLE, 0] += mean
-    switch = np.zeros(phase.size, dtype=np.bool_)
-    switch[::2] = True
-    return Motion(phase / rate, coef, switch, 0, spec)
+    return Motion(phase / rate, coef, np.arange(phase.size) % 2 == 0, 0, spec)
 
 
 def torque_profile(t: ArrayLike, torque: ArrayLike) -> Motion:

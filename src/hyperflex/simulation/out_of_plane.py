@@ -82,12 +82,12 @@ class Sideways:
         n = rope.n_links
         swing = min(1.0, math.sqrt(rope.total_length / max(math.hypot(*rope.gravity), 1e-300)))
         sums = np.tril(np.ones((n, n))) * rope.length
-        unit, none = np.linalg.inv(sums), np.zeros((n, n))  # each joint alone is off the plane
-        x, v = np.vstack([unit.T, none]), np.vstack([none, unit.T / swing])
+        unit, start = np.linalg.inv(sums).T, np.zeros((2, 2 * n, n))  # each joint alone is off the plane
+        start[0, :n], start[1, n:] = unit, unit / swing
         rows = np.unique(np.linspace(0, t.size - 1, GROWTHS).astype(int))
         found = [1.0]
         for first, last in pairwise(rows.tolist()):
-            _integrate(self.run, slice(first, last + 1), np.zeros((2, n)), x, v, keep=False)
+            x, v = start = _integrate(self.run, slice(first, last + 1), np.zeros((2, n)), start)[:, -1]
             found.append(float(np.linalg.norm(np.hstack([x @ sums.T, swing * (v @ sums.T)]), 2)))
         return t[rows], np.array(found)
 
@@ -150,10 +150,8 @@ def sideways(
     rope, n = checks.instance("run", run, Trajectory).setup.rope, run.q.shape[1]
     lean = checks.number("lean", lean, unit="rad")
     side = checks.number("side", side, unit="N/m")
-    x, v = (
-        checks.array(name, value, (n,), unit=unit, scalar=True).reshape(1, n).copy()
-        for name, value, unit in (("tilt", lean if tilt is None else tilt, "rad"), ("rate", rate, "rad/s"))
-    )
+    given = (("tilt", lean if tilt is None else tilt, "rad"), ("rate", rate, "rad/s"))
+    start = np.stack([checks.array(name, value, (n,), unit=unit, scalar=True) for name, value, unit in given])[:, None]
     if run.setup.torque is not None:
         fix = "Give its angle as a motion: hyperflex.sampled_motion(run.t, run.arm_angle)"
         raise InvalidInput("motion sideways needs a prescribed arm", got="an arm driven by a torque", fix=fix)
@@ -168,12 +166,9 @@ def sideways(
     force, moment = side * rope.length + weight * rope.mass, 0.5 * side * rope.length**2 + weight * rope.mass * rope.com
     force[-1] += weight * rope.tip_mass
     moment[-1] += weight * rope.tip_mass * rope.length[-1]
-    load, again = np.stack([force, moment]), (x.copy(), v.copy())
-    angles, rates = _integrate(run, slice(0, count), load, x, v)
-    places, apart = (
-        np.cumsum(rope.length * each, axis=1)
-        for each in (angles, _integrate(run, slice(0, count, 2), load, *again)[0] - angles[::2])
-    )
+    load = np.stack([force, moment])
+    (angles, rates), (coarse, _) = (_integrate(run, slice(0, count, each), load, start)[:, :, 0] for each in (1, 2))
+    places, apart = (np.cumsum(rope.length * each, axis=1) for each in (angles, coarse - angles[::2]))
     error, most, step = np.abs(apart).max(), np.abs(places).max(), np.diff(run.t[:count]).max()
     if error > 0.05 * most or (run.contact_force is not None and step > 2.0 * STEP + 1e-9):
         what = f"{step:.3g} s apart; with every second one the motion differs by {error / max(most, 1e-300):.2g} of it"
@@ -202,14 +197,14 @@ def refuse_rope(rope: Rope) -> None:
         raise InvalidInput("dry friction is not linear out of the plane", got=most, allowed="0", fix=fix)
 
 
-def _integrate(run: Trajectory, rows: slice, load: Array, x: Array, v: Array, keep: bool = True) -> tuple[Array, Array]:
-    """Integrate motions x, v (m, n), which are left at the last of the samples `rows`; return angles, rates (T, n)."""
+def _integrate(run: Trajectory, rows: slice, load: Array, start: Array) -> Array:
+    """Integrate motions from angles and rates `start` (2, m, n) over the samples `rows`; return them (2, T, m, n)."""
     setup, values = run.setup, tuple(np.ascontiguousarray(each[rows]) for each in (run.t, run.q, run.qd, run.qdd))
-    shape = (values[0].size if keep else 0, *x.shape)
-    angles, rates = np.empty(shape), np.empty(shape)
+    found = np.empty((2, values[0].size, *start.shape[1:]))
+    found[:, 0] = start
     parts = max(1, math.ceil(float(np.diff(values[0]).max()) / STEP - 1e-9))
-    integrate(setup.rope.chain(), setup.drive(), values, load, setup.tip_force, x, v, parts, angles, rates)
-    if not (np.isfinite(x).all() and np.isfinite(v).all()):
+    integrate(setup.rope.chain(), setup.drive(), values, load, setup.tip_force, parts, *found)
+    if not np.isfinite(found[:, -1]).all():
         text = "the motion out of the plane grows beyond all bounds: simulate with more samples"
         raise SimulationError(text, status=Status.NOT_FINITE, time=float(values[0][-1]))
-    return angles[:, 0], rates[:, 0]
+    return found

@@ -140,7 +140,7 @@ def between(values, k, part, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lean(chain, drive, values, load, push, x, v, parts, angles, rates):  # type: ignore[no-untyped-def]
+def lean(chain, drive, values, load, push, parts, angles, rates):  # type: ignore[no-untyped-def]
     """Integrate m motions out of the plane over the samples of a run.
 
     Parameters
@@ -148,20 +148,19 @@ def lean(chain, drive, values, load, push, x, v, parts, angles, rates):  # type:
     chain, drive : Chain, Drive
     values : (t (T,), q, w, a (T, n)), of the run
     load, push : as of ``side_accelerations`` and ``planar_loads``
-    x, v : (m, n) at the first sample, rad and rad/s; those at the last one are left there
     parts : steps from sample to sample
-    angles, rates : (T, m, n) out, rad and rad/s, or (0, m, n) for none
+    angles, rates : (T, m, n) out, rad and rad/s; those at the first sample are given
     """
-    m, n = x.shape
+    _, m, n = angles.shape
     at, planar, base = np.empty((ROWS, n)), np.empty((3, n)), np.empty(9)
     work, xs, vs = np.empty((3, n)), np.empty(n), np.empty(n)
     acc, first = np.zeros((m, n)), np.zeros((m, n))
     t = values[0]
-    if angles.shape[0] > 0:
-        angles[0], rates[0] = x, v
     for k in range(t.size - 1):
         h = (t[k + 1] - t[k]) / parts
         step = GAMMA * h
+        x, v = angles[k + 1], rates[k + 1]
+        x[:], v[:] = angles[k], rates[k]
         for part in range(parts):
             for stage in range(2):
                 s = (part + (GAMMA if stage == 0 else 1.0 - GAMMA)) / parts
@@ -170,8 +169,6 @@ def lean(chain, drive, values, load, push, x, v, parts, angles, rates):  # type:
                 planar_loads(chain, planar[0], planar[1], planar[2], base, push, step * (1 - stage), at)
                 known = 0.0 if stage == 0 else (1.0 - 2.0 * GAMMA) * h  # for which the first stage tells
                 for j in range(m):
-                    if stage > 0:
-                        acc[j] = first[j]
                     for i in range(n):
                         vs[i] = v[j, i] + known * first[j, i] + step * acc[j, i]
                         xs[i] = x[j, i] + known * (v[j, i] + step * first[j, i]) + step * vs[i]
@@ -183,5 +180,3 @@ def lean(chain, drive, values, load, push, x, v, parts, angles, rates):  # type:
                     one, two = first[j, i], acc[j, i]
                     x[j, i] += h * (v[j, i] + 0.5 * h * ((1.0 - GAMMA) * one + GAMMA * two))
                     v[j, i] += 0.5 * h * (one + two)
-        if angles.shape[0] > 0:
-            angles[k + 1], rates[k + 1] = x, v
