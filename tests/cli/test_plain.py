@@ -2,17 +2,19 @@
 
 import json
 import shutil
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.cli.plain import PlainScene, answers_path
+from hyperflex.cli.plain import Plain, PlainScene, answers_path
 from hyperflex.errors import InvalidInput
 from hyperflex.files import read_toml, write_toml
 from hyperflex.vision import Board, Camera, Renderer, RopeMotion, Scene, VideoReader, VideoWriter, read_camera
 from tests.estimate.runs import free_swing
+from tests.vision.test_video import TURNED, UPRIGHT
 
 CAMERA = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.002)
 ANSWERS = ("--pivot", "320", "20", "--tip", "found", "--size", "rope", "--mass", "0.125")
@@ -41,18 +43,24 @@ def folder(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 
 def test_answers_are_kept_and_the_second_run_asks_nothing(hyperflex, hyperflex_json, folder):
-    code, first = hyperflex_json("track", "phone.mp4", "--length", "2.0", *ANSWERS)
+    code, first = hyperflex_json("track", "phone.mp4", "--length", "2.0", *ANSWERS, "--exposure", "0.002")
     assert code == 0, first
     assert first["frames"] == COUNT
     assert first["doubts"] == []
     kept = read_toml("phone.answers.toml")["answers"]
-    assert kept == {"length": 2.0, "pivot": [320.0, 20.0], "tip": "found", "size": "rope", "mass": [0.125]}
+    answers = {"pivot": [320.0, 20.0], "tip": "found", "size": "rope", "mass": [0.125]}
+    assert kept == {"exposure": 0.002, "length": 2.0, **answers}
     code, out, err = hyperflex("watch", "phone.mp4", "--json")
     assert (code, err) == (0, "")
     assert json.loads(out.splitlines()[-1])["found"] >= COUNT - 1
     assert off_near_tip().max() < 0.03
     assert hf.Rope.from_toml("markers-rope.toml").total_length == pytest.approx(2.0, rel=0.02)
     assert read_camera("markers-camera.toml").pixels_per_metre == pytest.approx(200.0, rel=0.02)
+    filmed_again(lambda image, k: image)  # a file of this name with other content
+    code, out, err = hyperflex("track", "phone.mp4", "--json")
+    assert code == 2
+    assert "is about another video" in err
+    assert "--length is missing" in err
 
 
 def off_near_tip() -> np.ndarray:
@@ -120,6 +128,20 @@ def test_a_camera_that_moves_is_doubted(hyperflex_json, folder):
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
+def test_the_rows_of_a_file_that_is_upside_down_follow_each_other_upwards(refused, folder, monkeypatch, command):
+    content, (a, b, c, d) = Path("phone.mp4").read_bytes(), TURNED[180]
+    at = content.index(UPRIGHT, content.index(b"tkhd"))
+    turned = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    Path("phone.mp4").write_bytes(content[:at] + turned + content[at + len(turned) :])
+
+    def scene(plain, image, beside, direction="down"):
+        raise InvalidInput(f"rows that follow each other {direction}")
+
+    monkeypatch.setattr(Plain, "scene", scene)
+    assert "rows that follow each other up" in refused(command, "phone.mp4", "--length", "2.0")
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
 def test_answers_that_are_missing_are_named_and_nothing_hangs(hyperflex, folder, command):
     code, out, err = hyperflex(command, "phone.mp4", "--length", "2.0", "--pivot", "320", "20", "--json")
     assert code == 2
@@ -153,28 +175,43 @@ def test_an_impossible_answer_is_refused(refused, folder, changed, said):
     assert not Path("phone.answers.toml").exists()
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(("length", "said"), [(0.45, 0.11), (0.55, -0.09)])
-def test_a_wrong_length_is_said(hyperflex_json, tmp_path, monkeypatch, length, said):
-    """A rope of 0.5 m that swings for 1.6 s, longer than its period."""
-    monkeypatch.chdir(tmp_path)
+def film_whole_swing(change=lambda image, k: image):
+    """Film a rope of 0.5 m that swings for 1.6 s, longer than its period."""
     short = hf.Rope.uniform(0.5, 0.03, 40, 0.004, friction=1e-4)
     swing = hf.simulate(short, duration=1.7, q0=np.linspace(0.5, 0.9, 40), t_eval=np.arange(0.0, 1.7, 2e-3))
     camera = Camera.facing((320, 240), pixels_per_metre=320.0, origin=(160.0, 30.0), exposure=0.002)
     stamps = np.arange(48) / 30.0
     Renderer(camera, RopeMotion.from_trajectory(swing), Scene([], rope_width=0.008)).write("phone.mp4", stamps)
-    answers = ("--pivot", "160", "30", "--tip", "found", "--size", "rope", "--mass", "unknown")
-    code, found = hyperflex_json("track", "phone.mp4", "--length", length, *answers)
+    filmed_again(change)
+
+
+SHORT = ("--pivot", "160", "30", "--tip", "found", "--size", "rope", "--mass", "unknown")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("length", "said"), [(0.45, 0.11), (0.55, -0.09)])
+def test_a_wrong_length_is_said(hyperflex_json, tmp_path, monkeypatch, length, said):
+    monkeypatch.chdir(tmp_path)
+    film_whole_swing()
+    code, found = hyperflex_json("track", "phone.mp4", "--length", length, *SHORT, "--preview", "seen.mp4")
     assert code == 0, found
     (doubt,) = found["doubts"]
     before, _, part = doubt.rpartition(" ")
     assert before == "the rope swings as one whose length differs from the given one by"
     assert float(part[:-1]) / 100.0 == pytest.approx(said, abs=0.02)
+    assert [each.name for each in tmp_path.glob("*.mp4")] == ["phone.mp4", "seen.mp4"]
 
 
-def test_a_file_of_answers_that_is_of_another_video_is_refused(refused, folder):
-    write_toml("phone.answers.toml", {"format": "hyperflex answers 1", "image_size": [64, 48], "answers": {}})
-    assert "is about another video" in refused("track", "phone.mp4", "--length", "2.0")
+@pytest.mark.nightly
+def test_a_camera_that_pans_for_a_whole_swing_is_no_wrong_length(hyperflex_json, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    film_whole_swing(lambda image, k: np.roll(image, k, axis=1))
+    code, found = hyperflex_json("track", "phone.mp4", "--length", "0.5", *SHORT)
+    assert code == 0, found
+    assert "length" not in found["doubts"][0]
+
+
+def test_a_file_that_holds_no_answers_is_refused(refused, folder):
     write_toml("phone.answers.toml", {"answers": {}})
     assert "holds no answers on a video" in refused("track", "phone.mp4", "--length", "2.0")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperflex.estimate import DoubtKind, EstimatedParameter, Observations, RopeFilter, RunErrors, run_errors
-from hyperflex.estimate.doubts import doubts
+from hyperflex.estimate.doubts import doubts, explained
 from hyperflex.estimate.error_levels import correlation_time
 from tests.estimate.filmed import ARCS
 from tests.estimate.runs import free_swing, rope
@@ -153,3 +153,6 @@ def test_what_is_doubted(numbers, kinds):
     given = {"level": 1.0, "density": np.array([0.05, 0.1]), **numbers}
     assert [each.kind for each in doubts(rope(20), **given)] == kinds
     assert all(f"{each.size:.1g}"[0] in str(each) for each in doubts(rope(20), **given))
+    said = explained(doubts(rope(20), **given), plain=True)
+    assert bool(said) == bool(kinds)
+    assert not any(word in said for word in ("marker", "arc length", "--origin-pixel"))

@@ -67,6 +67,16 @@ def test_a_look_follows_the_light():
     assert look.in_light_of(images[1]).bgr == pytest.approx(look.bgr, rel=0.01)
 
 
+def test_a_look_follows_light_that_rises_slowly():
+    """By half in 200 frames: less than a level from one to the next."""
+    wall = np.random.default_rng(0).integers(60, 150, (160, 160, 3), np.uint8)  # which change in different pictures
+    look = first = RopeLook([50.0, 45.0, 40.0], 3.6, wall).in_light_of(wall)
+    for gain in np.linspace(1.0, 1.5, 200):
+        look = look.in_light_of(np.rint(wall * gain).astype(np.uint8))
+    assert look.bgr == pytest.approx(1.5 * first.bgr, rel=0.01)
+    assert look.background.mean() == pytest.approx(1.5 * wall.mean(), rel=0.01)
+
+
 def test_a_camera_that_moves_has_no_background():
     images, _ = filmed([0.1, 0.3, 0.5, 0.7], **LOOKS["coloured on textured"])
     moved = [np.roll(image, 5 * k, axis=1) for k, image in enumerate(images)]

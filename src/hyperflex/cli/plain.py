@@ -1,5 +1,6 @@
 """A plain rope, without markers: questions about its video, a file of the answers, and what is made of them."""
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -10,6 +11,7 @@ import numpy as np
 import typer
 
 from hyperflex import checks, files
+from hyperflex.cli import output
 from hyperflex.cli.init import BENDING, Answers
 from hyperflex.cli.questions import Answer, Dialogue, Question, Way, ask, check_terminal
 from hyperflex.errors import InvalidInput
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
 Pixel = tuple[float, float] | None
 FORMAT = "hyperflex answers 1"
+MEASURES = ("length", "exposure")  # in the file beside the answers to questions
 CLICKED = 1.0  # px, standard deviation of a pixel that a person reads from a picture
 # Standard deviations of what the answers leave open, freed in the fit: scale, friction and drag as parts of themselves,
 # roll of a camera that is held level by eye, rad, readout of a phone's sensor, s. A wrong friction would else be taken
@@ -81,7 +84,7 @@ class Plain:
         ),
     ] = None
     mass: Annotated[str | None, typer.Option(help="Mass of a plain rope, kg, or unknown.")] = None
-    exposure: Annotated[float, typer.Option(help="Exposure of a plain rope's video, s.")] = 0.004
+    exposure: Annotated[float | None, typer.Option(help="Exposure of a plain rope's video, s. [default: 0.004]")] = None
 
     def answers(self) -> dict[str, Answer]:
         """Return the answers that options give."""
@@ -90,12 +93,21 @@ class Plain:
     def scene(self, image: "Image", beside: Path, readout_direction: str = "down") -> "PlainScene":
         """Return the scene in the first picture of a source; asks for answers that neither options nor a file give.
 
-        `beside` is the video: the answers are kept in a file beside it.
+        `beside` is the video: the answers are kept in a file beside it, and used until the video or its size changes.
         """
         path = answers_path(beside)
-        kept = _read(path, image) if path.exists() else {}
-        before = kept.pop("length", None)
-        length = checks.number("--length", before if self.length is None else self.length, sign="positive", unit="m")
+        head: dict[str, Any] = {"format": FORMAT, "image_size": [int(each) for each in image.shape[1::-1]]}
+        if beside.exists():
+            with beside.open("rb") as video:
+                head["video"] = hashlib.file_digest(video, "sha256").hexdigest()
+        kept = _read(path, head) if path.exists() else {}
+        before = {name: kept.pop(name) for name in MEASURES if name in kept}
+        given = {name: value for name in MEASURES if (value := getattr(self, name)) is not None}
+        measures = {"exposure": 0.004} | before | given
+        if "length" not in measures:
+            raise InvalidInput("--length is missing", fix="Give the rope's length, m")
+        length = checks.number("--length", measures["length"], sign="positive", unit="m")
+        exposure = checks.number("--exposure", measures["exposure"], sign="nonnegative", unit="s")
 
         @cache
         def find(*pivot: float) -> "FoundRope":
@@ -103,7 +115,7 @@ class Plain:
 
             return find_rope(image, pivot)
 
-        scene = partial(PlainScene, image, length, self.exposure, readout_direction, find)
+        scene = partial(PlainScene, image, length, exposure, readout_direction, find)
 
         def prepare(question: Question, answers: Mapping[str, Answer]) -> Question:
             line = scene(answers).found.curve.round(1).tolist() if question.name in ("tip", "size") else ()
@@ -121,9 +133,8 @@ class Plain:
             for name in known:
                 scene(known).check(name)
         answers = ask(Dialogue(QUESTIONS, known, prepare, check), image)
-        if (answers, length) != (kept, before):
-            content = {"format": FORMAT, "image_size": _size(image), "answers": {"length": length, **answers}}
-            files.write_toml(path, content)
+        if (answers, measures) != (kept, before):
+            files.write_toml(path, head | {"answers": {**measures, **answers}})
         return scene(answers)
 
 
@@ -132,24 +143,20 @@ def answers_path(video: Path) -> Path:
     return video.with_suffix(".answers.toml")
 
 
-def _read(path: Path, image: "Image") -> dict[str, Any]:
-    """Return the answers of a file on a video with such a picture."""
+def _read(path: Path, head: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the answers of a file; none, with a note, if it is of a video with another head."""
     content = files.read_toml(path)
-    table, size = content.get("answers"), content.get("image_size")
+    table = content.get("answers")
     if content.get("format") != FORMAT or not isinstance(table, dict):
         raise InvalidInput(
             f"{path} holds no answers on a video", got=sorted(content), fix="Remove it to be asked again"
         )
-    if size != _size(image):
-        fix = "Remove the file to be asked again"
-        raise InvalidInput(f"{path} is about another video: its size", got=size, allowed=str(_size(image)), fix=fix)
-    checks.keys(f"{path}: [answers]", table, ("length", *(each.name for each in QUESTIONS)))
+    if any(content.get(name) != each for name, each in head.items()):
+        output.note(f"{path} is about another video: its answers are not used")
+        return {}
+    checks.keys(f"{path}: [answers]", table, (*MEASURES, *(each.name for each in QUESTIONS)))
     known = {each.name: each.parse(table[each.name]) for each in QUESTIONS if each.name in table}
-    return known | {name: table[name] for name in ("length",) if name in table}
-
-
-def _size(image: "Image") -> list[int]:
-    return [int(each) for each in image.shape[1::-1]]
+    return known | {name: table[name] for name in MEASURES if name in table}
 
 
 @dataclass(frozen=True, eq=False)

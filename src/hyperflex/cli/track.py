@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -262,15 +263,26 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tupl
     except BaseElsewhere:
         return output.run(lambda: track_video(video, moving.tracker(), **follow))
     period = 2.0 * np.pi * np.sqrt(task.rope.total_length / np.hypot(*task.rope.gravity))  # s, of a pendulum so long
-    if task.look is not None and not stopped and found.recording.duration > period:
-        other, stopped = output.run(lambda: track_video(video, longer.tracker(), progress=follow["progress"]))
-        if not stopped and any(each.kind is DoubtKind.LENGTH for each in other.doubts):
+    doubted, others = {each.kind for each in found.doubts}, []
+    if task.look is not None and found.recording.duration > period:
+        others.append((longer, DoubtKind.LENGTH))
+    if DoubtKind.DISTURBED in doubted:
+        others.append((moving, DoubtKind.BASE_MOVES))
+    preview = follow["preview"]
+    spare = preview and preview.with_stem(f"{preview.stem}-other")  # of a track that may not be kept
+    for each, kind in others:
+        if stopped:
+            break
+        other, stopped = output.run(partial(track_video, video, each.tracker(), **follow | {"preview": spare}))
+        kinds = {each.kind for each in other.doubts}
+        # a camera that pans looks like a wrong length, too: but then what the first track was doubted for remains
+        if not stopped and kind in kinds and not kinds & doubted & {DoubtKind.DISTURBED, DoubtKind.SHAKE}:
+            if preview:
+                spare.replace(preview)
             return other, False
-    if stopped or all(each.kind is not DoubtKind.DISTURBED for each in found.doubts):
-        return found, stopped
-    other, stopped = output.run(lambda: track_video(video, moving.tracker(), **follow))
-    moves = any(each.kind is DoubtKind.BASE_MOVES for each in other.doubts)
-    return (other if moves else found), stopped
+    if preview:
+        spare.unlink(missing_ok=True)
+    return found, stopped
 
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
@@ -359,7 +371,8 @@ def watch(
         if without:
             if (image := next(images, None)) is None:
                 raise InvalidInput("no frame was received", fix="Check the source")
-            task = markers.plain_task(plain.scene(image, beside))
+            turned = _readout_direction(beside) if beside.exists() else "down"
+            task = markers.plain_task(plain.scene(image, beside, turned))
         else:
             lens = read_camera(markers.camera or "")
             if not frames.live and frames.image_size != lens.image_size:

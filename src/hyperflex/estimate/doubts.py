@@ -23,11 +23,11 @@ class DoubtKind(StrEnum):
 
     SHAKE = "the whole picture moves by {:.1f} px from frame to frame: the camera shakes, or stabilises its pictures"
     IMPOSSIBLE = (
-        "the markers move as those of no hanging rope: off by {:.1f} times the detection errors, alike from frame to "
+        "the places move as those of no hanging rope: off by {:.1f} times the detection errors, alike from frame to "
         "frame, as with a swing out of the plane"
     )
     NOISE = (
-        "distances of markers from possible places are {:.1f} times as large as detection errors, as with strong "
+        "distances of places from possible ones are {:.1f} times as large as detection errors, as with strong "
         "compression or little light"
     )
     DISTURBED = "the rope moves as if disturbed all along, by {:.2g} rad/s^2 per root of Hz"
@@ -60,6 +60,16 @@ ADVICE = {
     DoubtKind.LENGTH: "measure the rope's length again, and check the time stamps (slow motion stored at a usual rate)",
     DoubtKind.BASE_ELSEWHERE: "calibrate with the hook's pixel (--origin-pixel)",
 }
+PLAIN_SET_UP = (
+    "check what tells the size of the picture (--size), the rope's length, the time stamps (slow motion stored at a "
+    "usual rate), and that the rope swings in one plane"
+)
+PLAIN_ADVICE = ADVICE | {
+    DoubtKind.NOISE: "take more light, a wall that differs more from the rope, or less compression",
+    DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point with a camera that stands still, or check what "
+    "tells the size of the picture (--size): a wrong one looks so, too",
+    DoubtKind.BASE_ELSEWHERE: "give the pixel that the rope hangs from (--pivot)",
+}
 
 
 def doubts(
@@ -79,7 +89,7 @@ def doubts(
     ----------
     rope : Rope
     level : float
-        Errors of the markers over those of detection.
+        Errors of the places that are seen over those of detection.
     density : (2,) float64
         Of disturbances, as of :meth:`Process.noise`.
     shift : float
@@ -112,11 +122,12 @@ def doubts(
     return found
 
 
-def advice(found: Sequence[Doubt]) -> str:
-    """Return what to do about doubts; empty if there are none."""
-    return "; ".join(dict.fromkeys(ADVICE.get(each.kind, SET_UP) for each in found))
+def advice(found: Sequence[Doubt], *, plain: bool = False) -> str:
+    """Return what to do about doubts, of a rope without markers if it is `plain`; empty if there are none."""
+    known, other = (PLAIN_ADVICE, PLAIN_SET_UP) if plain else (ADVICE, SET_UP)
+    return "; ".join(dict.fromkeys(known.get(each.kind, other) for each in found))
 
 
-def explained(found: Sequence[Doubt]) -> str:
-    """Return doubts as a text with what to do; empty if there are none."""
-    return f"{'; '.join(map(str, found))}: {advice(found)}" if found else ""
+def explained(found: Sequence[Doubt], *, plain: bool = False) -> str:
+    """Return doubts as a text with what to do, see :func:`advice`; empty if there are none."""
+    return f"{'; '.join(map(str, found))}: {advice(found, plain=plain)}" if found else ""

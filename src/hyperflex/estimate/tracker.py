@@ -207,7 +207,8 @@ class RopeTracker:
         known = float(disturbance.log_std[0]) < self.KNOWN
         density = disturbance.value if known else np.zeros(2)
         level, end = self.estimator.measurement_noise.value, self.measurement.end_seen
-        return explained(doubts(self.estimator.process.rope, level, density, end=end))
+        plain = getattr(self.measurement, "look", None) is not None
+        return explained(doubts(self.estimator.process.rope, level, density, end=end), plain=plain)
 
     def shape(self, state: RopeState) -> tuple[Array, Array]:
         """Return the rope's joints in a state in the picture (n + 1, 2), px, and their covariances (n + 1, 2, 2)."""

@@ -52,7 +52,7 @@ class VideoTrack:
     errors : RunErrors
         What the whole run tells of its measurements: the noise of the recording is by it.
     doubts : tuple of Doubt
-        Why the track is doubted; empty if its markers move as those of the rope.
+        Why the track is doubted; empty if its places move as those of the rope.
     notes : tuple of str
         Problems of the video, and the use of the parameters.
     changes : tuple of Change
@@ -153,12 +153,12 @@ def track_video(
 
     def result() -> VideoTrack:
         if sum(bool(np.isfinite(each.still).any()) for each in found) < 2:
-            raise InvalidInput(
-                "the rope was not found in the video",
-                got=f"{count} frames",
-                allowed="two frames or more in which markers are seen in an order that the rope allows",
-                fix="Check the markers' colour, their arc lengths, and the camera's swing plane",
-            )
+            allowed = "two frames or more in which markers are seen in an order that the rope allows"
+            fix = "Check the markers' colour, their arc lengths, and the camera's swing plane"
+            if isinstance(tracker.measurement, CurveMeasurement):
+                allowed = "two frames or more that show the rope from the point that it hangs from"
+                fix = "Check that point's pixel, the rope's length, and that nothing hides the rope"
+            raise InvalidInput("the rope was not found in the video", got=f"{count} frames", allowed=allowed, fix=fix)
         return _result(tracker, found, count, reader)
 
     with threadpool_limits(1), VideoReader(video) as reader:  # matrices are small: threads would wait for each other
@@ -224,7 +224,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     data, noise = (each[rows][:, kept].reshape(int(rows.sum()), -1) for each in (places, std))
     said = "; ".join([convention, *applied])
     recording = Recording(t[rows], data, kind="markers", noise=noise, convention=said, source=str(reader.path))
-    notes = [*reader.notes, *([advice(doubted)] if doubted else []), *applied]
+    notes = [*reader.notes, *([advice(doubted, plain=curve)] if doubted else []), *applied]
     notes += [
         f"the marker at {arc:g} m was never seen: check its arc length and colour, or omit it from arc_lengths; "
         f"it is not in the file, whose markers are those at {','.join(f'{each:g}' for each in arcs[kept])} m"

@@ -69,6 +69,8 @@ class RopeLook:
         The picture without the rope, of a camera that stands still; see :func:`still_background`.
     light : (h, w, 3) uint8, optional
         Some pixels of the picture whose light `bgr` and `background` have; see :meth:`in_light_of`.
+    first : RopeLook, optional
+        The look that this one is of, in its own light: changes from frame to frame would be rounded away.
 
     Notes
     -----
@@ -82,6 +84,7 @@ class RopeLook:
     width: float
     background: Image | None = None
     light: Image | None = None
+    first: "RopeLook | None" = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bgr", checks.array("bgr", self.bgr, (3,), sign="nonnegative"))
@@ -179,19 +182,20 @@ class RopeLook:
 
     def in_light_of(self, image: Image) -> "RopeLook":
         """Return this look in the light of another picture by the same camera: exposure, white balance, dusk."""
-        now = _sparse(image)
-        if self.light is None or self.light.shape != now.shape:
-            return replace(self, light=now)
-        gain = _gain_between(self.light, now)
-        background = self.background
+        now, first = _sparse(image), self.first or self
+        if first.light is None or first.light.shape != now.shape:
+            return replace(self, light=now, first=None)
+        gain = _gain_between(first.light, now)
+        background = first.background
         if background is not None:
             background = np.clip(np.rint(background * gain), 0, 255).astype(np.uint8)
-        return replace(self, bgr=np.clip(self.bgr * gain, 0.0, 255.0), background=background, light=now)
+        bgr = np.clip(first.bgr * gain, 0.0, 255.0)
+        return replace(self, bgr=bgr, background=background, light=now, first=first)
 
     def learned(self, image: Image, curve: Array, rate: float = 0.1) -> "RopeLook":
         """Return this look, its colour moved by a share `rate` towards that of the rope along a curve (P, 2), px."""
         seen = RopeLook.from_curve(image, curve, self.width)
-        return replace(self, bgr=self.bgr + rate * (seen.bgr - self.bgr))
+        return replace(self, bgr=self.bgr + rate * (seen.bgr - self.bgr), first=None)
 
 
 def still_background(frames: Iterable[Image]) -> Image:

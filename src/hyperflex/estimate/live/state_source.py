@@ -322,7 +322,7 @@ class CameraStateSource:
                 frames = "no frame came" if packet is None else f"in {packet.frames} frames"
                 raise EstimatorLost(
                     f"The rope was not found within {timeout:g} s ({frames}). "
-                    "Check the markers' colour, their arc lengths and the camera."
+                    "Check the camera, and colour and arc lengths of markers."
                 )
             time.sleep(0.005)
 
