@@ -205,7 +205,7 @@ def test_a_wrong_length_is_said(hyperflex_json, tmp_path, monkeypatch, length, s
 @pytest.mark.nightly
 def test_a_camera_that_pans_for_a_whole_swing_is_no_wrong_length(hyperflex_json, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    film_whole_swing(lambda image, k: np.roll(image, k, axis=1))
+    film_whole_swing(lambda image, k: np.roll(image, -k, axis=1))
     code, found = hyperflex_json("track", "phone.mp4", "--length", "0.5", *SHORT)
     assert code == 0, found
     assert "length" not in found["doubts"][0]
