@@ -198,6 +198,9 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     now = parameters.arc_lengths(arcs, np.where(parameters.std > 0.0, errors.values[-1], 0.0))[kept]
     alike = errors.correlated * interval if errors.correlated > 1.0 else 0.0
     base = np.array([parameters.base_offset(each) for each in errors.values])
+    end = tracker.measurement.end_seen
+    if curve and end < 1.0:  # 1: it was always seen, or a marker covers it
+        end = float(np.mean([each.seen.seen[-1] for each in found]))
     doubted = doubts(
         estimator.process.rope,
         errors.level,
@@ -205,7 +208,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         shift=errors.shift,
         alike=alike,
         base=base if BASE_KINDS.keys() & set(parameters.names) else None,
-        end=tracker.measurement.end_seen,
+        end=end,
         longer=estimates["length"] if prior.get("length") else (0.0, 0.0),
     )
     named = defaultdict(list)
