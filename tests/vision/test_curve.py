@@ -45,13 +45,16 @@ def test_choices_along_the_rope_are_those_of_all_combinations():
     for choice in itertools.product(range(3), repeat=5):
         log = 0.0
         for k, c in enumerate(choice):
-            log += 2.0 if c == 2 else ratios[k, c] - 0.5 * offsets[k, c] ** 2 / (prior[k, k] + variances[k, c])
-            if k and (c == 2) != (choice[k - 1] == 2):
+            log += 2.0 if c == 2 else ratios[k, c]
+            before = choice[k - 1] if k else 2
+            if k and (c == 2) != (before == 2):
                 log -= 2.0
-            elif k and c != 2:
-                before = choice[k - 1]
-                wide = 2.0 * (prior[k, k] - prior[k, k - 1]) + variances[k, c] + variances[k - 1, before]
-                log -= 0.5 * (offsets[k, c] - offsets[k - 1, before]) ** 2 / wide
+            if c != 2:
+                mean, wide = 0.0, prior[k, k] + variances[k, c]
+                if before != 2:
+                    part = prior[k, k - 1] / (prior[k - 1, k - 1] + variances[k - 1, before])
+                    mean, wide = part * offsets[k - 1, before], wide - part * prior[k, k - 1]
+                log -= 0.5 * (offsets[k, c] - mean) ** 2 / wide
         total += np.exp(log)
         for k, c in enumerate(choice):
             if c < 2:
@@ -106,14 +109,29 @@ def test_a_line_beside_the_rope_is_not_taken_for_a_piece_of_it():
     assert (np.abs(found.offsets - true) < 1.0)[there].all()
 
 
-@pytest.mark.parametrize("part", [0.04, 0.3, 0.5])
-def test_a_faint_line_is_no_rope_that_is_not_seen(part):
-    """3 px beside where the rope is expected to a few px, a line of its width with a part of its contrast."""
+def lines(*columns, contrast=1.0):
+    """Return what is found where a rope is expected at column 100 to 3 px, of 20 pieces, and there are these lines."""
     image = np.full((200, 200, 3), 180.0)
-    image[:, 103] -= part * (180.0 - DARK)
+    image[:, list(columns)] -= contrast * (180.0 - DARK)
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + np.random.default_rng(1).normal(0.0, 1.0, image.shape)
     moving = np.tile(np.stack([np.full(141, 100.0), np.append(np.arange(20.0, 160.0), 180.0)], axis=1), (3, 1, 1))
     view = view_curve(moving, 20, 9.0 * np.kron(np.ones((21, 21)), np.eye(2)), 4.0, 50)
-    found = CurveDetector().find(image.astype(np.uint8), RopeLook(DARK, 1.0), view)
+    return CurveDetector().find(image.astype(np.uint8), RopeLook(DARK, 1.0), view)
+
+
+@pytest.mark.parametrize("part", [0.04, 0.3, 0.5])
+def test_a_faint_line_is_no_rope_that_is_not_seen(part):
+    found = lines(103, contrast=part)
     assert np.isnan(found.offsets).all()
     assert np.isnan(found.end)
+
+
+def test_what_is_common_to_all_pieces_counts_once():
+    """Two lines at 1 and 2.5 standard deviations: odds of the normal distribution; at equal distance: neither."""
+    chances = marginals(
+        np.tile([3.0, 7.5], (20, 1)), np.full((20, 2), 8.0), np.full((20, 2), 0.01), np.full((20, 20), 9.0), 3.0
+    )
+    odds = np.exp(0.5 * (1.0 - 2.5**2))
+    assert chances[:, 1] == pytest.approx(odds / (1.0 + odds), rel=0.1)
+    assert np.isnan(lines(97, 103).offsets).all()
+    assert np.abs(lines(97).offsets - 3.0).max() < 0.2

@@ -193,7 +193,8 @@ class CurveDetector:
         total = np.maximum(chances.sum(axis=1), 1e-9)
         mean = (chances * offsets).sum(axis=1) / total
         wide = (chances * (variances + (offsets - mean[:, None]) ** 2)).sum(axis=1) / total**2
-        mean, wide = (np.where(total > 0.5, each, np.nan) for each in (mean, wide))
+        sure = chances.max(axis=1) > np.maximum(0.5, 0.9 * total)  # neither hidden nor one of two
+        mean, wide = (np.where(sure, each, np.nan) for each in (mean, wide))
         end = (np.nan, np.nan)
         if np.isfinite(mean[-1]):
             end = self._end(image, look, view, float(mean[-1]), weights[-1])
@@ -248,19 +249,24 @@ def marginals(offsets: Array, ratios: Array, variances: Array, prior: Array, hid
 
     Notes
     -----
-    Sums and products along a chain of pieces (forward-backward, Rabiner 1989, Proceedings of the IEEE 77(2), 257).
+    The first piece that is seen is expected where `prior` says, and each next one relative to the one before it: what
+    is common to all pieces counts once. Sums and products along a chain of pieces (forward-backward, Rabiner 1989,
+    Proceedings of the IEEE 77(2), 257).
     """
     count, each = offsets.shape
     places, wide = np.nan_to_num(offsets), np.nan_to_num(variances, nan=1.0)
-    own = np.diag(prior)
-    unary = np.exp(np.column_stack([ratios - 0.5 * places**2 / (own[:, None] + wide), np.full(count, hidden)]))
+    along, total = np.diag(prior, 1)[:, None], np.diag(prior)[:, None] + wide
+    first = np.exp(-0.5 * places**2 / total)
+    unary = np.exp(np.column_stack([ratios, np.full(count, hidden)]))
     pairs = np.full((count - 1, each + 1, each + 1), np.exp(-hidden))
     pairs[:, each, each] = 1.0
-    differ = own[1:] + own[:-1] - 2.0 * np.diag(prior, 1)
-    apart = places[1:, None, :] - places[:-1, :, None]
-    spread = differ[:, None, None] + wide[1:, None, :] + wide[:-1, :, None]
+    pairs[:, each, :each] *= first[1:]
+    share = along / total[:-1]  # of a piece's offset, expected of the next
+    apart = places[1:, None, :] - (share * places[:-1])[:, :, None]
+    spread = total[1:, None, :] - (share * along)[:, :, None]
     pairs[:, :each, :each] = np.exp(-0.5 * apart**2 / spread)
     forward, backward = unary.copy(), np.ones_like(unary)
+    forward[0, :each] *= first[0]
     forward[0] /= forward[0].sum()
     for k in range(1, count):
         forward[k] *= forward[k - 1] @ pairs[k - 1]
