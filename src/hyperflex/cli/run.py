@@ -209,7 +209,8 @@ def _check_given(plan: "CastPlan", motor: str, zero: Path | None, sight: Sight) 
     known = None if zero is None else DriveZero.from_toml(zero)
     if emulated_device(motor) is None and known is not None:
         known.check(motor)
-    _, arcs, length = sight.view, sight.arcs, plan.problem.rope.total_length
+    sight.view  # noqa: B018 - refuses a calibration that cannot be read
+    arcs, length = sight.arcs, plan.problem.rope.total_length
     if arcs is not None and (arcs.min() < 0.0 or arcs.max() > 1.1 * length):  # it may be longer than it is planned
         raise InvalidInput("--arc-lengths are not all on the rope", got=arcs.tolist(), allowed=f"0 to {length:g} m")
 

@@ -135,7 +135,8 @@ class CastOutcome(RunOutcome):
     sideways, half_width : float
         Distances from the plane, m, at the last sample before the first touch of anything, for a rope that begins out
         of the plane by the criteria's `tilt`: of the first link to touch, and the greatest from there to the rope's
-        end, which half of the peg's width must exceed. NaN if the rope touches nothing, or it is not known.
+        end, which half of the peg's width must exceed: no bound, for the rope moves on to the side as it winds. NaN if
+        the rope touches nothing, or it is not known.
     aside : float
         `half_width` over the tilt, m/rad.
     lean : float
