@@ -25,15 +25,19 @@ def test_a_plane_that_is_turned_about_the_vertical_is_the_same_swing():
 
     Not with friction: the wall does not turn, and its joint holds the twist.
     """
-    off = []
+    off, known = [], []
     for dt in (0.01, 0.005, 0.0025):
         run = swing(dt=dt, friction=0.0)
         want = DEGREE * np.sin(run.q)
         found = hf.sideways(run, tilt=want[0], rate=DEGREE * np.cos(run.q[0]) * run.qd[0])
         off.append(np.abs(found.angles - want).max() / DEGREE)
+        wrong = np.abs(np.cumsum(run.setup.rope.length * (found.angles - want), axis=1)).max()
+        known.append(found.error / wrong)
     assert off[0] < 0.03
     assert off[1] < 0.4 * off[0]  # order 3: an eighth in the limit
     assert off[2] < 0.25 * off[1]
+    assert min(known) > 1.0  # the error is known, and not much less than what is said: order 3 gives 7/2
+    assert max(known) < 4.0
 
 
 def test_figures_of_ball_joints():
@@ -128,7 +132,7 @@ def test_it_ends_where_the_rope_touches():
             "torque",
         ),
         (lambda: swing(0.1, dry_friction=1e-5), "dry friction is not"),
-        (lambda: swing(2.0, dt=0.05, stiffness=0.5), "the motion differs by"),
+        (lambda: swing(2.0, dt=0.05, stiffness=0.5), "the motion is wrong by"),
         (lambda: swing(1.0, dt=0.04, pegs=[hf.Peg(0.0, -2.0, 0.05)]), "apart with obstacles"),
         (lambda: swing(0.01), "too few samples"),
     ],

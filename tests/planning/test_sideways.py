@@ -24,7 +24,7 @@ def test_a_cast_reports_how_far_to_the_side_it_strikes():
     seen, run = planned().outcome, planned().run
     found = hf.sideways(run, tilt=math.radians(1.0))
     assert found.touch == seen.touch_time
-    assert seen.half_width <= np.abs(found.joints[-1]).max()
+    assert seen.half_width <= np.abs(found.joints[-1]).max() * (1.0 + 1e-12)  # rounding: sums in another order
     near = np.abs(found.joints[-1] - seen.sideways).min(), np.abs(found.joints[-1] + seen.sideways).min()
     assert min(near) < run.setup.rope.length.max() * np.abs(found.angles[-1]).max()  # a joint of the link that strikes
     assert 0.0 < seen.sideways <= seen.half_width
