@@ -198,6 +198,7 @@ def test_a_wrong_length_is_said(hyperflex_json, tmp_path, monkeypatch, length, s
     before, _, part = doubt.rpartition(" ")
     assert before == "the rope swings as one whose length differs from the given one by"
     assert float(part[:-1]) / 100.0 == pytest.approx(said, abs=0.02)
+    assert abs(found["estimated"]["readout"]["value"]) < 0.5e-3  # the pictures are exposed at once
     assert {each.name for each in tmp_path.glob("*.mp4")} == {"phone.mp4", "seen.mp4"}
 
 

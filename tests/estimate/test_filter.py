@@ -84,6 +84,18 @@ def test_derivatives_of_what_is_seen():
         np.testing.assert_allclose((high - low) / 2e-6, slope[:, :, k], atol=1e-7)
 
 
+def test_derivatives_of_the_motion_by_friction():
+    """That of the first joint is beside that of all."""
+    names = ("friction", "hinge")
+    tracker = RopeFilter(rope(4), [2.0], parameters=[EstimatedParameter(name, 0.5) for name in names])
+    x, step = np.concatenate([[0.3, 0.5, 0.4, 0.2], [1.0, 3.0, -2.0, 1.0], [0.2, -0.3]]), 1e-3
+    slope = tracker.process.predict(x, 0.0, 0.03).transition
+    for k in (8, 9):
+        high, low = (tracker.process.predict(x + side * np.eye(10)[k], 0.0, 0.03).x for side in (step, -step))
+        np.testing.assert_allclose((high - low) / (2.0 * step), slope[:, k], rtol=1e-4, atol=1e-7)
+    assert np.abs(slope[4:8, 8] - slope[4:8, 9]).max() > 0.1 * np.abs(slope[4:8, 9]).max()
+
+
 def test_a_first_frame_with_few_markers():
     run = free_swing(0)
     tracker = RopeFilter(rope(20), [0.5, 1.0, 1.5, 2.0])

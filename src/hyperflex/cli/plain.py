@@ -25,10 +25,11 @@ Pixel = tuple[float, float] | None
 FORMAT = "hyperflex answers 1"
 MEASURES = ("length", "exposure")  # in the file beside the answers to questions
 CLICKED = 1.0  # px, standard deviation of a pixel that a person reads from a picture
-# Standard deviations of what the answers leave open, freed in the fit: scale, friction and drag as parts of themselves,
-# roll of a camera that is held level by eye, rad, readout of a phone's sensor, s. A wrong friction would else be taken
-# for a readout: both delay the free end
-_OPEN = {"scale": 0.02, "roll": 0.03, "readout": 0.01, "friction": 0.7, "drag": 0.3}
+# Standard deviations of what the answers leave open, freed in the fit: scale, friction, that of the first joint, and
+# drag as parts of themselves, roll of a camera that is held level by eye, rad, readout of a phone's sensor, s. Friction
+# and drag over an unknown mass are known by their order of magnitude; a wrong friction, above all that of the first
+# joint, would be taken for a readout: both delay the free end
+_OPEN = {"scale": 0.02, "roll": 0.03, "readout": 0.01, "friction": 2.0, "hinge": 1.0, "drag": 1.0}
 
 QUESTIONS = (
     Question(
@@ -251,16 +252,16 @@ class PlainScene:
     @cached_property
     def rope(self) -> "Rope":
         """The rope to track with: a cable of the paper's density, where its mass is not known, with air drag."""
-        from hyperflex.model import Rope
+        from hyperflex.model import Rope, with_links
 
         usual, mass = Answers(), self.answers["mass"]
         density = usual.mass / usual.length if isinstance(mass, str) else mass[0] / self.length
-        links = 2 * usual.links  # which the curve shows: of longer ones friction would be taken for a readout
-        friction = BENDING * density / (usual.mass / usual.length) * links / self.length
+        friction = BENDING * density / (usual.mass / usual.length) * usual.links / self.length
         radius = 0.5 * self.found.look.width / self.camera.pixels_per_metre
         wind = 1.2  # drag coefficient of a cylinder across the wind
         how: dict[str, Any] = {"radius": radius, "friction": friction, "drag_coefficient": wind}
-        return Rope.uniform(self.length, density * self.length, links, **how)
+        # shorter links, which the curve shows: of longer ones friction would be taken for a readout
+        return with_links(Rope.uniform(self.length, density * self.length, usual.links, **how), 2 * usual.links)
 
     @property
     def doubts(self) -> dict[str, float]:

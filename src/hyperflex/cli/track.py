@@ -104,14 +104,16 @@ class Markers:
 
     def plain_task(self, scene: PlainScene) -> "TrackingTask":
         """Return what is tracked of a plain rope, and of some markers on it if their arc lengths are given."""
-        from hyperflex.estimate import TrackingTask, curve_arc_lengths
+        from hyperflex.estimate import TrackingTask, curve_arc_lengths, marked_arc_lengths
 
         arcs, colours = curve_arc_lengths(scene.rope), list["MarkerColour"]()
+        end = arcs.size - 1
         if self.arc_lengths:
             arcs, colours = self._arcs, marker_colours([scene.image], self.click or ())
+            end = int(np.flatnonzero(~marked_arc_lengths(scene.rope, arcs)[1])[-1])
         tests = self._tests() if self.changes else None  # friction and mass are not known
         task = TrackingTask(scene.rope, arcs, scene.camera, colours, look=scene.found.look, tests=tests)
-        return self._estimating(task, scene.doubts)
+        return self._estimating(task, scene.doubts | {f"arc[{end}]": scene.rope.radius})  # an end is cut or round
 
     @property
     def _arcs(self) -> Array:
@@ -257,7 +259,9 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tupl
 
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
     # a tape may be wrong by a tenth
-    longer = replace(task, parameters=[*task.parameters, EstimatedParameter("length", 0.1)], tests=None)
+    wide = EstimatedParameter("length", 0.1), EstimatedParameter("scale", 0.1)  # that may be by the rope's own length
+    kept = [each for each in task.parameters if each.name not in ("length", "scale")]
+    longer = replace(task, parameters=[*kept, *wide], tests=None)
     try:
         found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
     except BaseElsewhere:

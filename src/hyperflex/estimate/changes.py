@@ -70,7 +70,7 @@ class ChangeTests:
         if self.names is not None:
             return tuple(dict.fromkeys(self.names))
         always = ("length", "tip_mass", TOUCH)
-        return tuple(name for name in (*ROPE_KINDS, TOUCH) if name in always or getattr(rope, name).any())
+        return tuple(name for name in (*ROPE_KINDS, TOUCH) if name in always or getattr(rope, name, np.zeros(1)).any())
 
     def parameters_for(self, rope: Rope) -> tuple[str, ...]:
         """Return which parameters of a rope are tested: all but touches."""

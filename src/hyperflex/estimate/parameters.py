@@ -31,6 +31,7 @@ class Kind(NamedTuple):
 ROPE_KINDS = {
     "length": Kind("", 2e-3, -0.5, 1.0),
     "friction": Kind("", 0.3, -1.0),
+    "hinge": Kind("", 0.3, -1.0),
     "drag": Kind("", 0.3, -1.0),
     "tip_mass": Kind("kg", 4e-3),  # tolerance in units of the rope's mass; at least -tip_mass
 }
@@ -62,11 +63,12 @@ class EstimatedParameter:
     ----------
     name : str
         ``"length"``: relative change of all lengths of the rope, markers included; ``"friction"``, ``"drag"``: relative
-        change of the rope's; ``"tip_mass"``: kg, in addition to the rope's; ``"base_x"``, ``"base_y"``: where the first
-        joint is, m from its declared place (with a walk: it moves in an unknown way). Of the picture: ``"scale"``:
-        relative change of the plane's scale; ``"roll"``: its rotation about the line of sight, rad; ``"offset_x"``,
-        ``"offset_y"``: m; ``"arc[k]"``: change of the k-th marker's arc length, m; ``"delay"``: how much older than
-        their time stamps the pictures are, s; ``"readout"``: time from the first row of a picture to the last, s.
+        change of the rope's; ``"hinge"``: further change of the first joint's friction; ``"tip_mass"``: kg, in addition
+        to the rope's; ``"base_x"``, ``"base_y"``: where the first joint is, m from its declared place (with a walk: it
+        moves in an unknown way). Of the picture: ``"scale"``: relative change of the plane's scale; ``"roll"``: its
+        rotation about the line of sight, rad; ``"offset_x"``, ``"offset_y"``: m; ``"arc[k]"``: change of the k-th
+        marker's arc length, m; ``"delay"``: how much older than their time stamps the pictures are, s; ``"readout"``:
+        time from the first row of a picture to the last, s.
     std : float
         Standard deviation of the prior, > 0.
     value : float
@@ -93,6 +95,11 @@ def moving_base(rope: Rope) -> list[EstimatedParameter]:
     """Return the place of a first joint that moves in an unknown way, in 0.1 s by some 5 % of the rope's length."""
     length = rope.total_length
     return [EstimatedParameter(name, length, walk=0.15 * length) for name in BASE_KINDS]
+
+
+def _first(values: Array) -> Array:
+    """Return the first of some values (n,), and 0 in place of the others."""
+    return np.append(values[:1], np.zeros(len(values) - 1))
 
 
 class ParameterStates:
@@ -175,6 +182,7 @@ class ParameterStates:
         changes = {
             "length": {"length": rope.length, "com": rope.com, "inertia": 2.0 * rope.inertia},
             "friction": {"friction": rope.friction},
+            "hinge": {"friction": _first(rope.friction)},
             "drag": {"drag": rope.drag},
             "tip_mass": {"tip_mass": np.ones(1)},
         }
@@ -189,7 +197,7 @@ class ParameterStates:
             length=rope.length * longer,
             com=rope.com * longer,
             inertia=rope.inertia * longer**2,
-            friction=rope.friction * (1.0 + at("friction")),
+            friction=np.maximum(rope.friction * (1.0 + at("friction")) + _first(rope.friction) * at("hinge"), 0.0),
             drag=rope.drag * (1.0 + at("drag")),
             tip_mass=rope.tip_mass + at("tip_mass"),
         )

@@ -241,7 +241,8 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     if curve and (rare := arcs[seen.mean(axis=0) < SELDOM]).size:
         where = ",".join(f"{each:.3g}" for each in rare)
         notes.append(f"the rope at {where} m was seen in less than {SELDOM:.0%} of the frames: check what hides it")
-    rope = {name: each for name, each in estimates.items() if name.startswith(("length", "arc[")) and prior[name]}
+    of_rope = "length" if curve else ("length", "arc[")  # the arc length at which a free end is seen is a part of it
+    rope = {name: each for name, each in estimates.items() if name.startswith(of_rope) and prior[name]}
     if rope:
         stretch = f"lengths in the rope's file times {1.0 + rope['length'][0]:.5g}, " if "length" in rope else ""
         changed = ", ".join(f"{name} {value:.5g} (std {std:.2g})" for name, (value, std) in rope.items())
@@ -249,6 +250,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         use = "" if curve else f". To identify it: {stretch}arc_lengths {new}"
         notes.append(f"{changed}: of the rope, not of the places{use}")
     unknown = [name for name, (_, std) in estimates.items() if std > UNDETERMINED * prior[name] > 0.0]
+    unknown = [name for name in unknown if not (curve and name.startswith("arc["))]
     if unknown:
         notes.append(f"the video does not determine {', '.join(unknown)}: as uncertain as before")
     return VideoTrack(
