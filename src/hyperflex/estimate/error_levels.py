@@ -116,6 +116,7 @@ def run_errors(
     states: Array,
     begun: Sequence[int] = (),
     changes: Sequence[Change] = (),
+    alike: float = 1.0,
 ) -> RunErrors:
     """Find the errors of a run's observations, and its parameters, by smoothing it.
 
@@ -131,6 +132,8 @@ def run_errors(
         Frames in which it started anew.
     changes : sequence of Change
         Those that were noticed: there the state may jump.
+    alike : float
+        Observations, of neighbours and of frames, whose errors are alike: they count as one.
 
     Notes
     -----
@@ -138,9 +141,9 @@ def run_errors(
     marker are alike along u and v: its constant length shows an error along the rope, but the rope's motion may explain
     one across it. The variances are the likeliest ones, by expectation maximisation (Shumway and Stoffer 1982, J. Time
     Series Analysis 3(4), 253), for disturbances in the faster form of MacKay (1992, Neural Computation 4(3), 415).
-    Errors that continue from frame to frame (a swing out of the plane) or from place to place (compression, along a
-    curve) determine the states less well than independent ones: in the last round the information of the observations
-    is divided by the numbers of frames and of places over which residuals are alike.
+    Errors that continue from frame to frame (a swing out of the plane) determine the states less well than independent
+    ones: in the last round the information of the observations is divided by the number of frames over which residuals
+    are alike, or by `alike`, if it is more: the states take up a part of such errors, so that residuals lack it.
     Errors of a marker may be far larger at times (something of its colour touches it): they have Student's distribution
     with the likeliest degrees of freedom: an error that is seen to be large is stated as large, and counts less.
     Where the rope's equations cannot follow the estimates, the estimator's own levels remain.
@@ -155,7 +158,7 @@ def run_errors(
     solved = []
     for part in windows:
         own = slice(part[0], part[-1] + 1)
-        window = _Window(estimator, seen[own], states[own], prior, changes)
+        window = _Window(estimator, seen[own], states[own], prior, changes, alike)
         with suppress(SimulationError, np.linalg.LinAlgError):
             window.solve()
         if window.smoothed:
@@ -188,7 +191,9 @@ class _Window:
         states: Array,
         prior: tuple[Array, Array],
         changes: Sequence[Change],
+        alike: float,
     ) -> None:
+        self.alike = alike
         self.estimator, self.process, self.seen, self.states = estimator, estimator.process, seen, states
         rope, first, many = self.process.rope, 2 * estimator.n_links, len(estimator.parameters)
         self.mean = np.concatenate([states[0, :first], prior[0]])
@@ -216,7 +221,7 @@ class _Window:
             for k, gap in enumerate(self.gaps)
         ]
         self.smoothed: list[Smoothed] = []
-        self.correlated = self.alike = 1.0  # observations of so many frames, and of places too, count as one
+        self.correlated = 1.0
 
     def solve(self) -> None:
         """Smooth, and find the levels."""
@@ -230,19 +235,18 @@ class _Window:
                 for step, noise, jumps in zip(steps, noises, self.jumps, strict=True)
             ]
             wide = [each.covariance(self.levels, own) for each, own in zip(self.linear, self.weights, strict=True)]
+            count = 1.0 if k < ROUNDS else max(self.correlated, self.alike)
             self.smoothed = smooth_linear(
                 self.mean,
                 self.rows,
                 moves,
-                [_whitened(each, self.alike * own) for each, own in zip(self.linear, wide, strict=True)],
+                [_whitened(each, count * own) for each, own in zip(self.linear, wide, strict=True)],
             )
             self.states = np.array([each.mean for each in self.smoothed])
             self.states[:, first:] = self.estimator.parameters.possible(self.states[:, first:])
             residuals = self._learn(wide, k < ROUNDS)
             if k == ROUNDS - 1:
-                moving, still = residuals * (np.sqrt(self.weights) / self.levels.marker)[:, :, None]
-                self.correlated = correlation_time(moving)
-                self.alike = self.correlated * correlation_time(still.swapaxes(0, 1))
+                self.correlated = correlation_time(residuals * (np.sqrt(self.weights) / self.levels.marker)[:, :, None])
 
     def stated(self) -> list[Array]:
         """Return the covariances (K, 2, 2) of the places in each frame."""
@@ -282,12 +286,12 @@ class _Window:
         return steps, linear
 
     def _learn(self, wide: list[Array], everything: bool) -> Array:
-        """Set the levels by the smoothed states; return the residuals (2, T, K, 2) over the detector's errors.
+        """Set the levels by the smoothed states; return the residuals (T, K, 2) over the detector's errors.
 
-        The second ones are without the shift of the whole picture. If not `everything`, set those of the markers alone.
+        If not `everything`, those of the markers alone.
         """
-        shifts, residuals = np.zeros(2), np.full((2, *self.weights.shape, 2), np.nan)
-        squares = residuals[0].copy()
+        shifts, residuals = np.zeros(2), np.full((*self.weights.shape, 2), np.nan)
+        squares = residuals.copy()
         variance = np.diag(self.levels.shift**2)
         for k, (each, smoothed, covariance) in enumerate(zip(self.linear, self.smoothed, wide, strict=True)):
             if not each.marker.size:
@@ -299,9 +303,7 @@ class _Window:
             shifts += np.diag(gain @ errors @ gain.T + doubt)
             errors = own @ errors @ own.T + each.ways @ doubt @ each.ways.T
             squares[k, each.marker, each.axis] = np.diag(errors) / each.std**2
-            residuals[:, k, each.marker] = 0.0
-            for seen, values in zip(residuals[:, k], (off, own @ off), strict=True):
-                np.add.at(seen, each.marker, each.ways * (values / each.std)[:, None])
+            residuals[k, each.marker, each.axis] = off / each.std
         directions = np.isfinite(squares).sum(axis=2)
         squares = np.where(directions, np.nansum(squares, axis=2), np.nan)
         distances = squares / self.levels.marker**2
@@ -362,7 +364,7 @@ def likeliest_freedom(distances: Array, directions: npt.NDArray[np.int64] | int 
 
 
 def correlation_time(residuals: Array) -> float:
-    """Return over how many frames, or places, (T, ...) residuals are alike, at least 1: 1 + 2 sum of correlations.
+    """Return the number of frames (T, ...) over which residuals are alike, at least 1: 1 + 2 sum of correlations.
 
     NaN: not seen. The sum ends at a correlation of less than two standard deviations of that of independent residuals.
     """

@@ -21,7 +21,7 @@ from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.files import PathLike
 from hyperflex.interruption import interruptible
 from hyperflex.recording import Recording
-from hyperflex.vision import Camera, Frame, Image, VideoReader, follow_video
+from hyperflex.vision import Camera, CurveDetector, Frame, Image, VideoReader, follow_video
 
 ROUNDING = 1.05  # factor by which a time may exceed the frame interval: both are rounded
 SELDOM = 0.5  # part of the frames: a marker that is seen in fewer is reported
@@ -188,10 +188,11 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     estimator = tracker.estimator
     changes = tuple(change for each in found for change in each.changes)
     begun = [k for k, each in enumerate(found) if each.begun]
-    errors = run_errors(estimator, [each.seen for each in found], np.array([each.x for each in found]), begun, changes)
+    curve = isinstance(tracker.measurement, CurveMeasurement)
+    alike, states = CurveDetector.ALIKE if curve else 1.0, np.array([each.x for each in found])
+    errors = run_errors(estimator, [each.seen for each in found], states, begun, changes, alike)
     parameters, estimates = estimator.parameters, errors.estimates
     prior = dict(zip(parameters.names, parameters.std.tolist(), strict=True))
-    curve = isinstance(tracker.measurement, CurveMeasurement)
     arcs, places, std = (_curve_places if curve else _marker_places)(tracker, found, errors)
     seen, interval = ~np.isnan(places[:, :, 0]), (found[-1].seen.t - found[0].seen.t) / (len(found) - 1)
     kept = np.asarray(seen.any(axis=0))
