@@ -153,8 +153,8 @@ class CurveDetector:
     GATE = 4.0  # standard deviations of an offset
     DOUBT = 2.0  # px, standard deviation of an expected place in addition to what the estimator states
     WIDEST = 60.0  # px, largest offset
-    LEAST_STD = 0.1  # px, of an offset, in addition to noise: compression, texture
-    ALIKE = 16.0  # pieces and frames over which such errors, and those of straight links, are alike
+    STREAK = 0.08  # error of a streak's middle by compression, texture and shadows, over its half width
+    ALIKE = 8.0  # pieces and frames over which errors by compression, texture and straight links are alike
     CONTRAST_STD = 0.1  # of a contrast, relative: ropes have 0.73 to 1.21; SURE and CLEAR allow 3.7 of it
     CLEAR, SURE = 3.0, 10.0  # log-likelihood ratio to "nothing" of what may be the rope, and most that a profile proves
     HIDDEN = 3.0  # log-likelihood ratio at which a piece begins or ends to be hidden
@@ -187,7 +187,8 @@ class CurveDetector:
         widths = np.full(len(reach), look.width)
         profiles.match_lines(shares, view.sweeps, widths, self.blur, self.STEP, reach, found)
         offsets, ratios, variances = self._rated(found)
-        variances += self.ALIKE * (self.LEAST_STD**2 + view.sagittas[:, None] ** 2)
+        streaks = self.STREAK * half_sweep(view.sweeps)
+        variances = self.ALIKE * (variances + (streaks**2 + view.sagittas**2)[:, None])
         chances = marginals(offsets, ratios, variances, prior, self.HIDDEN)
         offsets, variances = np.nan_to_num(offsets), np.nan_to_num(variances, nan=1.0)
         total = np.maximum(chances.sum(axis=1), 1e-9)
@@ -226,7 +227,7 @@ class CurveDetector:
         if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 4.0 * self.CONTRAST_STD):
             return np.nan, np.nan
         variance = noise / (found[profiles.AMPLITUDE] ** 2 * found[profiles.ENERGY])
-        variance += self.ALIKE * self.LEAST_STD**2 + (0.5 * look.width) ** 2  # an end may be cut or round
+        variance = self.ALIKE * variance + (0.5 * look.width) ** 2  # an end may be cut or round
         return float(found[profiles.OFFSET]), float(variance)
 
 
