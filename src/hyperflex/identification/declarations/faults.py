@@ -52,12 +52,14 @@ class FaultLimits:
     rests: float = 0.05
     moves: float = 0.2
     longer: float = 5.0
+    # instants at which a rest is searched at most, and lengths of it that are tried
+    instants: int = 4096
+    lengths: int = 32
 
 
 LIMITS = FaultLimits()
 TERMS = 6  # of a polynomial of fifth degree: twice as many samples as a cubic follows
 BAND = 0.95  # part of the windows from which the deviation of jumps is taken: those about a true one are fewer
-BLOCK = 1 << 12  # windows whose samples are in memory at a time, and spans that a recording is cut into
 
 
 def lost(recording: Recording) -> Iterator[Finding]:
@@ -68,37 +70,29 @@ def lost(recording: Recording) -> Iterator[Finding]:
     stands at the origin.
     """
     markers = recording.kind == "markers"
-    found = {}
+    found: dict[str, list[tuple[int, float]]] = {}
     for number, place in enumerate(np.moveaxis(recording.data.reshape(recording.t.size, -1, 1 + markers), 1, 0)):
         place = place[np.isfinite(place).all(axis=1)]
         if len(place) < LIMITS.many:
             continue
         places, which, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
-        at = which.ravel() == np.argmax(count)
-        place_lost = places[np.argmax(count)]
+        at, same = which.ravel() == np.argmax(count), places[np.argmax(count)]
         hook = number == 0 and recording.data.shape[1] > 1 + markers
-        most = 0.5 * at.size if hook or place_lost.any() else at.size
-        if not 1 < count.max() < most:
+        if not 1 < at.sum() < (0.5 if hook or same.any() else 1.0) * at.size:
             continue
-        first, end = np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2).T
-        before = np.where(first > 0, first - 1, end)  # a run at the beginning, or the end, has one neighbour
-        after = np.where(end < at.size, end, first - 1)
-        off = np.linalg.norm(place[1:-1] - 0.5 * (place[:-2] + place[2:]), axis=1)
-        other = ~(at[:-2] | at[1:-1] | at[2:])
-        step = np.linalg.norm(np.diff(place, axis=0), axis=1)[~(at[:-1] | at[1:])]  # which a repeated frame is away
-        away = np.linalg.norm(0.5 * (place[before] + place[after]) - place_lost, axis=1)
-        if other.any() and np.median(away) > max(
-            LIMITS.far * np.quantile(off[other], 0.9), np.quantile(step, 0.9), LIMITS.matters * np.ptp(place)
+        others, (here, there) = place[~at], (np.flatnonzero(each) for each in (at, ~at))
+        around = np.column_stack([np.interp(here, there, column) for column in others.T])
+        bend, step = (np.linalg.norm(np.diff(others, order, axis=0), axis=1) for order in (2, 1))
+        away = float(np.median(np.linalg.norm(around - same, axis=1)))
+        if bend.size and away > max(  # a repeated frame is a step away
+            0.5 * LIMITS.far * np.quantile(bend, 0.9), np.quantile(step, 0.9), LIMITS.matters * np.ptp(place)
         ):
-            found[number] = place_lost.tolist(), float(at.mean())
-    for place, _ in {str(place): (place, part) for place, part in found.values()}.values():
-        numbers = [number for number, each in found.items() if each[0] == place]
-        part = max(found[number][1] for number in numbers)
-        where = ", ".join(map(recording.label, numbers))
-        shown = f"({place[0]:.4g}, {place[-1]:.4g})" if markers else f"{place[0]:.4g} rad"
-        yield Finding(
-            Kind.LOST, values={"where": where[0].upper() + where[1:], "numbers": numbers, "place": shown, "part": part}
-        )
+            shown = f"({same[0]:.4g}, {same[-1]:.4g})" if markers else f"{same[0]:.4g} rad"
+            found.setdefault(shown, []).append((number, float(at.mean())))
+    for shown, each in found.items():
+        where = ", ".join(recording.label(number) for number, _ in each)
+        part = max(part for _, part in each)
+        yield Finding(Kind.LOST, values={"where": where[0].upper() + where[1:], "place": shown, "part": part})
 
 
 def wrapped(recording: Recording) -> Iterator[Finding]:
@@ -267,15 +261,11 @@ class _Polynomials(NamedTuple):
         u = (np.arange(2 * side) - side + 0.5) / side
         powers = np.vander(u, TERMS, increasing=True)
         model = np.column_stack([(u > 0.0)[:, None] * powers[:, :apart], powers])
-        table = np.column_stack([np.linalg.pinv(model)[0], np.linalg.qr(model)[0]])
-        windows = np.lib.stride_tricks.sliding_window_view(column, 2 * side)
-        found = []
-        for block in range(0, len(windows), BLOCK):
-            samples = windows[block : block + BLOCK] - windows[block : block + BLOCK, :1]
-            size, *along = (samples @ table).T
-            left = np.einsum("ij,ij->i", samples, samples) - np.sum(np.square(along), axis=0)
-            found.append([size, np.maximum(left, 0.0) / (2 * side - TERMS - apart)])
-        size, variance = np.concatenate(found, axis=1) * known
+        column = column - np.nanmedian(column)
+        rows = [np.linalg.pinv(model)[0], *np.linalg.qr(model)[0].T]
+        size, *along = (np.correlate(column, row, "valid") * known for row in rows)
+        left = np.correlate(column**2, np.ones(2 * side), "valid") - np.sum(np.square(along), axis=0)
+        variance = np.maximum(left, 0.0) / (2 * side - TERMS - apart)
         if not np.isfinite(size).any():
             return cls(side, size, variance, np.inf, np.inf)
         about = np.abs(np.arange(size.size) - np.nanargmax(np.abs(size))) < side
@@ -325,7 +315,7 @@ def held(recording: Recording) -> Iterator[Finding]:
     Friction takes energy, so a rope that nothing drives rests in equilibrium alone, and for good. At the turn of a
     swing it pauses for hardly longer than it takes to move on.
     """
-    from scipy.ndimage import median_filter
+    from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
     rows = np.isfinite(recording.data).any(axis=1)
     t, data = recording.t[rows], recording.data[rows]
@@ -337,36 +327,22 @@ def held(recording: Recording) -> Iterator[Finding]:
     reach = min(reach, 2.0 * np.pi) if recording.kind == "angles" else reach
     if np.nanmedian(np.abs(data - filled)) > LIMITS.rests * reach:  # noise alone
         return
-    spans = np.arange(0, t.size, -(-t.size // BLOCK))
-    high, low, end = np.maximum.reduceat(filled, spans), np.minimum.reduceat(filled, spans), np.append(t[spans], np.inf)
-    before = _steady(high[::-1], low[::-1], LIMITS.rests * reach)[::-1]
-    after = _steady(high, low, LIMITS.moves * reach)
-    at = np.arange(spans.size)
-    rest, start = t[spans] - t[spans[at - before + 1]], end[at + after] - t[spans]
-    released = np.flatnonzero(rest > LIMITS.longer * start)
-    if released.size:
-        yield Finding(Kind.HELD_STILL, values={"time": float(t[spans[released[-1]]])})
+    even = np.linspace(t[0], t[-1], min(t.size, LIMITS.instants))
+    places, last = np.column_stack([np.interp(even, t, column) for column in filled.T]), -1
 
+    def ranges(count: int, origin: int) -> Array:
+        """Return the largest range of a channel in `count` instants that begin, or end, at each one (N,)."""
+        high, low = (each(places, count, axis=0, origin=origin) for each in (maximum_filter1d, minimum_filter1d))
+        return np.asarray((high - low).max(axis=1))
 
-def _steady(high: Array, low: Array, most: float) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return for how many spans from each one on (N,) no channel leaves a range of `most`; 1 at least.
-
-    `high` and `low` (N, C) are the largest and the least value of each span.
-    """
-    size, levels = len(high), [(high, low)]
-    while 1 << len(levels) <= size:
-        (top, bottom), half = levels[-1], 1 << len(levels) - 1
-        levels.append((np.maximum(top[:-half], top[half:]), np.minimum(bottom[:-half], bottom[half:])))
-    count, top, bottom = np.ones(size, dtype=np.intp), high, low
-    for level, (tops, bottoms) in reversed(list(enumerate(levels))):
-        at = np.arange(size) + count
-        fits = at < len(tops)
-        at[~fits] = 0
-        upper, lower = np.maximum(top, tops[at]), np.minimum(bottom, bottoms[at])
-        fits &= (upper - lower <= most).all(axis=1)
-        count += fits << level
-        top, bottom = np.where(fits[:, None], upper, top), np.where(fits[:, None], lower, bottom)
-    return count
+    for count in np.unique(np.geomspace(2.0 * LIMITS.longer, even.size, LIMITS.lengths).astype(int)).tolist():
+        short = int(count / LIMITS.longer)
+        rests = ranges(count, (count - 1) // 2) <= LIMITS.rests * reach
+        moves = ranges(short, -(short // 2)) >= LIMITS.moves * reach
+        at = np.flatnonzero((rests & moves)[count - 1 :])
+        last = max(last, int(at[-1]) + count - 1 if at.size else -1)
+    if last >= 0:
+        yield Finding(Kind.HELD_STILL, values={"time": float(t[np.searchsorted(t, even[last])])})
 
 
 FAULTS = (lost, wrapped, repeated, uneven_frames, missing_frames, jumps, held)
