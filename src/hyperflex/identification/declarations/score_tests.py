@@ -20,7 +20,7 @@ from hyperflex.identification.declarations.held import (
 )
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Window, linearise
-from hyperflex.identification.model import Mask, Parameter, Plant, extended, scale_words
+from hyperflex.identification.model import Parameter, Plant, extended, scale_words
 from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
@@ -366,33 +366,28 @@ def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> tuple[list
 
 def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
     """Return the test of numbers that were held, to first order."""
-    count, lower = basis.fit.x.size, found.plant.parameters.lower
-    matrix, score, scale = found.information.sum(axis=0), found.score.sum(axis=0), found.scale
+    count, scale = basis.fit.x.size, found.scale
+    matrix, score = found.information.sum(axis=0), found.score.sum(axis=0)
     parameters: list[Parameter] = [found.plant.parameters.all[k] for k in own]
     across = matrix[own] @ found.inverse(found.free)
     information, slope = matrix[np.ix_(own, own)] - across @ matrix[:, own], score[own] - across @ score
     sizes, directions = np.linalg.eigh(information)
     information = (directions * np.where(sizes > TESTING.tiny, sizes, 0.0)) @ directions.T  # less is rounding
     rate = -(across.T / scale[:, None])[:count]
-    if base(name) in LAWS:
-        shift, step, gain = _resisting(found, count, own, slope)
-    else:
-        step = _possible_step(information, slope, found.x[own] <= lower[own])
-        shift = np.maximum(rate @ step, lower[:count] - basis.fit.x)  # no resistance gets negative
-        gain = -float(step @ slope) / found.total
+    shift, step, gain = _bounded_step(found, count, own, slope)
     noise = basis.information.variance * basis.information.correlation
     chance = noise * max(1, int(np.count_nonzero(step)))
     with np.errstate(over="ignore"):
         moved = found.x[own] + step / scale[own]
         values = np.array([each.value(x) for each, x in zip(parameters, moved, strict=True)])
     acting = np.where(np.isfinite(scale[own]), scale[own], 0.0)
-    inverse = _inverse(information)
+    inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
     std = np.sqrt(noise * np.maximum(np.diag(inverse), 0.0)) * [each.scale for each in parameters] / scale[own]
     return ScoreTest(
         name,
         min(gain, 1.0),
         values,
-        std=float(std.max()) if np.linalg.eigvalsh(information)[0] > TESTING.tiny else np.inf,
+        std=float(std.max()) if sizes[0] > TESTING.tiny else np.inf,
         shift=shift,
         added=noise * rate @ inverse @ rate.T,
         excess_gain=max(0.0, 1.0 - chance / (gain * found.total)) if gain > 0.0 else 0.0,
@@ -409,32 +404,8 @@ def determined(information: Array) -> bool:
     return bool(np.linalg.eigvalsh(information / np.outer(size, size))[0] > TESTING.tiny)
 
 
-def _inverse(information: Array) -> Array:
-    """Return the inverse (k, k) of information about numbers each of which would alone have 1, 0 where there is none.
-
-    What is left of it once all that is free is eliminated says nothing below ``TESTING.tiny``: that is rounding.
-    """
-    sizes, directions = np.linalg.eigh(information)
-    least = max(TESTING.tiny, 1e-6 * float(sizes.max(initial=0.0)))
-    return np.asarray((directions * np.where(sizes > least, 1.0 / np.maximum(sizes, least), 0.0)) @ directions.T)
-
-
-def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
-    """Return the step (k,) that the score requires, 0 of what is at its bound and would pass it."""
-    active, step = np.ones(score.size, dtype=bool), np.zeros(score.size)
-    for _ in range(score.size + 1):  # until none is left
-        inner = _inverse(information[np.ix_(active, active)])
-        step[:] = 0.0
-        step[active] = -inner @ score[active]
-        passing = active & bounded & (step < 0.0)
-        if not passing.any():
-            break
-        active &= ~passing
-    return step
-
-
-def _resisting(found: Scores, size: int, own: list[int], slope: Array) -> tuple[Array, Array, float]:
-    """Return the shift of x (`size`,), the step (k,) of an omitted law, and its part of the squares, to first order.
+def _bounded_step(found: Scores, size: int, own: list[int], slope: Array) -> tuple[Array, Array, float]:
+    """Return the shift of x (`size`,), the step (k,) of what was held, and its part of the squares, to first order.
 
     Neither it nor what is free passes its bound: where little tells resistances apart, what one explains by making
     another negative is noise. slope (k,): score of its own numbers, what is free eliminated.
