@@ -11,7 +11,7 @@ import hyperflex as hf
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Kind, Severity, pipeline, text
-from hyperflex.identification.declarations.evidence import swapped
+from hyperflex.identification.declarations.evidence import swapped, uneven_scale
 from hyperflex.identification.declarations.mistakes import ShortFit
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding
@@ -269,6 +269,19 @@ def test_markers_swapped_in_two_intervals_are_told_with_both():
     assert (found.values["first"], found.values["second"]) == (1, 2)
     assert found.values["times"] == [[1.0, 1.98], [5.0, 5.48]]
     assert "from t = 1 to 1.98, 5 to 5.48 s." in text(found)
+
+
+@pytest.mark.parametrize(("factor", "turn"), [(1.0, 0.0), (1.1, 0.0), (1.1, 0.6)])
+def test_a_picture_that_is_wider_than_high_is_told(factor, turn):
+    run = hf.simulate(PAIR, duration=T[-1], t_eval=T, q0=[1.2, 0.9], tol=1e-7)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    places = run.joints @ (axes @ np.diag([factor, 1.0]) @ axes.T)
+    places = places + 1e-3 * np.random.default_rng(0).standard_normal(places.shape)
+    found = uneven_scale(hf.Recording(T, places.reshape(T.size, -1), kind="markers"), PAIR)
+    assert [each.kind for each in found] == [Kind.PICTURE_SCALE] * (factor > 1.0)
+    for each in found:
+        assert each.values["factor"] == pytest.approx(factor, rel=0.02)
+        assert each.values["angle"] == pytest.approx(turn, abs=0.1)
 
 
 def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more():

@@ -147,9 +147,7 @@ def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[
         left = data - inside
         if merging == "median":
             laid[which, np.arange(t.size) - first[which]] = left
-            ranked, last = np.sort(laid, axis=1), np.maximum(count - 1.0, 0.0)[:, None]  # gaps come last
-            low, high = (np.take_along_axis(ranked, each.astype(np.intp), 1) for each in (last // 2, (last + 1) // 2))
-            values = 0.5 * (low + high)[:, 0]
+            values = np.ma.median(np.ma.masked_invalid(laid), axis=1).filled(np.nan)  # type: ignore[no-untyped-call]
         else:
             values = np.add.reduceat(precision * np.nan_to_num(left), first)
             values = np.divide(values, total, out=np.full_like(values, np.nan), where=total > 0.0)
@@ -186,13 +184,11 @@ def rms_rate(t: Array, angle: Array) -> float:
     t, angle = t[known], angle[known]
     if angle.size > 2:  # a single sample that is far off is no motion
         t, angle = t[1:-1], np.median([angle[:-2], angle[1:-1], angle[2:]], axis=0)
-    least = min(0.01, (t[-1] - t[0]) / 200.0)
-    picked = [0]
-    for k in range(1, t.size):
-        if t[k] - t[picked[-1]] >= least:
-            picked.append(k)
-    turned, taken = np.diff(angle[picked]), np.diff(t[picked])
-    return float(np.sqrt((turned**2 / taken).sum() / taken.sum())) if taken.size else 0.0
+    if t.size < 2:
+        return 0.0
+    step: float = max(min(0.01, (t[-1] - t[0]) / 200.0), float(np.median(np.diff(t))))
+    turned = np.diff(np.interp(np.arange(t[0], t[-1] + 0.5 * step, step), t, angle))
+    return float(np.sqrt(np.mean(turned**2)) / step)
 
 
 def first_state(t: Array, angles: Array) -> Array:

@@ -418,11 +418,8 @@ def _known_state(known: dict[float, Array], window: Window) -> Array:
 
     Where samples were merged a window begins less than a step later than one of samples.
     """
-    away, at = min(((window.t[0] - t, t) for t in known), key=lambda each: abs(each[0]), default=(np.inf, 0.0))
-    if abs(away) >= window.t[1] - window.t[0]:
-        return window.guess
-    angles, rates = np.split(known[at], 2)
-    return np.append(angles + away * rates, rates)
+    at = min(known, key=lambda t: abs(t - window.t[0]), default=np.inf)
+    return known[at] if abs(at - window.t[0]) < window.t[1] - window.t[0] else window.guess
 
 
 def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Loss) -> list[Array]:

@@ -80,10 +80,12 @@ def lost(recording: Recording) -> Iterator[Finding]:
         hook = number == 0 and recording.data.shape[1] > 1 + markers
         if not 1 < at.sum() < (0.5 if hook or same.any() else 1.0) * at.size:
             continue
-        others, (here, there) = place[~at], (np.flatnonzero(each) for each in (at, ~at))
-        around = np.column_stack([np.interp(here, there, column) for column in others.T])
-        bend, step = (np.linalg.norm(np.diff(others, order, axis=0), axis=1) for order in (2, 1))
+        here, there = np.flatnonzero(at), np.flatnonzero(~at)
+        around = np.column_stack([np.interp(here, there, column) for column in place[there].T])
         away = float(np.median(np.linalg.norm(around - same, axis=1)))
+        apart = ~(at[1:] | at[:-1])
+        step, bend = (np.linalg.norm(np.diff(place, order, axis=0), axis=1) for order in (1, 2))
+        step, bend = step[apart], bend[apart[1:] & apart[:-1]]
         if bend.size and away > max(  # a repeated frame is a step away
             0.5 * LIMITS.far * np.quantile(bend, 0.9), np.quantile(step, 0.9), LIMITS.matters * np.ptp(place)
         ):
@@ -114,21 +116,20 @@ def wrapped(recording: Recording) -> Iterator[Finding]:
 def repeated(recording: Recording) -> Iterator[Finding]:
     """Yield that frames repeat the frame before while the rope moves: a slower camera, stored faster.
 
-    Runs of steps of at most the resolution are counted that end in motion on both sides. Those that are not all
-    exactly 0 tell how often noise of a coarse sensor makes such runs by chance.
+    Steps of at most the resolution are counted between motion on both sides. Those that are not exactly 0 tell how
+    often noise of a coarse sensor makes such steps by chance.
     """
     size = np.abs(np.diff(recording.data, axis=0))
     resolution = np.where(size > 0.0, size, np.inf).min(axis=0, initial=np.inf)
     moves = (size >= LIMITS.moving * resolution).any(axis=1)
     still = (size <= 1.5 * resolution).all(axis=1)
-    first, end = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2).T
-    between = np.append(False, moves)[first] & np.append(moves, False)[end]
-    length = (end - first)[between]
-    zeros = np.append(0, np.cumsum((size == 0.0).all(axis=1)))
-    exact = (zeros[end] - zeros[first])[between] == length
-    same, nearly = int(length[exact].sum()), int(length[~exact].sum())
-    if same > max(LIMITS.several * len(size), nearly):
-        yield Finding(Kind.REPEATED_FRAMES, values={"part": same / len(size)})
+    number, count = np.arange(len(size)), len(size)
+    before = np.maximum.accumulate(np.where(still, -1, number))
+    after = np.minimum.accumulate(np.where(still, count, number)[::-1])[::-1]
+    between = still & np.append(moves, False)[before] & np.append(moves, False)[after]
+    exact = between & (size == 0.0).all(axis=1)
+    if exact.sum() > max(LIMITS.several * count, (between & ~exact).sum()):
+        yield Finding(Kind.REPEATED_FRAMES, values={"part": float(exact.sum() / count)})
 
 
 def _even(recording: Recording, longest: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -144,15 +145,12 @@ def uneven_frames(recording: Recording) -> Iterator[Finding]:
     A sample is compared with a cubic through its four neighbours. Frames at wrong times are off along the motion of all
     channels together, more where it is fast. Noise is off in all directions and at all speeds alike.
     """
-    from scipy.ndimage import median_filter
-
-    data, around = recording.data, 3
-    if recording.t.size < 2 * around + 4 + LIMITS.many:
+    data = recording.data
+    if recording.t.size < 6 + LIMITS.many:
         return
-    off = (data[2:-2] - (4.0 * (data[1:-3] + data[3:-1]) - data[:-4] - data[4:]) / 6.0)[around:-around]
-    smooth = np.where(np.isnan(data), np.nan, median_filter(np.nan_to_num(data), size=(5, 1)))  # without outliers
-    speed = ((smooth[2 * around :] - smooth[: -2 * around]) / (2.0 * around))[2:-2]
-    rows = np.isfinite(off).all(axis=1) & np.isfinite(speed).all(axis=1) & _even(recording, 2 * around + 5)
+    off = (data[2:-2] - (4.0 * (data[1:-3] + data[3:-1]) - data[:-4] - data[4:]) / 6.0)[1:-1]
+    speed = (data[6:] - data[:-6]) / 6.0
+    rows = np.isfinite(off).all(axis=1) & np.isfinite(speed).all(axis=1) & _even(recording, 7)
     reach = np.nanmax(data, axis=0) - np.nanmin(data, axis=0)
     moving = reach > 0.1 * reach.max()
     off, speed = off[rows][:, moving], speed[rows][:, moving]
@@ -192,9 +190,7 @@ def missing_frames(recording: Recording) -> Iterator[Finding]:
     noise = max(float(np.median(np.abs(more[known]))) / NormalDist().inv_cdf(0.75), resolution)
     odd = known & alike & (np.sqrt((more**2).mean(axis=1)) > LIMITS.jump * noise)
     count = np.divide((more * usual).sum(axis=1), fast**2, out=np.zeros(fast.size), where=odd)
-    whole = odd & (np.abs(np.abs(count) - np.round(np.abs(count))) < LIMITS.whole)
-    whole &= (np.abs(count) > 1.0 - LIMITS.whole) & (np.abs(count) < LIMITS.missing + LIMITS.whole)
-    ahead = whole & (count > 0.0)
+    ahead = odd & (np.abs(count - np.round(count).clip(1.0, LIMITS.missing)) < LIMITS.whole)
     if ahead.sum() > 1 and ahead.sum() > 0.5 * odd.sum():
         yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[np.flatnonzero(ahead) + 2].tolist()})
 

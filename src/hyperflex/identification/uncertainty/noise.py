@@ -101,18 +101,17 @@ def ar_coefficients(parts: Array) -> Array:
 def correlations(terms: Array, count: int) -> Array:
     """Return the first autocorrelations (count,) of an autoregression (k,).
 
-    The first k by Yule and Walker's equations, all others by the autoregression, twice as many at each pass.
+    The first k by Yule and Walker's equations, all others by the autoregression.
     """
-    from scipy.linalg import companion, hankel, toeplitz
+    from scipy.linalg import hankel, toeplitz
+    from scipy.signal import lfilter, lfiltic
 
     if not terms.size:
         return np.asarray(np.eye(1, count)[0])
     before, after = toeplitz(np.append(0.0, terms[:-1]), np.zeros(terms.size)), hankel(np.append(terms[1:], 0.0))
     first = np.append(1.0, np.linalg.solve(np.eye(terms.size) - before - after, terms))
-    states, power = first[:0:-1, None], companion(np.append(1.0, -terms))  # k neighbours each, the latest first
-    while terms.size + states.shape[1] < count:
-        states, power = np.hstack([states, power @ states]), power @ power
-    return np.append(first[:-1], states[0])[:count]
+    one, back = np.ones(1), np.append(1.0, -terms)
+    return np.append(first, lfilter(one, back, np.zeros(count), zi=lfiltic(one, back, first[::-1]))[0])[:count]
 
 
 def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
@@ -133,15 +132,14 @@ def _bridged(piece: Piece) -> Piece:
 
     The fit's directions are bridged as well, each then scaled to the length it had: they absorb no more than before.
     """
+    from scipy.interpolate import make_interp_spline
+
     both, seen = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2), piece.seen.copy()
     for c in range(seen.shape[1]):
         known = np.flatnonzero(piece.seen[:, c])
         if known.size > 1:
             inside = np.arange(known[0], known[-1] + 1)
-            after = np.maximum(np.searchsorted(known, inside), 1)
-            low, high = known[after - 1], known[after]
-            part = ((inside - low) / (high - low))[:, None]
-            both[inside, c] = (1.0 - part) * both[low, c] + part * both[high, c]
+            both[inside, c] = make_interp_spline(known, both[known, c], k=1)(inside)
             seen[inside, c] = 1.0
     basis = both[:, :, 1:]
     before, now = (np.sqrt((each**2).sum(axis=(0, 1))) for each in (piece.basis, basis))

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 
 import numpy as np
 
@@ -148,8 +147,6 @@ class ProfileOptions:
     # std: a bound so far off is not felt; correlation with a parameter near its bound from which that matters
     near: float = 4.0
     tied: float = 0.1
-    # part by which the root of the rise may depart from a straight line before the covariance is left
-    bent: float = 0.1
     # profiles that "auto" takes on, each as dear as two or three fits
     most: int = 4
 
@@ -402,8 +399,8 @@ def all_intervals(
 ) -> dict[str, Interval]:
     """Return intervals of all free parameters, by label.
 
-    ``auto`` profiles up to four parameters whose covariance is skewed: within four standard deviations of a bound,
-    correlated with such a one, or with squares that do not rise as a parabola; of more, those nearest to their bounds.
+    ``auto`` profiles up to four parameters whose covariance is skewed: within four standard deviations of a bound, or
+    correlated with such a one; of more, those nearest to their bounds.
     What a profile shows besides is added to `remarks`. `report` gets each round of each profile, with its ``parameter``
     and ``phase="profile"``. Ctrl-C raises Interrupted; in its ``partial``, and out of time, what was not profiled yet
     has intervals from the covariance.
@@ -454,8 +451,7 @@ def _remarks(found: Profile) -> list[Finding]:
 def skewed(basis: Basis) -> list[int]:
     """Return the parameters for which the covariance does not suffice, `most` at most, those nearest to a bound first.
 
-    Near a bound, its own or that of one it correlates with; or where, two standard deviations away along the line of
-    the covariance, the squares rise otherwise than by four. Two rollouts of all windows for each.
+    Near a bound, its own or that of one it correlates with.
     """
     information, above = basis.information, basis.information.x - basis.plant.parameters.lower
     std = np.sqrt(np.diag(information.covariance))
@@ -464,27 +460,7 @@ def skewed(basis: Basis) -> list[int]:
     beside = (above < WALK.near * std) & (std > 0.0)
     tied: Mask = np.any((np.abs(information.covariance) > WALK.tied * np.outer(std, std)) & beside, axis=1)
     order = np.argsort(above / np.where(std > 0.0, std, 1.0), kind="stable")
-    return list(islice((int(k) for k in order if known[k] and (tied[k] or _bent(basis, int(k)))), WALK.most))
-
-
-def _bent(basis: Basis, which: int) -> bool:
-    """Whether the squares do not rise as a parabola along the line of a parameter's covariance."""
-    plain = basis.information.plain
-    line = plain[:, which] / np.sqrt(plain[which, which])
-    roots = [np.sqrt(max(_rise(basis, step * line), 0.0)) / abs(step) for step in (-2.0, 2.0)]
-    return any(abs(root - 1.0) > WALK.bent for root in roots)
-
-
-def _rise(basis: Basis, move: Array) -> float:
-    """Return the rise of the cost over the residual variance, x and states moved along a line; inf if it fails."""
-    found, total = basis.fit, 0.0
-    for window, state, follow in zip(basis.windows, found.states, basis.information.follow, strict=True):
-        moved = state + follow @ move
-        residual = window.residual(basis.plant, found.x + move, moved)
-        if residual is None:
-            return np.inf
-        total += found.window_cost(window, moved, residual)
-    return (total - found.cost) / basis.information.variance
+    return order[(known & tied)[order]][: WALK.most].tolist()  # type: ignore[no-any-return]
 
 
 def threshold(level: float, freedom: float, above: float) -> float:
