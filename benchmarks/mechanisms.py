@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-from benchmarks import machine, recorded
 from benchmarks import log as lines
+from benchmarks import machine, recorded
 
 import hyperflex as hf
 from hyperflex import files

@@ -237,6 +237,7 @@ def test_laws_along_the_rope_are_told_as_factors(markers):
     found = changed(
         markers[1],
         parameters=("friction:shared", "stiffness:factor", "mass:taper"),
+        starts=np.array([3e-4, 1.0, 0.0]),
         values={"friction": np.full(6, 2e-4), "stiffness:factor": np.array(1.5), "mass:taper": np.array(0.1)},
         std={"friction": np.full(6, 1e-5), "stiffness:factor": np.array(0.1), "mass:taper": np.array(0.2)},
     )
@@ -245,6 +246,7 @@ def test_laws_along_the_rope_are_told_as_factors(markers):
     assert (factor.value, factor.std) == (1.5, 0.1)
     assert "at the tip over that at the first joint" in described(taper.label)
     assert taper.value == pytest.approx(np.exp(0.1))
+    assert (shared.start, factor.start, taper.start) == (3e-4, 1.0, 1.0)
     assert (taper.low, taper.high) == pytest.approx((np.exp(0.1 - BAND * 0.2), np.exp(0.1 + BAND * 0.2)))
 
 
@@ -252,6 +254,7 @@ def test_what_errs_together_is_named(swing):
     found = changed(
         swing[1],
         parameters=("friction[0]", "friction[1]", "inertia[0]"),
+        starts=np.ones(3),
         covariance=np.array([[4.0, 3.96, 0.0], [3.96, 4.0, 1.0], [0.0, 1.0, 9.0]]),
         std={"friction": np.array([2.0, 2.0]), "inertia": np.array([3.0, 0.0])},
     )

@@ -112,7 +112,7 @@ class FitOptions:
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope; less
         where links turn fast, more where frames are few. Of up to four links windows are then joined, up to the whole
-        recording, as long as errors do not grow exponentially and the parameters get better known.
+        recording, as long as errors do not grow exponentially and the fit follows the data.
     train : float, s, optional
         Fit the samples with t < train and predict the rest; ``inf`` fits all. By default the first 80 % is fitted if
         the rest is long enough for a prediction, else all.

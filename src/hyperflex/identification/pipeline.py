@@ -401,7 +401,7 @@ class _Case:
     def _lengthened(
         self, search: MultiStart, found: Fitted, information: Information, ended: Status | None
     ) -> tuple[MultiStart, Fitted, Information, Status | None]:
-        """Return the fit of longer windows, as long as these make the parameters better known, and its search.
+        """Return the fit of longer windows, as long as these can be followed, and its search.
 
         A state that is common to a longer time leaves more of the motion to the parameters: a phase, above all. Where
         errors grow fast, longer windows tell less; where the model is not right for so long, residuals grow. Those of a
@@ -422,7 +422,7 @@ class _Case:
                 if not longer.fit.converged:
                     break
                 more = estimate_covariance(following.plant, longer.windows, longer.fit, self.budget)
-                if is_bad(longer, more) or more.variance > most or not more.tells_more(information):
+                if is_bad(longer, more) or more.variance > most:
                     break
                 search, found, information = following, longer, more
         return search, found, information, ended or stop.status
@@ -562,6 +562,7 @@ def _result(
         residuals=residuals,
         fitted=np.concatenate([w.y for w in basis.windows])[:, : residuals.shape[1]] - residuals,
         held_out=held_out,
+        starts=np.array([each.start for each in parameters.all]),
         parameters=parameters.labels,
         covariance=covariance,
         length_covariance=by_length,

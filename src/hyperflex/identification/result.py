@@ -64,6 +64,8 @@ class Identification:
         Measured less fitted channels, and fitted ones, at the fitted samples; NaN in gaps.
     held_out : HeldOut or None
         Prediction of the part that was not fitted.
+    starts : (P,)
+        Values from which `parameters` were fitted, SI units.
     parameters, covariance : tuple of str, (P, P)
         Names of the P single free numbers, e.g. ``friction[1]``; their covariance, SI units, of all that `std` counts
         (its diagonal is the square of `std`, where that is finite), 0 along unknown directions.
@@ -113,6 +115,7 @@ class Identification:
     residuals: Array
     fitted: Array
     held_out: HeldOut | None
+    starts: Array
     parameters: tuple[str, ...]
     covariance: Array
     length_covariance: Array

@@ -108,20 +108,6 @@ class Information:
         moved = self.scaled * np.outer(both, both)
         return self.total * np.outer(slopes, slopes) + moved[:-1, :-1], moved[-1]
 
-    def tells_more(self, other: "Information") -> bool:
-        """Whether noise leaves less unknown than in another information about the same parameters.
-
-        That is more directions, or a smaller volume of the confidence ellipsoid; residuals that no process explains
-        tell less.
-        """
-        if self.agrees != other.agrees or self.known.shape != other.known.shape:
-            return (self.agrees, self.known.shape[1]) > (other.agrees, other.known.shape[1])
-        scale = np.outer(self.widths, self.widths)
-        mine, others = (
-            np.linalg.slogdet(self.known.T @ (each.covariance / scale) @ self.known)[1] for each in (self, other)
-        )
-        return bool(mine < others)
-
     def deviations(self, slopes: Array) -> Array:
         """Return standard deviations (P,) of the values, `slopes` (P,) d value / d x; inf where unknown."""
         return np.where(self.growing, np.inf, self.spread(np.diag(slopes)))

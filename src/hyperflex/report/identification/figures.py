@@ -304,19 +304,18 @@ def along_figure(found: Identification, guess: Rope | None = None, least: int = 
     own: dict[str, list[tuple[float, ...]]] = {}
     for each in numbers(found):
         if each.place is not None and PROPERTIES[each.name].owner == "link":
-            own.setdefault(each.name, []).append((each.place, each.value, each.low, each.high))
+            own.setdefault(each.name, []).append((each.place, each.value, each.low, each.high, each.start))
     shown = {name: np.array(rows).T for name, rows in own.items() if len(rows) >= least}
     if not shown:
         return None
     with new_figure(_WIDTH, 0.5 + 2.0 * len(shown)) as figure:
         axes = figure.subplots(len(shown), 1, squeeze=False, sharex=True)[:, 0]
-        for axis, (name, (places, values, low, high)) in zip(axes, shown.items(), strict=True):
+        for axis, (name, (places, values, low, high, start)) in zip(axes, shown.items(), strict=True):
             unit = readable_unit(name, values)
             axis.vlines(places, low / unit.size, high / unit.size, color=BLUE, lw=2.0, alpha=0.45)
             axis.plot(places, values / unit.size, "o", ms=4.0, color=BLUE, label="identified, 95 % interval")
             if guess is not None:
-                start = getattr(guess, name)[places.astype(int)] / unit.size
-                axis.plot(places, start, "x", ms=4.0, color=GREY, label="first guess")
+                axis.plot(places, start / unit.size, "x", ms=4.0, color=GREY, label="first guess")
             axis.set(ylabel=unit.name, title=name.replace("_", " "))
         axes[-1].set_xlabel("link, from the first joint to the tip")
         axes[-1].locator_params(axis="x", integer=True)

@@ -26,7 +26,8 @@ LAWS = {
 class Number:
     """One free number: its label as in the assessment, the property's name, which link or marker, and its law.
 
-    value, std, low and high (95 %) are in SI units; if it is not determined, std is inf, and low and high are NaN.
+    value, std, low and high (95 %), and start (the first guess) are in SI units. Where the data set no limits, std is
+    inf, and low and high are NaN.
     """
 
     label: str
@@ -37,6 +38,7 @@ class Number:
     std: float
     low: float
     high: float
+    start: float
 
 
 def predicted(found: Identification) -> tuple[str, str]:
@@ -57,16 +59,16 @@ def described(label: str, words: str = "") -> str:
 
 def numbers(found: Identification) -> tuple[Number, ...]:
     """Return all free numbers with the intervals of the identification, or value plus and minus 1.96 std."""
-    return tuple(_number(found, label) for label in found.parameters)
+    return tuple(_number(found, *each) for each in zip(found.parameters, found.starts.tolist(), strict=True))
 
 
-def _number(found: Identification, label: str) -> Number:
+def _number(found: Identification, label: str, start: float) -> Number:
     name, place, law = parse_label(label) or Label(label, None, "")
     key = label if law in ("factor", "taper") else name
     which = -1 if law == "inner" else place or 0
     value, std = (float(np.atleast_1d(each[key])[which]) for each in (found.values, found.std))
     linear = law == "taper" or (PROPERTIES[name].form == "linear" and law != "factor")
-    every = np.array([value, std, *_interval(found, label, value, std, signed=linear)])
+    every = np.array([value, std, *_interval(found, label, value, std, signed=linear), start])
     if law == "taper":  # the fit knows its logarithm
         every = np.exp(every)
         every[1] = every[0] * std
@@ -93,23 +95,9 @@ def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
         words = described(each.label, PROPERTIES[each.name].words)
         rows.append([each.label, words, rounded(value, std) + unit.after, *_spread(std, low, high)])
         if guess is not None:
-            start = _start(each, found, guess)
-            rows[-1].append("" if start is None else f"{start / unit.size:.4g}")
+            rows[-1].append(f"{each.start / unit.size:.4g}")
     header = ("name", "what it is", "value", "std", "95 % interval", *["first guess"] * (guess is not None))
     return TextTable(header, tuple(map(tuple, rows)))
-
-
-def _start(each: Number, found: Identification, guess: Rope) -> float | None:
-    """Return the starting value of a number, or None if it came from the recording."""
-    owner = PROPERTIES[each.name].owner
-    if each.law in ("factor", "taper") or each.name == "gravity_scale":
-        return 1.0
-    if owner in ("camera", "arm"):
-        return None
-    if owner in ("motion", "view"):
-        return float(found.settings.get(f"{each.name}_from", 0.0))
-    own = np.asarray(found.settings["arc_lengths"] if owner == "marker" else np.atleast_1d(getattr(guess, each.name)))
-    return float(np.mean({"shared": own, "inner": own[1:]}.get(each.law, own[each.place or 0])))
 
 
 def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str, ...]:
