@@ -145,12 +145,15 @@ def uneven_frames(recording: Recording) -> Iterator[Finding]:
     A sample is compared with a cubic through its four neighbours. Frames at wrong times are off along the motion of all
     channels together, more where it is fast. Noise is off in all directions and at all speeds alike.
     """
-    data = recording.data
-    if recording.t.size < 6 + LIMITS.many:
+    from scipy.ndimage import median_filter
+
+    data, around = recording.data, 3
+    if recording.t.size < 2 * around + 4 + LIMITS.many:
         return
-    off = (data[2:-2] - (4.0 * (data[1:-3] + data[3:-1]) - data[:-4] - data[4:]) / 6.0)[1:-1]
-    speed = (data[6:] - data[:-6]) / 6.0
-    rows = np.isfinite(off).all(axis=1) & np.isfinite(speed).all(axis=1) & _even(recording, 7)
+    off = (data[2:-2] - (4.0 * (data[1:-3] + data[3:-1]) - data[:-4] - data[4:]) / 6.0)[around:-around]
+    smooth = np.where(np.isnan(data), np.nan, median_filter(np.nan_to_num(data), size=(5, 1)))  # without outliers
+    speed = ((smooth[2 * around :] - smooth[: -2 * around]) / (2.0 * around))[2:-2]
+    rows = np.isfinite(off).all(axis=1) & np.isfinite(speed).all(axis=1) & _even(recording, 2 * around + 5)
     reach = np.nanmax(data, axis=0) - np.nanmin(data, axis=0)
     moving = reach > 0.1 * reach.max()
     off, speed = off[rows][:, moving], speed[rows][:, moving]
