@@ -54,7 +54,7 @@ class FaultLimits:
     longer: float = 5.0
     # instants at which a rest is searched at most, and lengths of it that are tried
     instants: int = 4096
-    lengths: int = 32
+    lengths: int = 64
 
 
 LIMITS = FaultLimits()
@@ -335,7 +335,7 @@ def held(recording: Recording) -> Iterator[Finding]:
         return np.asarray((high - low).max(axis=1))
 
     for count in np.unique(np.geomspace(2.0 * LIMITS.longer, even.size, LIMITS.lengths).astype(int)).tolist():
-        short = int(count / LIMITS.longer)
+        short = 1 + int((count - 1) / LIMITS.longer)
         rests = ranges(count, (count - 1) // 2) <= LIMITS.rests * reach
         moves = ranges(short, -(short // 2)) >= LIMITS.moves * reach
         at = np.flatnonzero((rests & moves)[count - 1 :])
