@@ -1,12 +1,10 @@
 """The look of a plain rope: its colour and width from a curve, shares across it, light that changes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from hyperflex import InvalidInput
-from hyperflex.vision import Camera, Renderer, RopeLook, Scene, still_background
+from hyperflex.vision import Camera, Renderer, RopeLook, Scene
 from hyperflex.vision.look import places_across
 from tests.vision.ropes import swinging
 
@@ -39,13 +37,10 @@ def test_colour_and_width_are_found(name):
     assert look.bgr == pytest.approx(LOOKS[name]["rope_colour"], abs=15.0)
 
 
-@pytest.mark.parametrize("still", [False, True])
 @pytest.mark.parametrize("name", LOOKS)
-def test_shares_are_one_on_the_rope_and_zero_beside_it(name, still):
-    images, curve = filmed([0.5, *(np.linspace(0.1, 1.9, 5) if still else [])], **LOOKS[name])
+def test_shares_are_one_on_the_rope_and_zero_beside_it(name):
+    images, curve = filmed(**LOOKS[name])
     look = RopeLook.from_curve(images[0], curve)
-    if still:
-        look = replace(look, background=still_background(images[1:]))
     across = np.linspace(-15.0, 15.0, 61)
     outside = np.abs(across) > 6.0
     found = look.shares(images[0], places_across(curve, across), outside, across)
@@ -56,32 +51,22 @@ def test_shares_are_one_on_the_rope_and_zero_beside_it(name, still):
 
 
 def test_a_look_follows_the_light():
-    """After a step of the exposure by 0.7 colour and background are 0.7 times as bright."""
+    """After a step of the exposure by 0.7 the colour is 0.7 times as bright."""
     steps = {**LOOKS["dark on bright"], "exposure_steps": ((1.0, 0.7),)}
     images, curve = filmed([0.5, 0.1, 0.3, 0.9, 1.2], **steps)
     look = RopeLook.from_curve(images[0], curve)
-    look = replace(look, background=still_background(images[1:4]))
     later = look.in_light_of(images[4])
     assert later.bgr / look.bgr == pytest.approx(0.7, abs=0.01)
-    assert later.background.mean() / look.background.mean() == pytest.approx(0.7, abs=0.01)
     assert look.in_light_of(images[1]).bgr == pytest.approx(look.bgr, rel=0.01)
 
 
 def test_a_look_follows_light_that_rises_slowly():
     """By half in 200 frames: less than a level from one to the next."""
     wall = np.random.default_rng(0).integers(60, 150, (160, 160, 3), np.uint8)  # which change in different pictures
-    look = first = RopeLook([50.0, 45.0, 40.0], 3.6, wall).in_light_of(wall)
+    look = first = RopeLook([50.0, 45.0, 40.0], 3.6).in_light_of(wall)
     for gain in np.linspace(1.0, 1.5, 200):
         look = look.in_light_of(np.rint(wall * gain).astype(np.uint8))
     assert look.bgr == pytest.approx(1.5 * first.bgr, rel=0.01)
-    assert look.background.mean() == pytest.approx(1.5 * wall.mean(), rel=0.01)
-
-
-def test_a_camera_that_moves_has_no_background():
-    images, _ = filmed([0.1, 0.3, 0.5, 0.7], **LOOKS["coloured on textured"])
-    moved = [np.roll(image, 5 * k, axis=1) for k, image in enumerate(images)]
-    with pytest.raises(InvalidInput, match="camera moves"):
-        still_background(moved)
 
 
 @pytest.mark.parametrize("name", LOOKS)
@@ -91,12 +76,9 @@ def test_a_curve_without_a_rope_has_no_look(name):
         RopeLook.from_curve(images[0], curve + np.array([60.0, 0.0]))
 
 
-def test_a_calibrated_width_is_kept_and_its_colour_learned():
+def test_a_calibrated_width_is_kept():
     images, curve = filmed(**LOOKS["dark on bright"])
-    look = RopeLook.from_curve(images[0], curve, width=3.6)
-    assert look.width == 3.6
-    wrong = replace(look, bgr=look.bgr + 40.0)
-    assert np.abs(wrong.learned(images[0], curve, 0.25).bgr - look.bgr).max() == pytest.approx(30.0, abs=0.5)
+    assert RopeLook.from_curve(images[0], curve, width=3.6).width == 3.6
 
 
 def test_a_point_is_no_curve():

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.colour import MarkerColour
     from hyperflex.vision.curve import CurveDetector, CurveOffsets, CurveView, view_curve
     from hyperflex.vision.first_frame import FoundRope, NoRope, Reason, find_rope
-    from hyperflex.vision.look import RopeLook, still_background
+    from hyperflex.vision.look import RopeLook
     from hyperflex.vision.markers import Blobs, Gate, MarkerDetector
     from hyperflex.vision.renderer.boards import film_board
     from hyperflex.vision.renderer.motion import RopeMotion

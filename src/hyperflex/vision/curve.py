@@ -174,13 +174,8 @@ class CurveDetector:
         outside = (np.abs(across) > inner[:, None]) & np.isfinite(seen[:, :, 0])
         beyond = ~outside.any(axis=1)  # of the picture
         seen[beyond], outside[beyond] = 0.0, True
-        if look.background is None:
-            walls = np.nanmedian(np.where(outside[:, :, None], seen, np.nan), axis=1, keepdims=True)
-        else:
-            walls = np.empty_like(seen)
-            profiles.sample_lines(look.background, view.points, view.normals, self.STEP, far, walls)
-            walls[beyond] = 0.0
-        contrast = look.bgr - np.nanmean(walls, axis=1)
+        walls = np.nanmedian(np.where(outside[:, :, None], seen, np.nan), axis=1, keepdims=True)
+        contrast = look.bgr - walls[:, 0]
         weights = contrast / np.maximum((contrast**2).sum(axis=1, keepdims=True), 1.0)
         shares = np.einsum("kxc,kc->kx", seen - walls, weights)
         found = np.empty((len(reach), self.CANDIDATES, profiles.COLUMNS))

@@ -1,6 +1,5 @@
 """The look of a rope without markers: its colour against what is behind it, its width, and the light as it changes."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -65,24 +64,21 @@ class RopeLook:
         Mean colour over the rope's width, blue, green, red, 0 to 255.
     width : float
         Of the rope at rest, px.
-    background : (height, width, 3) uint8, optional
-        The picture without the rope, of a camera that stands still; see :func:`still_background`.
     light : (h, w, 3) uint8, optional
-        Some pixels of the picture whose light `bgr` and `background` have; see :meth:`in_light_of`.
+        Some pixels of the picture whose light `bgr` has; see :meth:`in_light_of`.
     first : RopeLook, optional
         The look that this one is of, in its own light: changes from frame to frame would be rounded away.
 
     Notes
     -----
     A pixel that the rope covers in part is a mixture of rope and wall. The share is Fisher's linear discriminant
-    between the rope's colour and the wall's beside it (or the background's behind it), with the covariance of the wall
+    between the rope's colour and the wall's beside it, with the covariance of the wall
     there. So one rule serves bright ropes on dark walls, dark ones on bright walls, and coloured ones on textures: what
     varies over the wall (grain, shadow, shade) counts little.
     """
 
     bgr: Array
     width: float
-    background: Image | None = None
     light: Image | None = None
     first: "RopeLook | None" = None
 
@@ -173,8 +169,7 @@ class RopeLook:
             Of the places along the lines, px.
         """
         samples, outside = sample(image, places), np.broadcast_to(outside, places.shape[:2])
-        background = self.background
-        wall = _wall(samples, outside, across) if background is None else sample(background, places)
+        wall = _wall(samples, outside, across)
         contrast = self.bgr - wall
         weights = contrast @ np.linalg.inv(_covariance(samples - wall, outside))
         power = np.maximum((contrast * weights).sum(axis=2), 1e-9)
@@ -186,48 +181,7 @@ class RopeLook:
         if first.light is None or first.light.shape != now.shape:
             return replace(self, light=now, first=None)
         gain = _gain_between(first.light, now)
-        background = first.background
-        if background is not None:
-            background = np.clip(np.rint(background * gain), 0, 255).astype(np.uint8)
-        bgr = np.clip(first.bgr * gain, 0.0, 255.0)
-        return replace(self, bgr=bgr, background=background, light=now, first=first)
-
-    def learned(self, image: Image, curve: Array, rate: float = 0.1) -> "RopeLook":
-        """Return this look, its colour moved by a share `rate` towards that of the rope along a curve (P, 2), px."""
-        seen = RopeLook.from_curve(image, curve, self.width)
-        return replace(self, bgr=self.bgr + rate * (seen.bgr - self.bgr), first=None)
-
-
-def still_background(frames: Iterable[Image]) -> Image:
-    """Return the picture without what moves, the median over time of frames of a camera that stands still.
-
-    Parameters
-    ----------
-    frames : iterable of (height, width, 3) uint8
-        Some ten of them, over a time in which the rope moves from everywhere.
-
-    Raises
-    ------
-    InvalidInput
-        With fewer than three frames, or if the camera moves: a large part of the picture changes.
-    """
-    pictures = list(frames)
-    if len(pictures) < 3:
-        raise InvalidInput("too few frames for a background", got=len(pictures), allowed="3 or more")
-    moved = max(_movement(pictures[0], each) for each in pictures[1:])
-    if moved > 0.5:
-        raise InvalidInput(
-            "the camera moves: movement of the picture in px",
-            got=round(moved, 1),
-            allowed="at most 0.5",
-            fix="Put the camera on a stand, or track without a background",
-        )
-    light = np.stack([_gain_between(_sparse(pictures[0]), _sparse(each)) for each in pictures])
-    stack = np.stack(pictures)
-    result = np.empty_like(pictures[0])
-    for row, part in enumerate(stack.transpose(1, 0, 2, 3)):  # a row at a time: little memory
-        result[row] = np.clip(np.rint(np.median(part / light[:, None], axis=0)), 0, 255)
-    return result
+        return replace(self, bgr=np.clip(first.bgr * gain, 0.0, 255.0), light=now, first=first)
 
 
 def places_across(curve: Array, across: Array) -> Array:
@@ -348,20 +302,6 @@ def _covariance(off: Array, outside: npt.NDArray[np.bool_]) -> Array:
     off = np.where(used, off, 0.0)
     total = np.einsum("kmi,kmj->kij", off, off) / np.maximum(used.sum(axis=1), 1)[:, :, None]
     return np.asarray(total + NOISE**2 * np.eye(3))
-
-
-def _movement(before: Image, after: Image, tiles: int = 4) -> float:
-    """Return by how much most of `tiles` by `tiles` parts of a picture move, px; those without texture are still."""
-    import cv2
-
-    grey = [cv2.cvtColor(each, cv2.COLOR_BGR2GRAY).astype(np.float32) for each in (before, after)]
-    height, width = (side // tiles for side in grey[0].shape)
-    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
-    corners = [(v * height, u * width) for v in range(tiles) for u in range(tiles)]
-    parts = [[each[v : v + height, u : u + width] for each in grey] for v, u in corners]
-    textured = [cv2.GaussianBlur(one, (0, 0), 2.0).std() > 4.0 for one, _ in parts]  # levels
-    found = [np.hypot(*cv2.phaseCorrelate(one, other, window)[0]) for one, other in parts]
-    return float(np.median(np.where(textured, found, 0.0)))
 
 
 def _sparse(image: Image) -> Image:
