@@ -1,10 +1,10 @@
 """What parts of identification give: the same fresh cases with one part as it is, and switched off.
 
-python -m benchmarks.mechanisms --seed 914             all parts; some 15 min of processor time
+python -m benchmarks.mechanisms --seed 914             all parts; some 3 min of processor time
 python -m benchmarks.mechanisms --seed 914 --only starts --count 6 --out -    a look; nothing is written
 
 A part is worth its lines where fewer faults are named without it, more results are wrong or cases missed, or the time
-grows. Rows are kept in mechanisms.jsonl. All simulated, but for the tip of the double pendulum IBM 16.
+grows. Rows are kept in mechanisms.jsonl. All simulated.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from unittest.mock import patch
 
 import numpy as np
 from benchmarks import log as lines
-from benchmarks import machine, recorded
+from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files
@@ -66,10 +66,10 @@ def jumps(random: np.random.Generator, k: int) -> str:
     """A zero, or a marker, that moves by 3 to 15 standard deviations of the noise."""
     kind, rope, t = ("angles", "markers")[k % 2], drawn(random, 1 + k // 2 % 2), np.arange(480) / 60.0
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=random.uniform(0.4, 1.0, rope.n_links), tol=1e-8)
-    seen = recorded_as(kind, run, random, 3e-3)
+    data = recorded_as(kind, run, random, 3e-3).data.copy()
     size = random.choice([3.0, 5.0, 8.0, 15.0]) * (3e-3 if kind == "angles" else 1e-3)
-    seen.data[int(random.integers(100, 380)) :, -1 if kind == "angles" else -2] += size
-    return outcome(hf.Recording(t, seen.data, kind=kind), rope, Kind.JUMP)
+    data[int(random.integers(100, 380)) :, -1 if kind == "angles" else -2] += size
+    return outcome(hf.Recording(t, data, kind=kind), rope, Kind.JUMP)
 
 
 def pictures(random: np.random.Generator, k: int) -> str:
@@ -89,7 +89,8 @@ def samples(random: np.random.Generator, k: int) -> str:
     rate, start = float(random.choice([25, 30, 60, 100, 240])), random.choice([0.3, 0.8, 1.5, 2.8])
     rope, t = drawn(random, n), np.arange(int(rate * random.uniform(5.0, 15.0))) / rate
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=start * random.uniform(0.6, 1.0, n), tol=1e-6)
-    data, at = recorded_as(kind, run, random, random.choice([3e-4, 3e-3])).data, int(random.uniform(0.3, 0.7) * t.size)
+    data = recorded_as(kind, run, random, random.choice([3e-4, 3e-3])).data.copy()
+    at = int(random.uniform(0.3, 0.7) * t.size)
     if k % 2:
         data = np.delete(data, slice(at, at + int(random.uniform(0.1, 0.6) * rate)), axis=0)
     else:
@@ -110,12 +111,6 @@ def starts(random: np.random.Generator, k: int) -> str:
     free, options = FREE if n > 1 else ["inertia", "friction"], hf.FitOptions(intervals=None, window=1.2)
     best, found = (hf.identify(seen, one, free, options=options).residual_rms_all for one in (rope, guess))
     return "same optimum" if found < 1.02 * best else "another optimum"
-
-
-def tips(random: np.random.Generator, k: int) -> str:
-    """The real double pendulum by its tip alone, from guesses within a factor of 3."""
-    row = recorded.guesses("tip", slice(4, 6), int(random.integers(1 << 30)), 1)
-    return "same optimum" if row["accuracy"].startswith("1 of 1") else "another optimum"
 
 
 class Part(NamedTuple):
@@ -153,12 +148,6 @@ PARTS = {
     ),
     "starts": Part(
         "shorter windows first", starts, 24, lambda: patch("hyperflex.identification.multi_start.FIRST", 1e9)
-    ),
-    "tips": Part(
-        "parameters and states by turns, where shapes look alike",
-        tips,
-        8,
-        lambda: patch("hyperflex.identification.multi_start.TURNS", 0),
     ),
 }
 
@@ -208,7 +197,7 @@ def main() -> None:
 
 PAGE = """Fresh cases with a part of identification as it is, and switched off; processor time. A part is worth its
 lines where fewer faults are named without it, more results are wrong or cases missed, or the time grows.
-`python -m benchmarks.mechanisms` makes these rows. All simulated, but for the tip of IBM 16."""
+`python -m benchmarks.mechanisms` makes these rows. All simulated."""
 
 if __name__ == "__main__":
     main()
