@@ -2,6 +2,7 @@
 
 python -m benchmarks.markerless 10                    all cases, ten seeds each (about three hours on one core)
 python -m benchmarks.markerless 10 --case clutter     one case; --first 3 begins with seed 3
+python -m benchmarks.markerless 10 --videos FOLDER    videos are kept there, and taken from there if they are there
 python -m benchmarks.markerless wrong                 set-ups that are wrong: what is reported
 python -m benchmarks.markerless page                  the page from what there is
 
@@ -19,6 +20,7 @@ are means of instants at most 1.5 px apart. Seeds below 100 were used while the 
 """
 
 import argparse
+import re
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -136,20 +138,20 @@ def scene_of(case: Case, seed: int) -> Scene:
     )
 
 
-def run(name: str, seed: int) -> dict[str, Any]:
-    """Render a video, write it, read it, track it, and compare."""
+def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
+    """Render a video into a folder, unless it is there, read it, track it, and compare."""
     case = CASES[name]
     motion = motion_of(case, seed)
     camera = Camera.facing((1280, 720), pixels_per_metre=SCALE, origin=(640.0, 60.0), exposure=case.exposure)
     stamps = START + np.arange(0.0, case.duration, 1.0 / case.rate)
-    with tempfile.TemporaryDirectory() as folder:
-        path, scene = Path(folder) / "rope.mp4", scene_of(case, seed)
+    path, scene = folder / f"{re.sub('[^a-z0-9]+', '-', name.lower())}-{seed}.mp4", scene_of(case, seed)
+    if not path.exists():
         seen = film(camera, motion, scene, stamps) if case.eye else map(Renderer(camera, motion, scene).image, stamps)
         with VideoWriter(path, camera.image_size, 23) as video:
             for image, stamp in zip(seen, stamps, strict=True):
                 video.write(image, stamp)
-        with VideoReader(path) as frames:
-            return tracked(case, motion, camera, iter(frames))
+    with VideoReader(path) as frames:
+        return tracked(case, motion, camera, iter(frames))
 
 
 def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Frame]) -> dict[str, Any]:
@@ -214,7 +216,7 @@ WRONG = {  # what is wrong, and the scale of the declared rope
 }
 
 
-def reported(wrong: str, seed: int) -> dict[str, Any]:
+def reported(wrong: str, seed: int, folder: Path) -> dict[str, Any]:
     """Track a video of 4 s with a wrong set-up; return what is reported, and how far the free end is off at the end."""
     case, rng = Case(cast=wrong.startswith("mirrored")), np.random.default_rng((seed, 9))
     motion, scale = motion_of(case, seed), 800.0 if "view" in wrong else SCALE
@@ -229,24 +231,23 @@ def reported(wrong: str, seed: int) -> dict[str, Any]:
     renderer, cable = Renderer(camera, motion, scene), rope(LINKS, WRONG[wrong])
     given = {"motion": SWINGS, "arm": ARM} if case.cast else {}
     estimator = RopeFilter(cable, curve_arc_lengths(cable), camera=camera, **given)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "rope.mp4"
-        with VideoWriter(path, camera.image_size, 23) as video:
-            for t in START + np.arange(0.0, 4.0, 1.0 / case.rate):
-                shift = {"the camera pans": (25.0 * t, 0.0), "the camera shakes": rng.normal(0.0, 2.5, 2)}.get(wrong)
-                image = renderer.image(t)
-                if shift is not None:
-                    moved = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
-                    image = cv2.warpAffine(image, moved, camera.image_size, borderMode=cv2.BORDER_REPLICATE)
-                video.write(np.ascontiguousarray(image[:, ::-1]) if case.cast else image, t)
-        try:
-            with VideoReader(path) as frames:
-                first = next(iter(frames))
-            pivot = camera.project(estimator.process.base(first.time)[:1])[0]
-            look = find_rope(first.image, pivot, width=WIDTH * scale).look
-            said = "; ".join(map(str, track_video(path, RopeTracker(estimator, CurveMeasurement(look))).doubts))
-        except InvalidInput as refusal:
-            return {"reported": str(refusal).partition(":")[0], "off": None}
+    path = folder / "wrong.mp4"
+    with VideoWriter(path, camera.image_size, 23) as video:
+        for t in START + np.arange(0.0, 4.0, 1.0 / case.rate):
+            shift = {"the camera pans": (25.0 * t, 0.0), "the camera shakes": rng.normal(0.0, 2.5, 2)}.get(wrong)
+            image = renderer.image(t)
+            if shift is not None:
+                moved = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+                image = cv2.warpAffine(image, moved, camera.image_size, borderMode=cv2.BORDER_REPLICATE)
+            video.write(np.ascontiguousarray(image[:, ::-1]) if case.cast else image, t)
+    try:
+        with VideoReader(path) as frames:
+            first = next(iter(frames))
+        pivot = camera.project(estimator.process.base(first.time)[:1])[0]
+        look = find_rope(first.image, pivot, width=WIDTH * scale).look
+        said = "; ".join(map(str, track_video(path, RopeTracker(estimator, CurveMeasurement(look))).doubts))
+    except InvalidInput as refusal:
+        return {"reported": str(refusal).partition(":")[0], "off": None}
     true = motion.places([estimator.state.t], [LENGTH * min(1.0, WRONG[wrong])])[0, 0, :2]
     return {"reported": said, "off": float(np.linalg.norm(estimator.tip(estimator.state)[0] - true))}
 
@@ -257,16 +258,19 @@ def main() -> None:
     parser.add_argument("seeds", help="how many seeds, or: wrong, page")
     parser.add_argument("--case", default="", help="those whose name contains it")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--videos", type=Path, help="folder that keeps the videos of runs")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
-    todo: list[tuple[str, int, Callable[[str, int], dict[str, Any]]]] = []
+    todo: list[tuple[str, int, Callable[[str, int, Path], dict[str, Any]]]] = []
     if options.seeds == "wrong":
         todo = [(name, options.first, reported) for name in WRONG if options.case in name]
     elif options.seeds != "page":
         seeds = range(options.first, options.first + int(options.seeds))
         todo = [(name, seed, run) for name in CASES if options.case in name for seed in seeds]
     for name, seed, work in todo:
-        row = {"case": name, "seed": seed, **work(name, seed), "kernels": SOURCE_HASH}
+        with tempfile.TemporaryDirectory() as folder:
+            found = work(name, seed, options.videos or Path(folder))
+        row = {"case": name, "seed": seed, **found, "kernels": SOURCE_HASH}
         log.append(options.out, row)
         print(row, flush=True)
     files.write_text(options.out.with_suffix(".md"), page(log.read(options.out)))
