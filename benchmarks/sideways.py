@@ -225,9 +225,11 @@ def cast(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
     enough = np.flatnonzero(turns * np.sign(expected) >= WindCriteria.turns)
     q, qd = found.run.q[k], found.run.qd[k]
     flight = Flight(setup, step, float(t[k]), (q, qd, lean * found.angles[k], lean * found.rates[k]))
-    flight.model.opt.timestep = planar.STEP
-    flight.run(touch - BEFORE)
-    flight.model.opt.timestep = step
+    if touch - BEFORE > t[k]:  # as planar casts fly
+        flight.model.opt.timestep, whole = planar.STEP, flight.model.opt.integrator
+        flight.model.opt.integrator = flight.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        flight.run(touch - BEFORE)
+        flight.model.opt.timestep, flight.model.opt.integrator = step, whole
     stop, seen, late, furthest = float(run.t[enough[0]]) + LATE, [], 0.0, 0.0
     while flight.t < stop - 1e-9 and late * np.sign(expected) < WindCriteria.turns:
         flight.run(min(flight.t + planar.LOOK, stop))
@@ -293,7 +295,7 @@ def main() -> None:
     for part in [options.part] if options.part else PARTS:
         measure, tilts = work[part]
         step = options.step or (FLIGHT if part in ("strike", "start") else STEP)
-        for name, tilt in [(name, tilt) for name in names[: options.count] for tilt in tilts]:
+        for name, tilt in [(name, tilt) for tilt in tilts for name in names[: options.count]]:
             if (part, name, tilt) in made:
                 continue
             begin = time.process_time()
