@@ -191,7 +191,7 @@ def main() -> None:
                     lines.append(path, rows[-1])
     if path is not None:
         about = machine.sentence(machine.describe())
-        page = f"# What parts of identification give\n\n{PAGE}\n{table(rows)}\n{about}\n"
+        page = f"# What parts of identification give\n\n{PAGE}\n\n{table(rows)}\n{about}\n"
         files.write_text(path.with_suffix(".md"), page)
 
 
