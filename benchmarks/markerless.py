@@ -32,6 +32,7 @@ import cv2
 import numpy as np
 from benchmarks import log, machine
 from scipy import stats
+from threadpoolctl import threadpool_limits
 
 import hyperflex as hf
 from hyperflex import files
@@ -150,7 +151,7 @@ def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
         with VideoWriter(path, camera.image_size, 23) as video:
             for image, stamp in zip(seen, stamps, strict=True):
                 video.write(image, stamp)
-    with VideoReader(path) as frames:
+    with VideoReader(path) as frames, threadpool_limits(1):  # as the commands do
         return tracked(case, motion, camera, iter(frames))
 
 

@@ -207,7 +207,7 @@ class Recording:
         --------
         >>> swing = np.sin(np.linspace(0.0, 20.0, 400))
         >>> print(*Recording(np.arange(400) / 60.0, np.repeat(swing[::2], 2)[:, None]).check())  # doctest: +ELLIPSIS
-        46 % of the frames repeat the frame before, to the last digit, while the rope moves. ...
+        48 % of the frames repeat the frame before, to the last digit, while the rope moves. ...
         """
         from hyperflex.identification import faults
 
