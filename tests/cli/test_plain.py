@@ -217,9 +217,17 @@ def test_a_file_that_holds_no_answers_is_refused(refused, folder):
     assert "holds no answers on a video" in refused("track", "phone.mp4", "--length", "2.0")
 
 
-def scene(image: np.ndarray, size: str | list[float]) -> PlainScene:
+def scene(image: np.ndarray, size: str | list[float], find=None) -> PlainScene:
     answers = {"pivot": [320.0, 20.0], "tip": "found", "size": size, "mass": "unknown"}
-    return PlainScene(image, 2.0, 0.002, "down", lambda *_: None, answers)
+    return PlainScene(image, 2.0, 0.002, "down", find or (lambda *_: None), answers)
+
+
+@pytest.mark.parametrize(("size", "length"), [("rope", None), ([100.0, 50.0, 100.0, 150.0, 0.5], pytest.approx(400.0))])
+def test_the_rope_is_searched_with_its_length_where_the_scale_is_known(size, length):
+    """2 m at 200 px/m."""
+    searched = []
+    _ = scene(np.full((480, 640, 3), 128, np.uint8), size, lambda *given: searched.append(given)).found
+    assert searched == [(320.0, 20.0, length)]
 
 
 def test_the_size_of_the_picture_is_known_by_points_a_sheet_or_a_board():

@@ -40,9 +40,10 @@ def seen_by(eye, rate):
 
 def profile(image, curve):
     """Return mean, standard deviation and sum of the mean profile across the outer half of a rope, px."""
-    shares = RopeLook.from_curve(image, curve, width=0.012 * SCALE).shares
-    half = places_across(curve, ACROSS)[100:-10]
-    values = shares(image, half, np.abs(ACROSS) > 10.0, ACROSS).values.mean(axis=0)
+    look, half = RopeLook.from_curve(image, curve, width=0.012 * SCALE), places_across(curve, ACROSS)[100:-10]
+    off, contrast, precision = look.before_wall(image, half, np.abs(ACROSS) > 10.0, ACROSS)
+    weights = contrast @ precision
+    values = ((off * weights).sum(axis=2) / (contrast * weights).sum(axis=2)).mean(axis=0)
     mean = values @ ACROSS / values.sum()
     return np.array([mean, np.sqrt(values @ (ACROSS - mean) ** 2 / values.sum()), 0.5 * values.sum()])
 

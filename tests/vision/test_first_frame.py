@@ -9,6 +9,7 @@ from hyperflex import InvalidInput
 from hyperflex.vision import Camera, NoRope, Occluder, Reason, Renderer, RopeLook, RopeMotion, Scene, find_rope
 from hyperflex.vision.first_frame import _check_end
 from hyperflex.vision.look import Cover, rope_along
+from hyperflex.vision.ridges import _apart, _best_of_cells
 
 LINKS, LENGTH = 60, 1.0  # m
 CAMERA = Camera.facing((480, 360), pixels_per_metre=260.0, origin=(230.0, 40.0), exposure=0.004)
@@ -83,10 +84,39 @@ def test_clutter_beyond_a_sharp_end_is_no_rope():
     assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
 
 
-def test_an_end_beyond_which_nothing_was_looked_at_is_not_clear():
+@pytest.mark.parametrize(
+    ("width", "shine", "shadow"),
+    [(0.02, 0.0, (-0.03, -0.04, 0.3)), (0.015, 120.0, (0.05, -0.02, 0.3))],
+    ids=["touches it", "of a wire that shines"],
+)
+def test_a_shadow_beside_the_free_end_is_no_rope(width, shine, shadow):
+    image, truth = shown(bent(0.3), rope_width=width, shine=shine, shadow=shadow)
+    assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
+
+
+@pytest.mark.parametrize("beyond", [[], [0.45] * 20], ids=["nothing was looked at", "it is nearer to the rope"])
+def test_an_end_is_not_clear_if_the_rope_may_go_on_beyond_it(beyond):
+    unlike = np.append(np.zeros(80), beyond)
     with pytest.raises(NoRope) as refused:
-        _check_end(Cover(np.ones(80), np.zeros(80), np.zeros(80)), 5)
+        _check_end(Cover(unlike, 0.0 * unlike, 0.0 * unlike), 80.0, None, np.inf)
     assert refused.value.reason is Reason.END
+
+
+def test_the_places_on_a_wide_thing_do_not_crowd_out_a_thin_rope():
+    """441 places on a thing 16 px wide are better than the one on a rope 2 px wide; 50 candidates are kept."""
+    wide = np.stack(np.meshgrid(*2 * (np.arange(21.0),)), axis=-1).reshape(-1, 1, 2)
+    ahead = np.concatenate([wide, [[[100.0, 100.0]]]])
+    size, total = np.full((442, 1), 3.0), np.full((442, 1), 2.0)
+    size[-1], total[-1] = 0.0, 1.0
+    assert 441 in _best_of_cells(ahead, np.zeros((442, 1)), size, total, 50)[0]
+
+
+def test_a_path_does_not_return_beside_itself():
+    """It is 18 px beside itself, as along its shadow; nothing is refused that is 27 px beside."""
+    there = 4.0 * np.arange(40) + 0j
+    history = np.stack([np.append(there, there[:19:-1] + away) for away in (18j, 27j)]).astype(np.complex64)
+    place = np.stack([np.full(2, 76.0), [18.0, 27.0]], axis=1)
+    assert _apart(history, place, np.full(2, np.pi), np.full(2, 22.0)).tolist() == [False, True]
 
 
 def test_a_click_tells_the_look():
@@ -120,9 +150,19 @@ def second(motion):
         (Reason.TWO, bent(), {"occluders": (Occluder((0.0, 0.0), (0.05, -0.9), 0.01, (45.0, 45.0, 45.0)),)}, None),
         (Reason.OUTSIDE, bent(1.2, 0.9), {}, None),
         (Reason.LENGTH, bent(), {}, 320.0),
+        (Reason.LENGTH, bent(), {}, 180.0),
         (Reason.BLURRED, bent(rate=60.0), {}, 260.0),
     ],
-    ids=["none", "like the wall", "two", "a straight one beside it", "leaves the view", "another length", "blurred"],
+    ids=[
+        "none",
+        "like the wall",
+        "two",
+        "a straight one beside it",
+        "leaves the view",
+        "too short",
+        "goes on",
+        "blurred",
+    ],
 )
 def test_what_is_no_rope_is_refused_by_name(reason, motion, scene, length):
     image, truth = shown(motion, **scene)

@@ -111,10 +111,10 @@ class Plain:
         exposure = checks.number("--exposure", measures["exposure"], sign="nonnegative", unit="s")
 
         @cache
-        def find(*pivot: float) -> "FoundRope":
+        def find(u: float, v: float, size: float | None) -> "FoundRope":
             from hyperflex.vision import find_rope
 
-            return find_rope(image, pivot)
+            return find_rope(image, (u, v), length=size)
 
         scene = partial(PlainScene, image, length, exposure, readout_direction, find)
 
@@ -164,8 +164,8 @@ def _read(path: Path, head: Mapping[str, Any]) -> dict[str, Any]:
 class PlainScene:
     """What the first picture and the answers tell: the rope's line and look, camera, rope and tracking task.
 
-    length: m. exposure: s. find: returns the rope that hangs from a pixel u, v. answers: by the names of QUESTIONS;
-    what needs one that is missing must not be used.
+    length: m. exposure: s. find: returns the rope that hangs from a pixel u, v, and is so many px long, if that is not
+    None. answers: by the names of QUESTIONS; what needs one that is missing must not be used.
     """
 
     image: "Image"
@@ -178,7 +178,17 @@ class PlainScene:
     @cached_property
     def found(self) -> "FoundRope":
         """The rope in the picture, from the pivot to its free end."""
-        found, tip = self.find(*self.answers["pivot"]), self.answers.get("tip", "found")
+        from hyperflex.vision import NoRope, Reason
+
+        pivot, tip, size = self.answers["pivot"], self.answers.get("tip", "found"), None
+        if not isinstance(self.answers.get("size", "rope"), str):
+            size = float(np.hypot(*np.diff(self.camera.project([[0.0, 0.0], [0.0, -self.length]]), axis=0)[0]))
+        try:
+            found = self.find(*pivot, size)
+        except NoRope as error:
+            if error.reason is not Reason.LENGTH:
+                raise
+            found = self.find(*pivot, None)  # `check` says by how much its length differs
         if isinstance(tip, str):
             return found
         away = np.hypot(*(found.curve - tip).T)

@@ -11,7 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.look import CLICKED, Cover, RopeLook, at_parts, rope_along
-from hyperflex.vision.ridges import Mixture, Path, Ridges
+from hyperflex.vision.ridges import BLUR, Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
@@ -100,7 +100,7 @@ def find_rope(
     look : RopeLook, optional
         If it is known; else a path keeps its own contrast.
     length : float, optional
-        Of the rope, px, if it is known: a curve of another length is refused.
+        Of the rope, px, if it is known: no longer path is searched, and a curve of another length is refused.
     tolerance : float
         By which the length of a curve may differ from the rope's, as a part of it.
     width : float, optional
@@ -114,51 +114,54 @@ def find_rope(
         With its reason: no rope, two, one that leaves the view, is too blurred, or has another length.
     """
     start = checks.array("pivot", pivot, (2,), unit="px")
+    longest = np.inf if length is None else (1.0 + tolerance) * length
     ridges = Ridges(image)
     try:
         if look is None:
-            curve = rope_along(image, _best(ridges.paths(start, radius)).places, width)[0]
-            sure = curve[: max(2, len(curve) // 2)]  # a rope is slowest at its pivot, and a path goes astray late
-            look = RopeLook.from_curve(image, sure, width)
+            early = _best(ridges.paths(start, radius, None, longest)).places
+            early = early[: 2 + min(len(early) // 2, 40)]  # a rope is slowest at its pivot, and a path goes astray late
+            curve, look, _ = rope_along(image, early, width, longest)
             rope = Mixture(image, look.bgr, look.width)
-            rope.learn(sure)
+            rope.learn(curve)
         else:
             rope, width = Mixture(image, look.bgr, look.width), look.width
-        path = _best(ridges.paths(start, radius, rope))
-        curve, look, seen = rope_along(image, path.places, width)
+        path = _best(ridges.paths(start, radius, rope, longest))
+        curve, look, seen = rope_along(image, path.places, width, longest)
     except InvalidInput as error:
         if isinstance(error, NoRope):
             raise
         raise NoRope(Reason.NOTHING, error.got, error.allowed) from None
+    ahead = curve[: min(9, len(curve))][-1] - curve[0]
+    ahead /= np.hypot(*ahead)
+    late = round(float((curve[0] - start) @ ahead))  # px: the rope begins beside the click
+    curve = np.concatenate([curve[0] - np.arange(late, 0, -1)[:, None] * ahead, curve[max(-late, 0) :]])
     found, apart = FoundRope(curve, look), 2.0 * look.width + 8.0
     rope.leave_out(path.places, apart)
     _check_alone(rope, path, ridges.paths(start, radius, rope)[0], apart)
     last = np.array(image.shape[1::-1]) - 1.0
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
-    if length is not None and abs(found.length / length - 1.0) <= tolerance:
-        return found
-    _check_end(seen, max(5, round(0.03 * found.length)))
-    if length is not None:
-        raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{length:.0f} px within {100.0 * tolerance:g} %")
+    _check_end(seen, found.length, length and (1.0 - tolerance) * length, longest)
     return found
 
 
-def _check_end(seen: Cover, near: int) -> None:
-    """Refuse a rope that is not seen as one, no more and no less, until its end, some px before it, or is so beyond."""
-    from scipy.ndimage import uniform_filter1d
-
-    last = int(np.argmax(seen.gained))
-    mass = uniform_filter1d(seen.mass[:last], near)
-    off = (np.abs(mass - 1.0) > 0.35) & (seen.wider[:last] > 0.0)
+def _check_end(seen: Cover, size: float, shortest: float | None, longest: float) -> None:
+    """Refuse a rope, `size` px long, that is not seen as one until its end, or whose end may as well be elsewhere."""
+    last = seen.end(longest)
+    off = ((seen.unlike > 0.65) & (seen.wider > 0.0))[: last + 1]
     if off.mean() > 0.1:
-        reason = Reason.BLURRED if mass[off].mean() < 1.0 else Reason.END
-        raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
-    beyond = np.append(seen.mass[last + 1 :], 1.0)[:near]  # where nothing was looked at, the rope may go on
-    before, after = float(seen.mass[last - near : last].mean()), float(beyond.mean())
-    if abs(before - 1.0) > 0.35 or before - after < 0.5:
-        got = f"{before:.2f} of its width before it, {after:.2f} beyond"
-        raise NoRope(Reason.END, got, "1 within 0.35, and 0.5 less beyond")
+        raise NoRope(Reason.BLURRED, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
+    blurred = seen.wider[last] > BLUR
+    if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + 1.5):
+        reason = Reason.BLURRED if blurred else Reason.LENGTH
+        raise NoRope(reason, f"{size:.0f} px", f"{shortest:.0f} to {longest:.0f} px")
+    ends = np.flatnonzero(seen.gained >= seen.gained[last] - 1.5)  # some three pixels of wall
+    first, most, near = max(ends[0], shortest or 0.0), min(ends[-1], longest), max(12, round(0.04 * size))
+    beyond = np.append(seen.unlike[last + 1 :], 0.0)[:near].mean()  # where nothing was looked at, the rope may go on
+    if max(most - last, last - first) > near or beyond < 0.5:
+        reason = Reason.BLURRED if blurred else Reason.END
+        got = f"an end {first:.0f} to {most:.0f} px from the pivot, {beyond:.2f} of its contrast beyond"
+        raise NoRope(reason, got, "4 % of its length to both sides, and 0.5 or more")
 
 
 def _best(paths: list[Path]) -> Path:

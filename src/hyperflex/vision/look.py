@@ -16,42 +16,36 @@ from hyperflex.vision.video import Image
 CLICKED = 6.0  # px that a click may be off
 
 
-class Shares(NamedTuple):
-    """Which part of M places on each of K lines across the rope shows the rope.
-
-    Attributes
-    ----------
-    values : (K, M) float64
-        0 on the wall and 1 on the rope, apart from noise; NaN outside of the picture.
-    std : (K, M) float64
-        Standard deviation of a value on the wall, by noise and by the wall's own texture.
-    """
-
-    values: Array
-    std: Array
-
-
 class Cover(NamedTuple):
     """What K lines across a curve, a pixel apart, show of a rope.
 
     Attributes
     ----------
-    mass : (K,) float64
-        In widths of the rope: 1 where it is seen, however blurred, 0 on the wall, 0.6 where the wall is like it.
+    unlike : (K,) float64
+        How far the colour, averaged over the rope's width, however blurred, and nine pixels along it, is from the
+        rope's, as a part of its contrast: 0 on the rope, 1 on the wall, 0.4 where the wall is like the rope.
     aside : (K,) float64
         Where its middle is, px.
     wider : (K,) float64
         By how much it is wider than at rest, px.
     """
 
-    mass: Array
+    unlike: Array
     aside: Array
     wider: Array
 
     @property
     def gained(self) -> Array:
-        """How much is seen until there (K,), less two thirds of a rope (a shadow is less): most where the rope ends."""
-        return np.cumsum(np.clip(self.mass, -1.0, 2.0) - 0.65)
+        """Pixels of rope until there (K,), less those of wall or shadow: most where the rope ends.
+
+        A texture of the rope's own, which it has along most of the curve, does not tell against it.
+        """
+        usual = np.clip(np.quantile(self.unlike, 0.85) + 0.1, 0.35, 0.5)  # a shadow is more unlike
+        return np.cumsum(usual - np.minimum(self.unlike, 1.0))
+
+    def end(self, longest: float = np.inf) -> int:
+        """Return where a rope ends that can be `longest` px long."""
+        return int(np.argmax(self.gained[: int(min(longest, self.unlike.size))]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +65,10 @@ class RopeLook:
 
     Notes
     -----
-    A pixel that the rope covers in part is a mixture of rope and wall. The share is Fisher's linear discriminant
-    between the rope's colour and the wall's beside it, with the covariance of the wall
-    there. So one rule serves bright ropes on dark walls, dark ones on bright walls, and coloured ones on textures: what
-    varies over the wall (grain, shadow, shade) counts little.
+    A pixel that the rope covers in part is a mixture of rope and wall. Colours are told apart, as by Fisher's linear
+    discriminant, by the covariance of the wall beside the rope. So one rule serves
+    bright ropes on dark walls, dark ones on bright walls, and coloured ones on textures: what varies over the wall
+    (grain, shadow, shade) counts little.
     """
 
     bgr: Array
@@ -155,8 +149,10 @@ class RopeLook:
         click = checks.array("place", place, (2,), unit="px")
         return rope_along(image, Ridges(image).paths(click, CLICKED)[0].places, width)[1]
 
-    def shares(self, image: Image, places: Array, outside: npt.NDArray[np.bool_], across: Array) -> Shares:
-        """Return which part of places on lines across the rope shows the rope.
+    def before_wall(
+        self, image: Image, places: Array, outside: npt.NDArray[np.bool_], across: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return by how much colours, and the rope's, differ from the wall's at places on lines across the rope.
 
         Parameters
         ----------
@@ -167,13 +163,18 @@ class RopeLook:
             Which of them are expected to show the wall, on both sides of the rope.
         across : (M,) float64
             Of the places along the lines, px.
+
+        Returns
+        -------
+        (K, M, 3), (K, M, 3) float64
+            Differences of the colours seen, NaN outside of the picture, and of the rope's.
+        (K, 3, 3) float64
+            Inverse covariance of the wall.
         """
         samples, outside = sample(image, places), np.broadcast_to(outside, places.shape[:2])
         wall = _wall(samples, outside, across)
-        contrast = self.bgr - wall
-        weights = contrast @ np.linalg.inv(_covariance(samples - wall, outside))
-        power = np.maximum((contrast * weights).sum(axis=2), 1e-9)
-        return Shares(((samples - wall) * weights).sum(axis=2) / power, 1.0 / np.sqrt(power))
+        precision = np.asarray(np.linalg.inv(_covariance(samples - wall, outside)), np.float64)
+        return samples - wall, self.bgr - wall, precision
 
     def in_light_of(self, image: Image) -> "RopeLook":
         """Return this look in the light of another picture by the same camera: exposure, white balance, dusk."""
@@ -202,7 +203,9 @@ def sample(image: Image, places: Array) -> Array:
     return np.asarray(seen)
 
 
-def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[Array, RopeLook, Cover]:
+def rope_along(
+    image: Image, path: Array, width: float | None = None, longest: float = np.inf
+) -> tuple[Array, RopeLook, Cover]:
     """Measure the rope along a path that is some pixels off.
 
     Parameters
@@ -212,6 +215,8 @@ def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[A
         px.
     width : float, optional
         Of the rope, px, if it is known.
+    longest : float
+        That the rope can be, px.
 
     Returns
     -------
@@ -234,7 +239,7 @@ def rope_along(image: Image, path: Array, width: float | None = None) -> tuple[A
         ahead = np.arange(1.0, extend)[:, None] * ahead / max(float(np.hypot(*ahead)), 1e-9)
         curve = np.concatenate([curve, curve[-1] + ahead])
         seen = _covered(image, curve, look)
-        before, last = last, int(np.argmax(seen.gained)) if extend else len(curve) - 1
+        before, last = last, seen.end(longest) if extend else len(curve) - 1
         if last < 2.0 * look.width + 8.0:  # px
             raise InvalidInput("no rope is seen along the path", got=f"{last} px of {len(curve)}")
         shifted = places_across(curve, np.array([0.0, 1.0]))[: last + 1]
@@ -320,7 +325,7 @@ def _gain_between(before: Image, after: Image) -> Array:
 def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
     """Return what is seen of a rope across a curve (K, 2), a pixel apart; of some blurs, the likeliest at each place.
 
-    A blurred rope is as wide as its streak and as much fainter: so its contrast is known, and tells it from others.
+    A blurred rope is as wide as its streak and as much fainter: so its colour is known, and tells it from others.
     """
     from scipy.ndimage import uniform_filter1d
 
@@ -328,16 +333,24 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
     for wider in (0.0, 4.0, 9.0, 18.0, 2.0 * BLUR + 2.0):
         width = look.width + wider
         across = np.arange(-0.5 * width - 6.0, 0.5 * width + 6.1, 0.5)
-        shares = look.shares(image, places_across(curve, across), np.abs(across) > 0.5 * width + 2.0, across)
-        values = np.nan_to_num(shares.values)
+        outside = np.abs(across) > 0.5 * width + 2.0
+        seen = look.before_wall(image, places_across(curve, across), outside, across)
+        off, contrast, metric = (np.nan_to_num(each) for each in seen)
         expected = look.width / width * profile(across, width)
         power = expected @ expected
-        clear = np.nan_to_num(np.median(shares.std, axis=1), nan=1.0) < 0.3  # else the wall is like the rope
-        mass = np.where(clear, values @ expected / power, 0.6)
-        weights = np.clip(values, 0.0, 1.0) * clear[:, None]
+        colour = np.einsum("kmc,m->kc", off, expected) / power
+        own = np.einsum("kmc,m->kc", contrast, expected**2) / power
+        along = np.einsum("kij,kj->ki", metric, own)
+        size = np.maximum((along * own).sum(axis=1), 1e-9)
+        clear = size > 0.3**-2  # else the wall is like the rope
+        weights = np.clip(np.einsum("kmc,kc->km", off, along) / size[:, None], 0.0, 1.0) * clear[:, None]
         aside = (weights @ across) / np.maximum(weights.sum(axis=1), 1.0)
-        fit = uniform_filter1d(power * (2.0 * np.clip(mass, -1.0, 2.0) - 1.0), 61, mode="nearest")  # blur varies slowly
-        found.append((fit, mass, aside, np.full(len(curve), wider)))
+        colour, own, metric = (uniform_filter1d(each, 9, axis=0, mode="nearest") for each in (colour, own, metric))
+        apart, size = (np.einsum("ki,kij,kj->k", each, metric, each) for each in (colour - own, own))
+        unlike = np.where(clear, np.sqrt(apart / np.maximum(size, 1e-9)), 0.4)
+        fit = power * (1.0 - 2.0 * np.minimum(unlike, 1.0))
+        fit = uniform_filter1d(fit, 61, origin=20)  # blur varies slowly, and is none beyond the end
+        found.append((fit, unlike, aside, np.full(len(curve), wider)))
     columns = np.array(found)
     best = columns[:, 0].argmax(axis=0)
     return Cover(*columns[best, 1:, np.arange(len(curve))].T)

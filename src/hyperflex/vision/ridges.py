@@ -21,31 +21,6 @@ _WALL = 0.5  # evidence of a step from which it counts for a rope, not for a wal
 BLUR = 14  # px to both sides of a rope, which blur may reach
 
 
-@dataclass(frozen=True)
-class Search:
-    """How paths are searched.
-
-    Parameters
-    ----------
-    working : int
-        Longest side of the working picture, px.
-    beam : int
-        Paths that are followed.
-    patience : float
-        Score that a path may lose before it ends: some 20 steps over a wall.
-    growth : float
-        Score that another size than the path's costs, in powers of two, squared.
-    other : float
-        Weight of a response in other colours than the path's.
-    """
-
-    working: int = 1280
-    beam: int = 500
-    patience: float = 12.0
-    growth: float = 0.5
-    other: float = 0.4
-
-
 @dataclass(frozen=True, eq=False)
 class Path:
     """A path along ridges.
@@ -130,20 +105,24 @@ class Ridges:
     Parameters
     ----------
     image : (height, width, 3) uint8
-    search : Search, optional
 
     Notes
     -----
     A filter is the negative second derivative of a Gaussian, summed over four places along the ridge. A response is a
     vector of three channels, whitened by the covariance of all responses of its size, and divided by how much the
-    neighbourhood responds (texture). Pictures are made smaller to at most 1280 px first.
+    neighbourhood responds (texture). Pictures are made smaller first.
     """
 
-    def __init__(self, image: Image, search: Search | None = None) -> None:
+    WORKING = 1280  # px, longest side of the working picture
+    BEAM = 250  # paths that are followed
+    PATIENCE = 12.0  # score that a path may lose before it ends: some 20 steps over a wall
+    GROWTH = 0.5  # score that another size than the path's costs, in powers of two, squared
+    OTHER = 0.4  # weight of a response in other colours than the path's
+
+    def __init__(self, image: Image) -> None:
         import cv2
 
-        self.search = search or Search()
-        self.shrink = min(1.0, self.search.working / max(image.shape[:2]))
+        self.shrink = min(1.0, self.WORKING / max(image.shape[:2]))
         size = tuple(round(side * self.shrink) for side in image.shape[1::-1])
         level = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         self.size = size
@@ -201,7 +180,9 @@ class Ridges:
         orders = np.log10(np.clip(power / self._strong**2, 0.1, 1e4))
         return np.asarray(orders - 0.7 * np.maximum(orders - 1.5, 0.0))
 
-    def paths(self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None) -> list[Path]:
+    def paths(
+        self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None, longest: float = np.inf
+    ) -> list[Path]:
         """Return paths from a disc, the best first; many differ little.
 
         Parameters
@@ -212,11 +193,13 @@ class Ridges:
             Of the disc in which they may begin, px.
         rope : Mixture, optional
             What is followed; by default a path is to keep its own contrast.
+        longest : float
+            That a path may be, px.
 
         Notes
         -----
         A minimal path in places and directions (Pechaud, Keriven, Peyre 2009), found step by step: of the paths that
-        arrive in the same cell of both, the best is kept, and of all the best 500. A path does not run along itself.
+        arrive in the same cell of both, the best is kept, and of all the best. A path does not run along itself.
         """
         grid = np.arange(-radius, radius + 1.0, 3.0 / self.shrink)
         disc = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
@@ -227,8 +210,7 @@ class Ridges:
         history, scores, peak = (place @ [1.0, 1.0j]).astype(np.complex64)[:, None], score[:, None], score
         mean, bend = np.zeros((len(place), 4)), np.zeros(len(place))
         ended: list[Path] = []
-        reach = STEP if rope is None else STEP + rope.width * self.shrink
-        for step in range(int(4 * max(self.size) / STEP)):
+        for step in range(int(min(2 * max(self.size), longest * self.shrink) / STEP)):
             heading = direction[:, None] + _TURNS
             ahead = place[:, None] + STEP * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
             middle = direction[:, None] + 0.5 * _TURNS
@@ -239,19 +221,20 @@ class Ridges:
             like = np.maximum(np.einsum("nkc,nc->nk", seen[:, :, :3], usual), 0.0)
             power = np.square(seen[:, :, :3]).sum(axis=2)
             known = mean[:, :3].any(axis=1, keepdims=True)
-            same = like**2 + self.search.other**2 * np.maximum(power - like**2, 0.0)
+            same = like**2 + self.OTHER**2 * np.maximum(power - like**2, 0.0)
             gained = self.evidence(np.where(known, same, power)) - _WALL
             if rope is not None:
                 gained = rope.weigh((where / self.shrink).reshape(-1, 2), gained.ravel()).reshape(gained.shape)
             gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
-            gained -= self.search.growth * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
+            gained -= self.GROWTH * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
             outside = ((ahead < 0.0) | (ahead > np.array(self.size) - 1.0)).any(axis=2)
-            total[outside | (total < peak[:, None] - self.search.patience)] = -np.inf
+            total[outside | (total < peak[:, None] - self.PATIENCE)] = -np.inf
             done = np.isneginf(total).all(axis=1)
             ended += self._cut(history[done], scores[done])
-            row, turn = _best_of_cells(ahead, heading, total, self.search.beam)
-            kept = _apart(history[row], ahead[row, turn], heading[row, turn], reach)
+            row, turn = _best_of_cells(ahead, heading, seen[:, :, 3], total, self.BEAM)
+            beside = STEP + BLUR + 2.0 ** (mean[row, 3] + 1.0)  # else it may return along the rope's shadow
+            kept = _apart(history[row], ahead[row, turn], heading[row, turn], beside)
             row, turn = row[kept], turn[kept]
             if not row.size:
                 break
@@ -312,27 +295,29 @@ def _shifted(picture: npt.NDArray[np.float32], du: int, dv: int) -> npt.NDArray[
 
 
 def _best_of_cells(
-    ahead: Array, heading: Array, total: Array, most: int
+    ahead: Array, heading: Array, size: Array, total: Array, most: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return rows and columns of the best candidates, `most`, one in each cell of places and directions."""
+    """Return rows and columns of the best candidates, `most`, one in each cell of places, sizes and directions.
+
+    A cell is as large as its filter sees: else the many places on a wide thing crowd out a thin rope.
+    """
     order = np.argsort(-total, axis=None, kind="stable")
     order = order[np.isfinite(total.ravel()[order])]
     row, turn = np.divmod(order, total.shape[1])
-    cells = np.rint(ahead[row, turn] / 2.0).astype(np.int64)
+    level = size[row, turn].astype(np.int64)
+    cells = np.rint(ahead[row, turn] / 2.0 ** (level[:, None] + 1)).astype(np.int64)
     angle = np.rint(heading[row, turn] / np.pi * ORIENTATIONS).astype(np.int64) % (2 * ORIENTATIONS)
-    key = (cells[:, 0] * 65536 + cells[:, 1]) * 64 + angle
+    key = ((cells[:, 0] * 65536 + cells[:, 1]) * 64 + angle) * 8 + level
     first = np.sort(np.unique(key, return_index=True)[1])[:most]
     return row[first], turn[first]
 
 
-def _apart(history: npt.NDArray[np.complex64], place: Array, heading: Array, reach: float) -> npt.NDArray[np.bool_]:
+def _apart(history: npt.NDArray[np.complex64], place: Array, heading: Array, reach: Array) -> npt.NDArray[np.bool_]:
     """Return which paths (N, P) do not run beside themselves, within `reach`, at new places (N, 2), directions (N,)."""
-    early = history[:, : -round(1.5 * reach)]
-    if early.shape[1] < 2:
-        return np.ones(len(place), bool)
-    near = np.abs(early[:, 1:] - (place @ [1.0, 1.0j])[:, None]) < reach
-    row, column = np.nonzero(near)
-    along = np.angle(early[row, column + 1] - early[row, column])
+    early = np.arange(1, history.shape[1]) < history.shape[1] - 0.5 * reach[:, None]  # before a turn
+    near = np.abs(history[:, 1:] - (place @ [1.0, 1.0j])[:, None]) < reach[:, None]
+    row, column = np.nonzero(early & near)
+    along = np.angle(history[row, column + 1] - history[row, column])
     parallel = np.abs(np.cos(along - heading[row])) > np.cos(np.radians(40.0))
     result = np.ones(len(place), bool)
     result[row[parallel]] = False
