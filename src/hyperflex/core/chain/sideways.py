@@ -36,26 +36,26 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
     sines(q, out.reshape(-1), 0)
     px, py, vx, vy = base[0], base[1], base[5], base[6]
     angle, speed = base[4], base[3]
-    for i in range(n):  # acceleration and velocity of each link's first joint; the next loop runs in SIMD lanes
-        sin, cos, length, rate = out[SIN, i], out[COS, i], chain.length[i], w[i]
-        out[FX, i], out[FY, i], out[RATE, i], out[ALONG, i] = px, py, vx, vy
-        px, py = px + length * (a[i] * cos - rate * rate * sin), py + length * (a[i] * sin + rate * rate * cos)
-        vx, vy = vx + length * rate * cos, vy + length * rate * sin
     for i in range(n):
         sin, cos, length, rate, mass = out[SIN, i], out[COS, i], chain.length[i], w[i], chain.mass[i]
-        across, along = out[RATE, i] * cos + out[ALONG, i] * sin, out[RATE, i] * sin - out[ALONG, i] * cos
-        turn = length * rate
+        bend_x, bend_y = a[i] * cos - rate * rate * sin, a[i] * sin + rate * rate * cos
+        out[FX, i] = mass * (px + chain.com[i] * bend_x - chain.gx)
+        out[FY, i] = mass * (py + chain.com[i] * bend_y - chain.gy)
+        out[RATE, i], out[ALONG, i] = vx, vy  # of the link's first joint
+        px, py = px + length * bend_x, py + length * bend_y
+        vx, vy = vx + length * rate * cos, vy + length * rate * sin
+        joint = joint_of(chain, i)
+        out[TORQUE, i] = joint_law.friction(joint, rate - speed, 0.0) + joint_law.spring(joint, q[i] - angle)
+        angle, speed = q[i], rate
+    for i in range(n):  # in SIMD lanes
+        sin, cos, x, y, length = out[SIN, i], out[COS, i], out[RATE, i], out[ALONG, i], chain.length[i]
+        across, turn = x * cos + y * sin, length * w[i]
         resistance, _ = link_drag(chain.drag[i], length, across, turn)
         first, second, third = drag_slopes(chain.drag[i], length, across, turn)
         out[AIR, i], out[AIR + 1, i], out[AIR + 2, i] = 0.5 * first, 0.5 * second, 0.5 * third
-        bend_x, bend_y = a[i] * cos - rate * rate * sin, a[i] * sin + rate * rate * cos
-        out[FX, i] = mass * (out[FX, i] + chain.com[i] * bend_x - chain.gx) + resistance * cos
-        out[FY, i] = mass * (out[FY, i] + chain.com[i] * bend_y - chain.gy) + resistance * sin
-        out[RATE, i], out[ALONG, i] = rate, along
-    for i in range(n):
-        joint = joint_of(chain, i)
-        out[TORQUE, i] = joint_law.friction(joint, w[i] - speed, 0.0) + joint_law.spring(joint, q[i] - angle)
-        angle, speed = q[i], w[i]
+        out[FX, i] += resistance * cos
+        out[FY, i] += resistance * sin
+        out[RATE, i], out[ALONG, i] = w[i], x * sin - y * cos
     sx, sy = chain.tip_mass * (px - chain.gx) - push[0], chain.tip_mass * (py - chain.gy) - push[1]
     inert, pull, turn = chain.tip_mass, 0.0, 0.0
     for way in range(n):
