@@ -82,6 +82,14 @@ def test_beside_its_own_bound_intervals_hold_the_truth_as_often_as_they_say(abov
     assert limit == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("level", [0.68, 0.9, 0.95])
+def test_the_limit_joins_the_usual_one_where_the_bound_is_no_longer_felt(level):
+    """Just below that place rounding leaves no root between the two, and the usual limit is right to 1e-6."""
+    usual = quantile(level, np.inf)
+    for below in (2e-8, 1e-9, 1e-12, 2.2e-16):
+        assert threshold(level, np.inf, np.sqrt(usual) * (1.0 - below)) == pytest.approx(usual, rel=1e-6)
+
+
 @pytest.mark.parametrize("r", [-0.8, 0.5, 0.95])
 @pytest.mark.parametrize("above", [0.0, 0.5, 2.0])
 def test_a_bound_of_another_parameter_leaves_intervals_about_as_often_right(r, above):

@@ -478,11 +478,11 @@ def threshold(level: float, freedom: float, above: float) -> float:
     from scipy.special import ndtr
 
     usual, normal, above = quantile(level, freedom), quantile(level, np.inf), max(above, 1e-9)
-    if above**2 >= normal:
-        return usual
 
     def excess(limit: float) -> float:
         """Return by how much more often than `level` the truth is held with a limit."""
         return float(ndtr(np.sqrt(limit)) - ndtr(-0.5 * (above**2 + limit) / above)) - level
 
+    if above**2 >= normal or not excess(above**2) < 0.0 < excess(normal):  # the latter by rounding, just below it
+        return usual
     return usual * float(brentq(excess, above**2, normal)) / normal
