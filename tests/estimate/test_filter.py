@@ -96,6 +96,13 @@ def test_derivatives_of_the_motion_by_friction():
     assert np.abs(slope[4:8, 8] - slope[4:8, 9]).max() > 0.1 * np.abs(slope[4:8, 9]).max()
 
 
+def test_the_friction_of_a_joint_without_any_has_no_relative_change():
+    free = rope(4).replace(friction=[0.0, *rope(4).friction[1:]])
+    RopeFilter(free, [2.0], parameters=[EstimatedParameter("friction", 0.5)])
+    with pytest.raises(InvalidInput, match="hinge is a relative change, and the rope has none"):
+        RopeFilter(free, [2.0], parameters=[EstimatedParameter("hinge", 0.5)])
+
+
 def test_a_first_frame_with_few_markers():
     run = free_swing(0)
     tracker = RopeFilter(rope(20), [0.5, 1.0, 1.5, 2.0])

@@ -136,9 +136,10 @@ class ParameterStates:
         self.std = np.array([*(each.std for each in estimated), *(0.0 for _ in fixed)])
         if len(set(self.names)) != len(self.names):
             raise InvalidInput("parameters name something twice", got=self.names, allowed="each name once")
-        for name in ("friction", "drag"):
-            if name in self.names and not getattr(rope, name).any():
-                fix = f"Give the rope a {name} to begin with"
+        changed = {"friction": rope.friction, "hinge": rope.friction[:1], "drag": rope.drag}
+        for name, own in changed.items():
+            if name in self.names and not own.any():
+                fix = f"Give the rope a {'friction in its first joint' if name == 'hinge' else name} to begin with"
                 raise InvalidInput(f"{name} is a relative change, and the rope has none", got=0.0, fix=fix)
         self._of_rope = [k for k, name in enumerate(self.names) if name in ROPE_KINDS]
         self.dynamic = [k for k, name in enumerate(self.names) if k in self._of_rope or (name == "delay" and moved)]
