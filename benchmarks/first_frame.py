@@ -6,8 +6,8 @@ python -m benchmarks.first_frame --seed 1 --count 40 --others 0 --pictures FOLDE
 
 Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. Thickness, colour, wall, texture, shadow, shine,
 clutter, noise, exposure and compression are drawn for each frame. The pivot is clicked 2 px (rms) off; width and colour
-of the rope are not given. Its length is not given either, or (rows of their own) with an error of 2 % (rms), as two
-clicked points tell it. A curve is right if its rms distance from the true one in the middle of the exposure is at most
+of the rope are not given, nor its length, but in rows that say "length known": to 2 % (rms), as two clicked points tell
+it. A curve is right if its rms distance from the true one in the middle of the exposure is at most
 1 % of the rope's length, and the free end at most 3 % off.
 """
 

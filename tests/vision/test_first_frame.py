@@ -151,6 +151,7 @@ def second(motion):
         (Reason.OUTSIDE, bent(1.2, 0.9), {}, None),
         (Reason.LENGTH, bent(), {}, 320.0),
         (Reason.LENGTH, bent(), {}, 180.0),
+        (Reason.LENGTH, bent(), {}, 100.0),
         (Reason.BLURRED, bent(rate=60.0), {}, 260.0),
     ],
     ids=[
@@ -161,6 +162,7 @@ def second(motion):
         "leaves the view",
         "too short",
         "goes on",
+        "goes on for long",
         "blurred",
     ],
 )

@@ -178,15 +178,15 @@ class PlainScene:
     @cached_property
     def found(self) -> "FoundRope":
         """The rope in the picture, from the pivot to its free end."""
-        from hyperflex.vision import NoRope, Reason
+        from hyperflex.vision import NoRope
 
         pivot, tip, size = self.answers["pivot"], self.answers.get("tip", "found"), None
         if not isinstance(self.answers.get("size", "rope"), str):
             size = float(np.hypot(*np.diff(self.camera.project([[0.0, 0.0], [0.0, -self.length]]), axis=0)[0]))
         try:
             found = self.find(*pivot, size)
-        except NoRope as error:
-            if error.reason is not Reason.LENGTH:
+        except NoRope:
+            if size is None:
                 raise
             found = self.find(*pivot, None)  # `check` says by how much its length differs
         if isinstance(tip, str):
@@ -208,7 +208,8 @@ class PlainScene:
         if len(numbers) == 3:
             return self._on_board(Camera.pinhole((width, height), **timing), *numbers)
         if len(numbers) == 5:
-            scale = float(np.hypot(*np.subtract(numbers[:2], numbers[2:4]))) / numbers[4]
+            scale = float(np.hypot(*np.subtract(numbers[:2], numbers[2:4])))
+            scale /= checks.number("--size", numbers[4], sign="positive")
         elif len(numbers) == 8:
             corners = np.reshape(numbers, (4, 2))
             sheet = 0.210 * 0.297  # m^2, A4
@@ -291,7 +292,8 @@ class PlainScene:
         shift = (values["offset_x"], values["offset_y"])
         seen = self.camera.adjusted(1.0 + values["scale"], values["roll"], shift)
         files.rescued(replace(seen, readout=max(values["readout"], 0.0)).write, camera)
-        line = replace(self, length=self.length * (1.0 + values.get("length", 0.0))).rope
+        length = self.length * (1.0 + values.get("length", 0.0))
+        line = replace(self, length=length, find=lambda *_: self.found).rope
         damping = {name: getattr(line, name) * (1.0 + values[name]) for name in ("friction", "drag")}
         coarse = with_links(line.replace(**damping), line.n_links // 2)
         files.rescued(coarse.replace(friction=coarse.friction[-1]).to_toml, rope)
@@ -304,10 +306,12 @@ class PlainScene:
         roll, wide = np.degrees(found["roll"])
         scale, std = (100.0 * each for each in found["scale"])
         readout, late = (1e3 * each for each in found["readout"])
+        hinge, free = (100.0 * each for each in found["hinge"])
         said = [
             f"the camera is level: found {roll:+.2f} +- {wide:.2f} degrees",
             f"the scale is as answered: found {scale:+.2f} +- {std:.2f} %",
             f"all rows are exposed at once: found {readout:+.1f} +- {late:.1f} ms from the first to the last",
+            f"the first joint resists half as much as the others: found {hinge:+.0f} +- {free:.0f} %",
             "the swing plane is at a right angle to the view: 5 degrees make lengths across 0.4 % too small",
             "the lens does not distort: a phone's moves places by less than 1 % of their distance from the middle",
         ]

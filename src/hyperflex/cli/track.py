@@ -218,7 +218,7 @@ def track(
         else:
             images = _images_since(video, since)
             task = markers.task(images, origin_doubt=CLICKED) if scene is None else markers.plain_task(scene)
-            found, stopped = _tracked(video, task, follow)
+            found, stopped = _tracked(video, task, follow, scene is not None and scene.answers["size"] == "rope")
     kept = output.partial_path(out) if stopped else out
     result = {
         "output": kept,
@@ -247,21 +247,21 @@ def track(
     output.show({**result, "doubts": doubted}, rows, interrupted=text if stopped else "")
 
 
-def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tuple[VideoTrack, bool]":
+def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope: bool) -> "tuple[VideoTrack, bool]":
     """Return a track, and whether it was interrupted.
 
     If the rope begins elsewhere than at the camera's origin, or moves as if disturbed all along, its first joint is
-    estimated as one that moves; that is kept if it does. The length of a plain rope, whose picture is as large as it
-    says, is tested in a video of a whole swing: with a length that is estimated too, which is kept if it contradicts
-    the given one.
+    estimated as one that moves; that is kept if it does. The length of a plain rope is tested in a video of a whole
+    swing: with a length that is estimated too, which is kept if it contradicts the given one. The scale is then as
+    unknown as the length if it is by the rope's own length (`by_rope`).
     """
     from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
 
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
-    # a tape may be wrong by a tenth
-    wide = EstimatedParameter("length", 0.1), EstimatedParameter("scale", 0.1)  # that may be by the rope's own length
-    kept = [each for each in task.parameters if each.name not in ("length", "scale")]
-    longer = replace(task, parameters=[*kept, *wide], tests=None)
+    wide = ("length", "scale") if by_rope else ("length",)
+    kept = [each for each in task.parameters if each.name not in wide]
+    tenth = [EstimatedParameter(name, 0.1) for name in wide]  # by which a tape may be wrong
+    longer = replace(task, parameters=[*kept, *tenth], tests=None)
     try:
         found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
     except BaseElsewhere:

@@ -106,7 +106,8 @@ def find_rope(
     width : float, optional
         Of the rope at rest, px, if it is known.
     radius : float
-        Of the disc about `pivot` in which the rope may begin, px.
+        Of the disc about `pivot` in which the search begins, px. Along the rope the pivot is where the curve begins, if
+        it is a click's error from what is seen.
 
     Raises
     ------
@@ -114,6 +115,7 @@ def find_rope(
         With its reason: no rope, two, one that leaves the view, is too blurred, or has another length.
     """
     start = checks.array("pivot", pivot, (2,), unit="px")
+    length = None if length is None else checks.number("length", length, sign="positive", unit="px")
     longest = np.inf if length is None else (1.0 + tolerance) * length
     ridges = Ridges(image)
     try:
@@ -133,11 +135,11 @@ def find_rope(
         raise NoRope(Reason.NOTHING, error.got, error.allowed) from None
     ahead = curve[: min(9, len(curve))][-1] - curve[0]
     ahead /= np.hypot(*ahead)
-    late = round(float((curve[0] - start) @ ahead))  # px: the rope begins beside the click
+    late = round(float(np.clip((curve[0] - start) @ ahead, -CLICKED, CLICKED)))  # px: the rope begins beside the click
     curve = np.concatenate([curve[0] - np.arange(late, 0, -1)[:, None] * ahead, curve[max(-late, 0) :]])
     found, apart = FoundRope(curve, look), 2.0 * look.width + 8.0
     rope.leave_out(path.places, apart)
-    _check_alone(rope, path, ridges.paths(start, radius, rope)[0], apart)
+    _check_alone(rope, path, ridges.paths(start, radius, rope, longest)[0], apart)
     last = np.array(image.shape[1::-1]) - 1.0
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
