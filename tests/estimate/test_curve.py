@@ -14,6 +14,8 @@ from hyperflex.estimate import (
     RopeTracker,
     TrackingTask,
     curve_arc_lengths,
+    marked_arc_lengths,
+    measurements,
     track_video,
 )
 from hyperflex.estimate.observations import UNMEASURED, InputFrame
@@ -27,6 +29,7 @@ from hyperflex.vision import (
     RopeMotion,
     Scene,
     VideoWriter,
+    order_markers,
     view_curve,
 )
 from tests.estimate.runs import free_swing, rope
@@ -107,6 +110,57 @@ def test_a_marker_at_the_free_end_is_measured_in_place_of_it():
     assert tracker.estimator.used[-1]
     assert not tracker.estimator.used[-2]
     assert tracker.measurement.end_seen == 1.0
+
+
+class Watched(CurveDetector):
+    """Keeps where the rope was expected."""
+
+    def find(self, image, look, view):
+        self.view = view
+        return super().find(image, look, view)
+
+
+@pytest.mark.parametrize("colours", [[], [RED]], ids=["bare", "marked"])
+def test_the_arc_length_of_the_free_end_moves_it_alone(colours):
+    """By 2.5 mm at 200 px/m, and by -20 mm, when the last lines across the rope are beyond it."""
+    arcs, end = (MARKERS, 43) if colours else (curve_arc_lengths(rope(24)), 40)
+    doubt = [EstimatedParameter(f"arc[{end}]", 0.01)]
+    tracker = TrackingTask(rope(24), arcs, CAMERA, colours, look=LOOK, parameters=doubt).tracker()
+    tracker.measurement.detector = watched = Watched()
+    motion, image = RopeMotion.from_trajectory(free_swing(3, 2.0)), np.full((480, 640, 3), 200, np.uint8)
+    places = CAMERA.project(motion.places([0.05], tracker.arc_lengths)[0])
+    tracker.estimator.update(Observations(0.05, places, std=1.0))
+    views = []
+    for value in (0.0, 2.5e-3, -0.02):
+        tracker.estimator.x[-1] = value
+        base = tracker.estimator.process.base(0.05)[0]
+        tracker.measurement.measure(image, tracker, base, tracker.expect(0.05), tracker.arc_lengths)
+        views.append(watched.view)
+    for view, moved in zip(views, (0.0, 0.5, -4.0), strict=True):
+        np.testing.assert_array_equal(view.points, views[0].points)
+        np.testing.assert_allclose(view.end, views[0].end + moved * view.end_tangent, atol=0.01)  # px, the last bend
+    last = views[0].points[-1, -1]  # half a line's distance from the end, of 280 on 2 m
+    assert np.linalg.norm(views[0].end - last) == pytest.approx(SCALE * 1.0 / 280.0, rel=1e-3)
+
+
+def test_doubt_of_the_free_end_does_not_blur_the_order_of_the_markers(monkeypatch):
+    noises = []
+
+    def ordered(*given, noise, slack):
+        noises.append(noise)
+        return order_markers(*given, noise=noise, slack=slack)
+
+    monkeypatch.setattr(measurements, "order_markers", ordered)
+    motion = RopeMotion.from_trajectory(free_swing(3, 2.0))
+    image = Renderer(CAMERA, motion, Scene(arc_lengths=MARKERS, rope_width=WIDTH, seed=3)).image(0.05)
+    marked = np.flatnonzero(marked_arc_lengths(rope(24), MARKERS)[1])
+    for k in (43, marked[0]):
+        doubt = [EstimatedParameter(f"arc[{k}]", 0.01)]
+        TrackingTask(rope(24), MARKERS, CAMERA, [RED], look=LOOK, parameters=doubt).tracker().look(
+            Frame(0.05, image, 0)
+        )
+    assert noises[0] < 2e-3  # of blobs alone
+    assert noises[1] == pytest.approx(noises[0] + 0.01)  # m
 
 
 def test_a_shadow_that_is_less_dark_is_not_taken_for_the_rope():

@@ -49,6 +49,8 @@ class MarkerMeasurement:
     ----------
     *detectors : MarkerDetector
         One for each colour of the markers.
+    marked : (N,) bool, optional
+        Which of the estimator's arc lengths are the markers'; by default all.
 
     Notes
     -----
@@ -66,8 +68,8 @@ class MarkerMeasurement:
 
     count, end_seen = None, 1.0
 
-    def __init__(self, *detectors: MarkerDetector) -> None:
-        self.detectors = detectors
+    def __init__(self, *detectors: MarkerDetector, marked: npt.NDArray[np.bool_] | None = None) -> None:
+        self.detectors, self.marked = detectors, marked
         self._dark = self._waited = self._elsewhere = 0
         self._begun = False
         self._colours = np.zeros(0, np.int64)  # of each marker, by the detectors; -1: not known
@@ -114,7 +116,8 @@ class MarkerMeasurement:
         noise = float(np.sqrt(np.median(np.trace(covariances, axis1=1, axis2=2) / 2.0)))
         stds = _stds(tracker)
         relative = self.SURE * float(np.hypot(stds["scale"], stds["length"]))
-        absolute = max(std for name, std in [("arc[", 0.0), *stds.items()] if name.startswith("arc["))
+        own = np.arange(len(arcs)) if self.marked is None else np.flatnonzero(self.marked)
+        absolute = max(stds[f"arc[{k}]"] for k in own)
         noise = max(noise, 1e-4) + 0.5 * self.SURE * (absolute + max(stds["offset_x"], stds["offset_y"]))
         arcs, everything = np.maximum(arcs, 1e-6), np.arange(len(places))
         used, order = everything, order_markers(places, arcs, base, noise=noise, slack=relative)
@@ -250,7 +253,9 @@ class CurveMeasurement:
         pieces = len(expected.pixels) - 1
         if self._dense is None:
             arcs = curve_arc_lengths(estimator.process.rope, pieces * self.LINES)
-            self._dense = MarkerModel(estimator.process.rope, arcs, estimator.parameters, camera, readout=1.0)
+            self._dense = MarkerModel(
+                estimator.process.rope, arcs, estimator.parameters, camera, readout=1.0, named=False
+            )
         readout = camera.readout + estimator.parameters.value("readout", tracker.values)
         now = estimator.pixels_of(self._dense, np.zeros(len(self._dense.arc_lengths)))
         late = readout * tracker.rows(now)
@@ -259,7 +264,8 @@ class CurveMeasurement:
         corners = camera.readout_share([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
         row_slope = readout * (corners[1:] - corners[0]) / max(camera.exposure, 1e-9)
         spacing = estimator.disturbances.correlation * pieces
-        return view_curve(moving, pieces, expected.covariance, spacing, estimator.n_links, row_slope)
+        view = view_curve(moving, pieces, expected.covariance, spacing, estimator.n_links, row_slope)
+        return view._replace(end=expected.pixels[-1])  # with its own arc length, as it is estimated
 
     def _found(self, image: Image, tracker: RopeTracker, base: Array, arcs: Array) -> tuple[Array, Array]:
         """Search the whole picture; all NaN if the rope is not found."""
@@ -318,7 +324,7 @@ class MarkedCurveMeasurement(CurveMeasurement):
 
     def __init__(self, look: RopeLook, marked: npt.NDArray[np.bool_], *detectors: MarkerDetector) -> None:
         super().__init__(look)
-        self.markers, self.marked, self.count = MarkerMeasurement(*detectors), marked, len(marked)
+        self.markers, self.marked, self.count = MarkerMeasurement(*detectors, marked=marked), marked, len(marked)
 
     def measure(
         self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None, arcs: Array

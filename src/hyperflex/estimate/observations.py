@@ -154,6 +154,8 @@ class MarkerModel:
         By default places are seen in metres.
     readout : float
         Known time from the first row of a picture to the last, s.
+    named : bool
+        Whether parameters ``"arc[k]"`` are of these markers; else they have no effect.
 
     Notes
     -----
@@ -169,6 +171,7 @@ class MarkerModel:
         parameters: ParameterStates,
         camera: Camera | None = None,
         readout: float = 0.0,
+        named: bool = True,
     ) -> None:
         arcs = checks.array("arc_lengths", arc_lengths, (-1,), unit="m")
         total = rope.total_length
@@ -178,7 +181,8 @@ class MarkerModel:
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
         self.link, self.arms = lever_arms(rope, arcs)
         arc_names = {f"arc[{marker}]": marker for marker in range(arcs.size)}
-        self._arc_states = {k: arc_names.get(name) for k, name in enumerate(parameters.names) if name[:4] == "arc["}
+        arc_states = [k for k, name in enumerate(parameters.names) if name[:4] == "arc[" and named]
+        self._arc_states = {k: arc_names.get(parameters.names[k]) for k in arc_states}
         if None in self._arc_states.values():
             allowed = f"arc[0..{arcs.size - 1}]"
             raise InvalidInput("an arc length is of no marker", got=parameters.names, allowed=allowed)
