@@ -105,7 +105,8 @@ def test_people_read_it_with_its_unit(each):
     labels = tuple(f"{name}[{k}]" for name in free for k in range(3))
     spread = {name: np.abs(np.array(VALUES[name])) * 0.01 for name in free}
     values = {name: np.array(VALUES[name]) for name in free}
-    found = SimpleNamespace(parameters=labels, values=values, std=spread, intervals={}, settings={})
+    starts = np.array([VALUES[name][k] for name in free for k in range(3)])
+    found = SimpleNamespace(parameters=labels, starts=starts, values=values, std=spread, intervals={})
     (column,) = [
         k for k, name in enumerate(rope_table(ROPE, found).header) if name.startswith(each.name.replace("_", " "))
     ]

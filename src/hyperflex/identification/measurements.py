@@ -184,11 +184,13 @@ def rms_rate(t: Array, angle: Array) -> float:
     t, angle = t[known], angle[known]
     if angle.size > 2:  # a single sample that is far off is no motion
         t, angle = t[1:-1], np.median([angle[:-2], angle[1:-1], angle[2:]], axis=0)
-    if t.size < 2:
-        return 0.0
-    step: float = max(min(0.01, (t[-1] - t[0]) / 200.0), float(np.median(np.diff(t))))
-    turned = np.diff(np.interp(np.arange(t[0], t[-1] + 0.5 * step, step), t, angle))
-    return float(np.sqrt(np.mean(turned**2)) / step)
+    least = min(0.01, (t[-1] - t[0]) / 200.0)
+    picked = [0]
+    for k in range(1, t.size):
+        if t[k] - t[picked[-1]] >= least:
+            picked.append(k)
+    turned, taken = np.diff(angle[picked]), np.diff(t[picked])
+    return float(np.sqrt((turned**2 / taken).sum() / taken.sum())) if taken.size else 0.0
 
 
 def first_state(t: Array, angles: Array) -> Array:
