@@ -21,7 +21,7 @@ from hyperflex.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STEP = 0.01  # s, of the integration at most: half of the 20 ms in which a cast's accelerations change
+STEP = 0.01  # s, of the integration at first: half of the 20 ms in which a cast's accelerations change
 GROWTHS = 100  # instants at most at which the growth is computed: each takes a singular value
 
 
@@ -168,9 +168,15 @@ def sideways(
     force[-1] += weight * rope.tip_mass
     moment[-1] += weight * rope.tip_mass * rope.length[-1]
     load = np.stack([force, moment])
-    (angles, rates), (coarse, _) = (_integrate(run, slice(0, count, each), load, start)[:, :, 0] for each in (1, 2))
-    places, apart = (np.cumsum(rope.length * each, axis=1) for each in (angles, coarse - angles[::2]))
-    error, most, step = np.abs(apart).max() / 2.0, np.abs(places).max(), np.diff(run.t[:count]).max()
+    step = np.diff(run.t[:count]).max()
+    for finer in (1, 2, 4):
+        (angles, rates), (coarse, _) = (
+            _integrate(run, slice(0, count, each), load, start, finer)[:, :, 0] for each in (1, 2)
+        )
+        places, apart = (np.cumsum(rope.length * each, axis=1) for each in (angles, coarse - angles[::2]))
+        error, most = np.abs(apart).max() / 2.0, np.abs(places).max()
+        if error <= 0.05 * most:
+            break
     if error > 0.05 * most or (run.contact_force is not None and step > 2.0 * STEP + 1e-9):
         what = f"{step:.3g} s apart; the motion is wrong by some {error / max(most, 1e-300):.2g} of it"
         allowed, fix = f"0.05 of it; {2.0 * STEP:g} s apart with obstacles", "Simulate with a finer t_eval"
@@ -198,12 +204,12 @@ def refuse_rope(rope: Rope) -> None:
         raise InvalidInput("dry friction is not linear out of the plane", got=most, allowed="0", fix=fix)
 
 
-def _integrate(run: Trajectory, rows: slice, load: Array, start: Array) -> Array:
+def _integrate(run: Trajectory, rows: slice, load: Array, start: Array, finer: int = 1) -> Array:
     """Integrate motions from `start` (2, m, n) over the samples `rows` to (2, T, m, n). Fewer samples, longer steps."""
     setup, values = run.setup, tuple(np.ascontiguousarray(each[rows]) for each in (run.t, run.q, run.qd, run.qdd))
     found = np.empty((2, values[0].size, *start.shape[1:]))
     found[:, 0] = start
-    parts = max(1, math.ceil(float(np.diff(run.t).max()) / STEP - 1e-9))
+    parts = finer * max(1, math.ceil(float(np.diff(run.t).max()) / STEP - 1e-9))
     integrate(setup.rope.chain(), setup.drive(), values, load, setup.tip_force, parts, *found)
     if not np.isfinite(found[:, -1]).all():
         text = "the motion out of the plane grows beyond all bounds: simulate with more samples"
