@@ -137,7 +137,7 @@ def sideways(
     Notes
     -----
     Model: docs/models.md, (M.40)-(M.45). Joints resist bending alike in all directions and carry twist. Joint
-    limits and the rope's contact with itself are not seen. Cost: about half of that of a run in free flight.
+    limits and the rope's contact with itself are not seen. Cost: 0.4 to 0.9 of that of a run in free flight.
 
     Examples
     --------
