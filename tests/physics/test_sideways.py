@@ -40,6 +40,16 @@ def test_a_plane_that_is_turned_about_the_vertical_is_the_same_swing():
     assert max(known) < 4.0
 
 
+def test_steps_are_finer_where_those_of_10_ms_are_too_coarse():
+    """A shorter rope swings faster."""
+    run = swing(length=0.3, friction=0.0)
+    want = DEGREE * np.sin(run.q)
+    found = hf.sideways(run, tilt=want[0], rate=DEGREE * np.cos(run.q[0]) * run.qd[0])
+    wrong = np.abs(np.cumsum(run.setup.rope.length * (found.angles - want), axis=1)).max()
+    assert found.finer > 1
+    assert wrong < found.error < 0.05 * np.abs(found.joints).max()
+
+
 def test_figures_of_ball_joints():
     """Six links released at 1.0 to 1.4 rad, half a degree out of the plane: mm at the tip with MuJoCo's balls."""
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, friction=2e-4)

@@ -41,7 +41,9 @@ class Sideways:
         Time of the first sample at which the rope touches an obstacle, s: the motion is known until before it.
     error : float
         Of the joints' places, m: half of their greatest difference from those with every second sample and twice the
-        step, which are wrong three times as much, or more.
+        step, which are wrong some three times as much, or more.
+    finer : int
+        By how much the steps are finer than at first, 10 ms.
     """
 
     run: Trajectory
@@ -50,6 +52,7 @@ class Sideways:
     rates: Array
     touch: float | None
     error: float
+    finer: int = 1
 
     def __repr__(self) -> str:
         ends = "" if self.touch is None else f"; ends before {self.touch:g} s, where the rope touches an obstacle"
@@ -88,7 +91,7 @@ class Sideways:
         rows = np.unique(np.linspace(0, t.size - 1, GROWTHS).astype(int))
         found = [1.0]
         for first, last in pairwise(rows.tolist()):
-            x, v = start = _integrate(self.run, slice(first, last + 1), np.zeros((2, n)), start)[:, -1]
+            x, v = start = _integrate(self.run, slice(first, last + 1), np.zeros((2, n)), start, self.finer)[:, -1]
             found.append(float(np.linalg.norm(np.hstack([x @ sums.T, swing * (v @ sums.T)]), 2)))
         return t[rows], np.array(found)
 
@@ -182,7 +185,7 @@ def sideways(
         allowed, fix = f"0.05 of it; {2.0 * STEP:g} s apart with obstacles", "Simulate with a finer t_eval"
         raise InvalidInput("the samples of the run are too coarse", got=what, allowed=allowed, fix=fix)
     touch = float(run.t[count]) if count < run.t.size else None
-    return Sideways(run, run.t[:count], angles, rates, touch, float(error))
+    return Sideways(run, run.t[:count], angles, rates, touch, float(error), finer)
 
 
 def lean_warning(most: float) -> str:
@@ -204,7 +207,7 @@ def refuse_rope(rope: Rope) -> None:
         raise InvalidInput("dry friction is not linear out of the plane", got=most, allowed="0", fix=fix)
 
 
-def _integrate(run: Trajectory, rows: slice, load: Array, start: Array, finer: int = 1) -> Array:
+def _integrate(run: Trajectory, rows: slice, load: Array, start: Array, finer: int) -> Array:
     """Integrate motions from `start` (2, m, n) over the samples `rows` to (2, T, m, n). Fewer samples, longer steps."""
     setup, values = run.setup, tuple(np.ascontiguousarray(each[rows]) for each in (run.t, run.q, run.qd, run.qdd))
     found = np.empty((2, values[0].size, *start.shape[1:]))
