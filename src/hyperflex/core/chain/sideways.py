@@ -18,9 +18,10 @@ from hyperflex.core.chain.articulated_body import joint_of, sines
 from hyperflex.core.chain.drive import motion_at
 from hyperflex.core.jit import kernel, non_allocating
 
-# rows of the work space of a stage: sines and cosines, rates, stiffness K, torque of each joint, speed along the link,
-# forces on the link, resistance of the air (three moments), factors of the sweep
-SIN, COS, RATE, STIFF, TORQUE, ALONG, FX, FY, AIR, PULL, BACK, INVERSE, SLOPE, KAPPA = *range(9), *range(11, 16)
+# rows of the work space of a stage: sines and cosines (at last of the angle to the link before), rates, stiffness K,
+# torque of each joint, speed along the link, forces on the link, resistance of the air (three moments), factors of the
+# sweep
+SIN, COS, RATE, STIFF, TORQUE, ALONG, FX, FY, AIR, PULL, CARRY, INVERSE, SLOPE, KAPPA = *range(9), *range(11, 16)
 ROWS = 16
 GAMMA = 0.5 + math.sqrt(3.0) / 6.0  # of the two-stage implicit Runge-Kutta method of order 3 (Crouzeix 1975)
 
@@ -57,23 +58,26 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
         out[FY, i] += resistance * sin
         out[RATE, i], out[ALONG, i] = w[i], x * sin - y * cos
     sx, sy = chain.tip_mass * (px - chain.gx) - push[0], chain.tip_mass * (py - chain.gy) - push[1]
-    inert, pull, turn = chain.tip_mass, 0.0, 0.0
+    bulk, e, f, inv, kappa = chain.tip_mass, 0.0, 0.0, 0.0, 0.0
     for way in range(n):
         i = n - 1 - way
         sin, cos, fx, fy, length, com = out[SIN, i], out[COS, i], out[FX, i], out[FY, i], chain.length[i], chain.com[i]
-        ma = chain.mass[i] * com
         out[STIFF, i] = chain.inertia[i] * w[i] * w[i] - length * (sin * sx - cos * sy) - com * (sin * fx - cos * fy)
         sx, sy = sx + fx, sy + fy
+        before = 0.0
+        if i > 0:
+            before = chain.length[i - 1]
+            out[SIN, i] = sin * out[COS, i - 1] - cos * out[SIN, i - 1]
+            out[COS, i] = cos * out[COS, i - 1] + sin * out[SIN, i - 1]
         if h == 0.0:
             continue
+        ma, slope, beyond = chain.mass[i] * com, h * h * out[STIFF, i], kappa
         kappa = h * (chain.viscous[i] + h * chain.stiffness[i])
-        slope = h * h * out[STIFF, i]
-        e = ma + length * inert + pull
-        own = chain.inertia[i] + ma * com + slope + turn + length * (length * inert + 2.0 * pull)
-        inv = 1.0 / (own + kappa)
-        out[PULL, i], out[BACK, i], out[INVERSE, i] = e * inv, kappa * inv, inv
+        own = chain.inertia[i] + ma * com + slope + kappa + beyond + length * length * bulk - f * f * inv
+        bulk, e = chain.mass[i] + bulk - e * e * inv, ma + length * bulk + e * f * inv
+        f, inv = kappa - before * e, 1.0 / own
+        out[PULL, i], out[CARRY, i], out[INVERSE, i] = e * inv, f * inv, inv
         out[SLOPE, i], out[KAPPA, i] = slope, kappa
-        inert, pull, turn = inert + chain.mass[i] - e * e * inv, e * kappa * inv, own * kappa * inv
 
 
 @non_allocating
@@ -89,37 +93,34 @@ def side_accelerations(chain, at, x, v, load, out, work):  # type: ignore[no-unt
     work : (3, n) scratch
     """
     n = x.size
-    rx = ry = dx = dy = aside = 0.0  # rho of the link before and its rate, and the velocity of the joint
+    past = twist = a = b = aside = 0.0  # of the link before: angles, and rates of its rho; the velocity of the joint
     for i in range(n):
         sin, cos, rate, lean, swing = at[SIN, i], at[COS, i], at[RATE, i], x[i], v[i]
-        before, twist = -cos * rx - sin * ry, sin * rx - cos * ry  # about c and d of this link
-        before_rate = rate * twist - cos * dx - sin * dy
-        twist_rate = sin * dx - cos * dy - rate * before
+        before, twist = cos * past + sin * twist, cos * twist - sin * past  # about c and d of this link
+        before_rate = rate * twist + cos * a + sin * b
         bent = chain.stiffness[i] * (lean - before) - at[TORQUE, i] * twist
         work[0, i] = chain.viscous[i] * (swing - before_rate) + bent
-        a, b = swing - twist * rate, lean * rate + twist_rate
-        rx, ry = twist * sin - lean * cos, -lean * sin - twist * cos
-        dx, dy = b * sin - a * cos, -a * sin - b * cos
+        past, a, b = lean, swing - twist * rate, cos * b + (rate * (lean - before) - sin * a)
         drift = aside - lean * at[ALONG, i]
         work[1, i] = load[0, i] - at[AIR, i] * drift - at[AIR + 1, i] * swing
         work[2, i] = load[1, i] - at[AIR + 1, i] * drift - at[AIR + 2, i] * swing
         aside += chain.length[i] * swing
-    mx = my = beyond = pushed = turned = 0.0
+    sin = cos = own = along = beyond = back = pull = carry = pushed = torque = 0.0  # of the link beyond
     for way in range(n):
         i = n - 1 - way
-        sin, cos, own = at[SIN, i], at[COS, i], work[0, i]
-        along = sin * mx - cos * my + (at[TORQUE, i] - beyond) * x[i]
-        torque = work[2, i] - own - cos * mx - sin * my + at[SLOPE, i] * out[i] - at[STIFF, i] * x[i]
-        mx, my = along * sin - own * cos, -own * sin - along * cos
-        beyond = at[TORQUE, i]
+        bent, along = cos * own - sin * along, cos * along + (sin * own + (at[TORQUE, i] - beyond) * x[i])
+        sin, cos, own, beyond = at[SIN, i], at[COS, i], work[0, i], at[TORQUE, i]
+        known = work[2, i] + bent - own + at[SLOPE, i] * out[i] - at[STIFF, i] * x[i] - back
         back = at[KAPPA, i] * (out[i] - (out[i - 1] if i > 0 else 0.0))
-        work[2, i] = torque = torque + back - turned - chain.length[i] * pushed
-        pushed += at[PULL, i] * torque - work[1, i]
-        turned = back - at[BACK, i] * torque
-    moved = up = 0.0
+        known += back - chain.length[i] * pushed
+        pushed, torque = pushed - work[1, i] + pull * torque, known + carry * torque
+        pull, carry = at[PULL, i], at[CARRY, i]
+        work[2, i] = torque
+    moved = up = length = 0.0
     for i in range(n):
-        out[i] = up = at[INVERSE, i] * work[2, i] - at[PULL, i] * moved + at[BACK, i] * up
-        moved += chain.length[i] * up
+        known = at[INVERSE, i] * work[2, i] - at[PULL, i] * moved
+        moved, up = moved + length * up, known + at[CARRY, i] * up
+        out[i], length = up, chain.length[i]
 
 
 @non_allocating
