@@ -140,8 +140,8 @@ def sideways(
     Notes
     -----
     Model: docs/models.md, (M.40)-(M.45). Joints resist bending alike in all directions and carry twist. Joint
-    limits and the rope's contact with itself are not seen. Joints that bend by more than 1 rad need a rope of more links.
-    Cost: 0.3 to 0.6 of that of a run in free flight, more where steps must be finer.
+    limits and the rope's contact with itself are not seen. A rope whose joints bend by more than 1 rad needs more
+    links. Cost: 0.3 to 0.6 of that of a run in free flight, more where steps must be finer.
 
     Examples
     --------
