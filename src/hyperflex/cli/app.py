@@ -127,8 +127,8 @@ def hyperflex(
 ) -> None:
     """Robots that use a rope as an arm: simulate it, identify it, cast it.
 
-    Exit codes: 0 success; 1 a bug in hyperflex; 2 an error, with a message; 3 the fit did not converge, or the
-    time was over; 4 no plan succeeded; 5 the fit must not be used; 130 interrupted by Ctrl-C; 143 by SIGTERM.
+    Exit codes: 0 success; 1 a bug in hyperflex; 2 an error, with a message; 3 the fit did not converge, or the time ran
+    out; 4 no plan succeeded; 5 the fit must not be used; 130 interrupted by Ctrl-C; 143 by SIGTERM.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

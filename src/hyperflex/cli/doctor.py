@@ -45,7 +45,7 @@ def doctor(
     """Check the installation and measure its speed.
 
     The command checks packages, extras, compiled kernels and folders. It changes nothing, and opens no camera unless
-    --source names it. The exit code is 2 if something is wrong that hyperflex needs.
+    --source names it. The exit code is 2 if a required part fails.
     """
     found = [_interpreter(), *_packages(), _kernels(), *_folders()]
     if source is not None:

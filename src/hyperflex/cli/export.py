@@ -29,8 +29,8 @@ def export(
 ) -> None:
     """Convert a set-up to MuJoCo, or a run or recording to MCAP.
 
-    An MJCF file that hyperflex wrote becomes a set-up again. What MuJoCo cannot express is refused by name. The file or
-    the options must declare the units and axes of a recording.
+    An MJCF file that hyperflex wrote becomes a set-up again. Features that MuJoCo cannot express are refused by name.
+    The file or the options must declare the units and axes of a recording.
     """
     check_destination(out, _WRITTEN.get(source.suffix.lower(), ".mcap"), [source])
     with warnings.catch_warnings(record=True) as caught:

@@ -40,12 +40,8 @@ class Reading:
     max_rate: Annotated[
         float, typer.Option(help="Rate of an angle, rad/s, above which it is refused as a wrong unit.")
     ] = FASTEST
-    start: Annotated[
-        float, typer.Option(help="Leave out what was recorded before this time, s.", show_default="all")
-    ] = -math.inf
-    end: Annotated[
-        float, typer.Option(help="Leave out what was recorded from this time on, s.", show_default="all")
-    ] = math.inf
+    start: Annotated[float, typer.Option(help="Omit samples before this time, s.", show_default="all")] = -math.inf
+    end: Annotated[float, typer.Option(help="Omit samples from this time on, s.", show_default="all")] = math.inf
 
     def read(self, path: Path) -> Recording:
         """Return a recording."""
@@ -110,7 +106,9 @@ def identify(
     arc_lengths: ArcLengths = None,
     origin: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="Where the camera sees the origin of the motion, x and y, m. [default: fitted]"),
+        typer.Option(
+            help="Position of the first joint (of an arm: its shaft) in the camera's frame, x y, m. [default: fitted]"
+        ),
     ] = None,
     setup: Annotated[
         Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm drive the rope.")

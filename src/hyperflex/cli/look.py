@@ -22,10 +22,10 @@ def look(
         Path | None, typer.Option("--output", "-o", help="Picture of the recording to write, .png. [default: none]")
     ] = None,
 ) -> None:
-    """Show what a recording holds, and how to read it.
+    """Show what a recording contains, and how to read it.
 
-    The format is recognised by the content. What the file does not declare is assumed in the proposed line, and named:
-    check these, they are never assumed when a file is read.
+    The format is recognised by the content. For declarations that the file lacks, the proposed command has likely
+    values. The command lists them: check them, because they are never assumed when a file is read.
     """
     from hyperflex.recording import propose, python_line
     from hyperflex.report import recording_figure, save_png

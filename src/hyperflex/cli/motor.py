@@ -55,10 +55,10 @@ def check(
 ) -> None:
     """Check whether a motor is fast and strong enough, before anything is planned.
 
-    The motor is one of the catalogue, or given by its speed and torque. The torque falls linearly from stall to the
-    speed without load. The command compares it with a half turn of the arm under the hanging rope, and with plans: each
-    with its own arm and rope, and the torque of its simulated runs. It prints limits for the planner. The exit code is
-    4 if a half turn or a plan is not possible.
+    The motor is one of the catalogue, or given by its speed and torque. Its torque is assumed to decrease linearly from
+    stall to the speed without load. The command compares it with a half turn of the arm under the hanging rope, and
+    with plans: each with its own arm and rope, and the torque of its simulated runs. It prints limits for the planner.
+    The exit code is 4 if a half turn or a plan is not possible.
     """
     from hyperflex.hardware import MotorData, check_motor, demand, find_motor
     from hyperflex.planning import read_plan
@@ -195,7 +195,7 @@ def zero(
     direction: Annotated[
         int | None,
         typer.Option(
-            help="-1 if the device's angle grows clockwise, else 1. [default: as a quarter turn by hand shows it]"
+            help="-1 if the device's angle grows clockwise, else 1. [default: found by a quarter turn by hand]"
         ),
     ] = None,
     clear_fault: ClearFault = False,
@@ -203,10 +203,10 @@ def zero(
     """Set the zero of a drive from the arm as it hangs now, with its torque off; nothing moves by itself.
 
     Then you turn the arm by hand, a quarter turn to +x: this shows the direction, and whether a gear's ratio is set.
-    With --direction, and for an emulated drive, you are not asked.
+    This step is omitted with --direction and for an emulated drive.
 
-    Both are kept in the file, which identify and run take with --zero. Check it again after the
-    drive was without power: some count turns only while they have it.
+    Zero and direction are saved in the file, which identify and run take with --zero. Check the zero again after the
+    drive was without power: some drives count turns only while they are powered.
     """
     from hyperflex.hardware import DriveZero, emulated_device
 

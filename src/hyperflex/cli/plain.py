@@ -71,7 +71,7 @@ class Plain:
 
     length: Annotated[
         float | None,
-        typer.Option(help="Length of a rope without markers, m: the command asks for what else it needs."),
+        typer.Option(help="Length of a rope without markers, m: the command asks for the rest."),
     ] = None
     pivot: Annotated[Pixel, typer.Option(help="Pixel of the first joint, u v, of a plain rope or for --bar.")] = None
     tip: Annotated[

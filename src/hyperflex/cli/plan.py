@@ -277,8 +277,8 @@ def cast(
         bool,
         typer.Option(
             "--robust",
-            help="Plan for uncertain rope, target and motor, and print how often the rope stays wound: by the "
-            "covariance that identify wrote into the rope's file, else with that of a usual identification.",
+            help="Plan for uncertain rope, target and motor, and print the success probability. The covariance is that "
+            "in the rope's file, else that of a usual identification.",
         ),
     ] = False,
     search: Annotated[Given, SearchOptions, "fallback"],
@@ -292,10 +292,10 @@ def cast(
     file can be given as set-up; its criteria count unless options say otherwise.
 
     A rope is wound with --turns turns, counted from the arm's tip to its end, and holds if it slips by less than 5 mm
-    in 2 s. A rope that goes through itself, its arm or the motor's shaft fails.
+    in 2 s. A cast fails if the rope passes through itself, its arm or the motor's shaft.
 
-    The first plan that succeeds, and each better one, is reported on standard error. The search ends with a plan that
-    has a margin, or with the time. The plan is verified in simulation with shorter links. The command writes a page
+    The first plan that succeeds, and each better one, is reported on standard error. The search ends when a plan has a
+    margin, or when the time runs out. The plan is verified in simulation with shorter links. The command writes a page
     that plays the run, pictures, the motion for the motor (CSV), the verified run (NetCDF) and a set-up for simulate;
     it replaces the files of an earlier cast in the folder.
 
@@ -376,9 +376,10 @@ def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget 
     file with the same names and units. [pegs], [walls] and [grounds] of the file are obstacles, which the rope must not
     touch.
 
-    The plan is verified in simulation with the walls, also with 2.5 times the links. The success probability is that
-    for a slot that is displaced by 2 mm and strokes that are mistimed by 2 ms. The command writes the same files as
-    cast, with pictures of the rope in the gap (gap.png), of its entry (entry.png) and of the course (course.png).
+    The plan is verified in simulation with the walls, also with 2.5 times the links. The success probability assumes
+    standard deviations of 2 mm for the slot's position and of 2 ms for the times of the strokes. The command writes the
+    same files as cast, with pictures of the rope in the gap (gap.png), of its entry (entry.png) and of the course
+    (course.png).
 
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no way through
     the slot was found; the best is written with the reason.
@@ -403,15 +404,14 @@ def reach_map(
     time_budget: Annotated[float, typer.Option(callback=positive("s"), help="Time for each target, s.")] = 10.0,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")] = 1,
 ) -> None:
-    """Map the targets that a rope can wind.
+    """Map the targets round which a rope can be wound.
 
     The command plans a cast for each target of a grid. The grid covers the right-hand side, up to the rope's reach; the
-    left is its mirror image, but for obstacles and for a motor that turns further to one side. Targets that are not
-    feasible take no time, others a few seconds each: minutes in all. The command writes a picture and the data
-    (NetCDF).
+    left is its mirror image, unless there are obstacles or the motor turns further to one side. Infeasible targets take
+    no time, others a few seconds each: minutes in all. The command writes a picture and the data (NetCDF).
 
-    A target that is red on the picture was not wound in the time: a longer --time-budget may wind it, above all with a
-    long rope.
+    For a target that is red on the picture no plan was found in time: a longer --time-budget may find one, above all
+    with a long rope.
 
     A set-up file is read as by cast: the targets are like the first of [pegs], by default of radius 0.03 m; all other
     pegs, [walls] and [grounds] are obstacles.

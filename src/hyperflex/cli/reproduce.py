@@ -20,7 +20,8 @@ def reproduce(
 
     Tables I and II and Figs. 3, 5 and 6 are on identification (claims C6, C7), Fig. 8 on online estimation (C8), Figs.
     9 to 12 on casting (C1 to C4), Fig. 13 on timing control (C5). The command writes PNG and CSV for each figure, CSV
-    for each table, a Markdown table of the claims and a page with all of it. Ctrl-C keeps what is complete.
+    for each table, a Markdown table of the claims and a page with all results. Ctrl-C keeps complete figures and
+    tables.
     """
     from hyperflex.paper import claims_table, verdicts
     from hyperflex.paper import reproduce as run

@@ -136,14 +136,13 @@ def run(
     only.
 
     A real motor needs --zero and --torque. Before each cast the command waits for Enter: the arm will move. With --yes
-    a run ends where it would only tell you that zero, rope or arm may be wrong.
+    a run ends at a warning that zero, rope or arm may be wrong; without it you decide.
 
     A camera (--camera, --calibration, --arc-lengths) shows whether the rope hangs still and whether it is wound, and
-    what --follow and --learn need. A run whose camera no longer sees the rope is stopped.
+    measures the state for --follow and --learn. If the camera no longer sees the rope, the run stops.
 
-    With emulator:MAKE a process emulates drive, motor and rope in real time. Without --camera emulated, its rope's true
-    state is what is observed.
-    The command writes the log (NetCDF and MCAP) and a figure. The exit code is 4 if the rope is not
+    With emulator:MAKE a process emulates drive, motor and rope in real time. Without --camera emulated, the rope's true
+    state is observed. The command writes the log (NetCDF and MCAP) and a figure. The exit code is 4 if the rope is not
     wound, or nothing shows that it is.
     """
     from hyperflex.execution import CameraRope, RunPage, open_drive, run_plan

@@ -31,7 +31,7 @@ def simulate(
         typer.Option(help="Error up to which the run counts as predictable, m. [default: 1 % of the rope's length]"),
     ] = None,
     tug: Annotated[
-        bool, typer.Option("--tug", help="Pull at a rope that lies on a peg at the end, and report what it holds.")
+        bool, typer.Option("--tug", help="Pull at a rope that lies on a peg at the end, and report its holding force.")
     ] = False,
     tilt: Annotated[
         float | None,
@@ -49,13 +49,13 @@ def simulate(
 ) -> None:
     """Simulate a set-up and write the motion to NetCDF.
 
-    The set-up is simulated again with a tenth of the tolerance; the report says until when both runs agree.
+    The set-up is simulated again with a tenth of the tolerance; the report states until when both runs agree.
 
     For each round peg it reports the rope's turns at the end, the angle that it covers, and how far it slipped in the
     last 2 s.
 
-    After Ctrl-C, or when the time is over (exit code 3), the part that has been simulated is in a separate file, such
-    as cast-interrupted.nc.
+    After Ctrl-C, or if the time runs out (exit code 3), the simulated part is in a separate file, such as
+    cast-interrupted.nc.
     """
     from hyperflex.model import Setup
     from hyperflex.simulation import file_size, refuse_rope

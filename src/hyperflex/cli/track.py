@@ -180,7 +180,7 @@ def track(
         float | None,
         typer.Option(help="Time of the frame of the pixels of --bar or --click, s. [default: the first frame]"),
     ] = None,
-    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the places or angles.")] = Path(
+    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the positions or angles.")] = Path(
         "markers.nc"
     ),
     *,
@@ -189,17 +189,17 @@ def track(
 ) -> None:
     """Track a rope in a video by its dynamics, with markers or without.
 
-    A plain rope needs its --length alone: the command asks for what else it needs, in the terminal and in a page of the
-    browser, and keeps the answers in a file beside the video, so that a second run asks nothing. It also writes the
-    rope and the camera, for hyperflex identify and watch. A few markers on it are used, too, with --arc-lengths.
+    For a plain rope give only its --length: the command asks for the rest, in the terminal and in a page of the
+    browser, and saves the answers in a file next to the video, so that a second run asks nothing. It also writes the
+    rope and the camera, for hyperflex identify and watch. With --arc-lengths it also uses a few markers on the rope.
 
     A rope with markers hangs from the origin of the swing plane. Its markers are found and ordered in the first frames;
     from then on each is searched where the rope's motion predicts it. `hyperflex identify` continues from the file.
 
     With --bar and --pivot the command follows the links of a pendulum by their colours and needs neither rope nor
-    camera: the file then holds the links' angles.
+    camera: the file then contains the links' angles.
 
-    After Ctrl-C, the part that has been tracked is in a separate file, such as markers-interrupted.nc.
+    After Ctrl-C, the tracked part is in a separate file, such as markers-interrupted.nc.
     """
     from hyperflex.vision import track_bars
 
@@ -350,13 +350,13 @@ def watch(
 ) -> None:
     """Follow a rope live by its dynamics, with markers or without.
 
-    A plain rope needs its --length alone; see `hyperflex track`. Answers about a camera are kept in
+    For a plain rope give only its --length; see `hyperflex track`. Answers about a camera are saved in
     camera-N.answers.toml in the working folder.
 
-    At every frame, and while none arrives, the command reports where the rope is, the age and uncertainty of this
-    estimate, and detected changes: a mass at the tip, for example, or a touch. It ends with the source or by Ctrl-C,
-    and then writes the log; the log of an interrupted run is marked. A video is followed frame by frame, with --page at
-    its own speed. With --json it prints one JSON object a line: one for each estimate, and a summary.
+    At every frame, and while none arrives, the command reports the rope's position, the age and uncertainty of this
+    estimate, and detected changes, such as a mass at the tip or a touch. It ends with the source or by Ctrl-C, and then
+    writes the log; the log of an interrupted run is marked. A video is processed frame by frame, with --page at its own
+    speed. With --json the command prints one JSON object per line: one for each estimate, and a summary.
     """
     from threadpoolctl import threadpool_limits
 

@@ -18,7 +18,7 @@ def vibrate(
     rope: Annotated[Path, typer.Option(help="TOML file with the rope.")],
     *,
     tilt: Annotated[
-        float | None, typer.Option(help="Tilt to be held, rad: 0 hangs, 1.57 is horizontal, 3.14 stands upright.")
+        float | None, typer.Option(help="Tilt to hold, rad: 0 hangs, 1.57 is horizontal, 3.14 is upright.")
     ] = None,
     stiffness: Annotated[
         float | None, typer.Option(callback=positive("N/m"), help="Required stiffness of the tip, N/m.")
@@ -28,7 +28,7 @@ def vibrate(
         typer.Option(help="Direction of the stiffness, rad, as a link's angle. [default: across the tilt]"),
     ] = None,
     amplitude: Annotated[
-        float | None, typer.Option(callback=positive("m"), help="Half of the way of the rope's first joint, m.")
+        float | None, typer.Option(callback=positive("m"), help="Amplitude of the rope's first joint, m.")
     ] = None,
     frequency: Annotated[
         float | None, typer.Option(callback=positive("Hz"), help="Frequency of the vibration, Hz.")
@@ -44,10 +44,11 @@ def vibrate(
         Path | None, typer.Option("--output", "-o", help="Picture of tilt over amplitude and frequency, .png.")
     ] = None,
 ) -> None:
-    """Hold a rope at a tilt against gravity by vibrating the arm, or see what a vibration holds.
+    """Hold a rope at a tilt against gravity by vibrating the arm, or list the postures of a vibration.
 
-    With --tilt the command finds the weakest vibration that holds it, and compares the motor that it takes with the
-    limits; the exit code is 4 if the motor cannot. With --amplitude, --frequency and --direction it lists the postures.
+    With --tilt the command finds the weakest vibration that holds this tilt, and compares the motor that it requires
+    with the limits; the exit code is 4 if the motor is too weak. With --amplitude, --frequency and --direction it lists
+    the postures.
     """
     from hyperflex.control import plan_vibration, vibration_map, vibration_posture
     from hyperflex.report import save_png

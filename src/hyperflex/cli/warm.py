@@ -33,8 +33,8 @@ def warm(
     This takes about 80 s of processor time, once for each version. Without it each kernel is compiled when it is first
     needed. Kernels of friction_model="printed", which only the paper's own figures use, are not compiled.
 
-    The compiled kernels are in the user's cache folder, or in that of the environment variable HYPERFLEX_CACHE_DIR.
-    Those of other versions are removed when they are 90 days old.
+    The compiled kernels are in the user's cache folder, or in the folder named by HYPERFLEX_CACHE_DIR. Kernels of other
+    versions are removed when they are 90 days old.
     """
     import numba
 

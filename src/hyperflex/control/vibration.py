@@ -264,7 +264,7 @@ def vibration_posture(
     rope : Rope
         Without dry friction, drag and joint limits.
     amplitude : float
-        Half of the way of the rope's first joint, m.
+        Amplitude of the rope's first joint, m.
     frequency : float
         Hz.
     direction : float

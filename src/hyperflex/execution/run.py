@@ -37,35 +37,39 @@ class RunOptions:
     rate : float
         Goals a second, Hz.
     approach : float
-        Part of the motor's speed with which the arm goes to its start.
+        Fraction of the motor's speed with which the arm moves to its start.
     calm : float
-        Least time of that move in periods of a pendulum as long as the rope: a minimum-jerk move of three leaves hardly
-        any swing.
+        Least time of that move in periods of a pendulum as long as the rope: after a minimum-jerk move of three the
+        rope hardly swings.
     still : float
         Greatest change of a link's angle within a second, rad, of a rope that counts as hanging still. Rates do not
-        tell it: they are zero at a turning point, and estimated ones never are if the camera's pose is a little off.
+        show this: they are zero at a turning point, and estimates never are if the camera's pose is slightly wrong.
     wait : float
-        Time to wait for the rope to hang still, s: with a source of its state at most so long, without one exactly.
+        Time to wait for the rope to hang still, s: a maximum if its state is observed, else the exact time.
     countdown : float
         Time between the last warning and the motion, s.
     feed_forward : bool
-        Whether the torque that the plan's simulation needs is sent along, to a drive that takes it.
+        Send the torque of the plan's simulation with each goal, to a drive that accepts it.
     clear_fault : bool
         Clear a fault of the device at the start.
     sampling : float
         Rate at which the rope's state is recorded, Hz.
     lag : float
-        Identified lag of the drive, s: so much later than its goals the arm is known to move, where the rope is
-        estimated from pictures and where a plan is followed.
+        Identified lag of the drive, s: the delay of the arm behind its goals that is assumed when the rope is
+        estimated from pictures and when a plan is followed.
     """
 
     rate: float = option(200.0, "goals a second", unit="Hz", sign="positive")
-    approach: float = option(0.1, "part of the motor's speed with which the arm goes to its start", sign="positive")
+    approach: float = option(
+        0.1, "fraction of the motor's speed with which the arm moves to its start", sign="positive"
+    )
     calm: float = option(3.0, "least time of that move, in periods of the rope", sign="nonnegative")
-    still: float = option(0.05, "greatest change in a second of a link that hangs still", unit="rad", sign="positive")
+    still: float = option(
+        0.05, "greatest change of a link in a second that counts as still", unit="rad", sign="positive"
+    )
     wait: float = option(20.0, "time to wait for the rope to hang still", unit="s", sign="nonnegative")
     countdown: float = option(3.0, "time between the last warning and the motion", unit="s", sign="nonnegative")
-    feed_forward: bool = option(True, "send the torque that the simulation needs along")
+    feed_forward: bool = option(True, "send the torque of the simulation with each goal")
     clear_fault: bool = option(False, "clear a fault of the device at the start")
     sampling: float = option(60.0, "rate at which the rope's state is recorded", unit="Hz", sign="positive")
     lag: float = option(0.0, "identified lag of the drive", unit="s", sign="nonnegative")

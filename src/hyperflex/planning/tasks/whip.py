@@ -72,8 +72,8 @@ class TipTarget:
         If a value is not finite or has the wrong sign.
     """
 
-    x: float = option(MISSING, "place of the target", "m")
-    y: float = option(MISSING, "place of the target", "m")
+    x: float = option(MISSING, "position of the target", "m")
+    y: float = option(MISSING, "position of the target", "m")
     direction: float = option(  # None becomes 0 when it is made
         None, "direction of the tip's velocity there: 0 is +x, pi/2 is up", "rad", shown="any"
     )
