@@ -71,7 +71,7 @@ def mass_matrix(rope: Rope, q: ArrayLike, *, arm: Arm | None = None, arm_angle: 
 
 
 def forward_kinematics(rope: Rope, q: ArrayLike, *, arm: Arm | None = None, arm_angle: ArrayLike = 0.0) -> Array:
-    """Return where the joints and the tip are.
+    """Return the positions of the joints and the tip.
 
     Parameters
     ----------

@@ -84,11 +84,11 @@ class SimulationError(HyperflexError, RuntimeError):
 
 
 class IdentificationError(HyperflexError, RuntimeError):
-    """A fit could not be made, or did not converge to anything that may be reported."""
+    """A fit was impossible, or did not converge to a result that may be reported."""
 
 
 class WorkerLost(HyperflexError, RuntimeError):
-    """Workers of an executor died at a part of the work each time that it was run; the message names the part."""
+    """Workers of an executor died each time that they ran a part of the work; the message names the part."""
 
 
 class DriveError(HyperflexError, RuntimeError):

@@ -46,7 +46,7 @@ class Motor(Protocol):
     """Motor that turns an arm: a simulated servo, or a real one."""
 
     def set_motion(self, motion: Motion, at: float) -> bool:
-        """Command a motion from a given time; return whether it was taken: False if it came too late.
+        """Command a motion from a given time; return whether it was accepted: False if it came too late.
 
         Parameters
         ----------

@@ -77,7 +77,7 @@ OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All data from which a run continues as if it had not been stopped.
+    """All data that are needed to continue a run without interruption.
 
     Parameters
     ----------
@@ -90,11 +90,11 @@ class State:
     work, dissipated : float
         Motor work and friction loss since the start of the run, J.
     checkpoint : dict of str to float or array
-        Whatever else the integrator keeps, by name; numbers and arrays survive a NetCDF file bit for bit.
+        Other data of the integrator, by name; a NetCDF file preserves numbers and arrays bit for bit.
     peg_angle, peg_rate : (P,) float64 or None
         Angles, rad, and rates, rad/s, of the round pegs in the order of the set-up; 0 of fixed ones. None: all 0.
     arm_angle, arm_rate : float or None
-        Angle and rate of the arm, rad and rad/s. With a prescribed motion they follow from it; None: as in the set-up.
+        Angle and rate of the arm, rad and rad/s. A prescribed motion determines them; None: as in the set-up.
     """
 
     t: float
@@ -137,13 +137,13 @@ class Trajectory:
     kinetic_energy, potential_energy : (T,) float64
         Energies of the rope (and of an actuated arm, and of pegs that turn), J.
     dissipated_energy, motor_work : (T,) float64
-        Friction loss and work put in since the start of the run, J.
+        Friction loss and motor work since the start of the run, J.
     motor_torque : (T,) float64
         Torque of the motor, N m.
     setup : Setup
         The simulated set-up.
     state : State
-        Where the run ended; hand it to :func:`hyperflex.simulate` to go on.
+        End of the run; pass it to :func:`hyperflex.simulate` to continue.
     start : State
         Where it began.
     status : Status
@@ -162,9 +162,9 @@ class Trajectory:
         Angle, rad, and rate, rad/s, of each round peg of the set-up, in order, positive counterclockwise; 0 of fixed
         ones. None if no peg turns.
     limit : (T, n + 1, 2) float64 or None
-        Where the joints, the tip last, are in the limit of many short links, m; only with ``extrapolate=True``.
+        Positions of the joints, the tip last, in the limit of many short links, m; only with ``extrapolate=True``.
     limit_error : (T,) float64 or None
-        Distance, m, by which the worst joint may be off that limit.
+        Error bar of that limit at the worst joint, m.
     """
 
     t: Array
@@ -244,7 +244,7 @@ class Trajectory:
 
     @property
     def energy_error(self) -> Array:
-        """Energy that appeared from nowhere (T,), J: E - E[0] - motor work + dissipation, zero in an exact run."""
+        """Error of the energy balance (T,), J: E - E[0] - motor work + dissipation, zero in an exact run."""
         energy = self.kinetic_energy + self.potential_energy
         gained = self.motor_work - self.dissipated_energy
         return energy - energy[:1] - (gained - gained[:1])
@@ -280,7 +280,7 @@ class Trajectory:
 
     @property
     def predictable_until(self) -> float:
-        """Time, s, from which on inputs and tolerance do not determine the run; inf if they do to its end.
+        """Time, s, until which inputs and tolerance determine the run; inf if they do until its end.
 
         After it a run with a tenth of the tolerance differs by more than PARTED of the rope's length: compare energies
         and statistics, not positions. Computed when first read, see :attr:`error_estimate`.
@@ -374,8 +374,8 @@ class Trajectory:
         Returns
         -------
         matplotlib.figure.Figure
-            Its method ``savefig`` writes it to a file; a notebook shows it. pyplot does not know it, so that nothing is
-            kept and no screen is needed: for a window, pass axes of pyplot.
+            Its method ``savefig`` writes it to a file; a notebook shows it. It is not registered with pyplot, so it
+            needs no screen and no closing: for a window, pass axes of pyplot.
 
         Raises
         ------

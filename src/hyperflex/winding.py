@@ -225,12 +225,12 @@ def tug_test(
     allowed: float = 5e-3,
     time_budget: float | Budget | None = None,
 ) -> TugTest:
-    """Pull the motor-side end of the rope slowly away from a peg, from the end of a run, and measure the holding force.
+    """Continue a run by a slow pull of the rope's motor-side end away from a peg, and measure the holding force.
 
     Parameters
     ----------
     run : Trajectory
-        Ended with the rope on the peg.
+        Run that ended with the rope on the peg.
     peg : Peg
     speed : float
         Of the pull, m/s.

@@ -41,20 +41,20 @@ class VibrationPosture:
     ----------
     rope : Rope
     amplitude : float
-        Half of the first joint's way, m.
+        Amplitude of the first joint, m.
     frequency : float
         Of the vibration, Hz.
     direction : float
         Of the line, rad, as the angle of a link that lies along it.
     arm : Arm or None
-        Arm whose tip vibrates across it; None: the pivot itself moves.
+        Arm whose tip vibrates perpendicular to it; None: the pivot itself moves.
     q : (n,) float64
         Mean link angles, rad.
     hessian : (n, n) float64
-        Of the averaged potential, N m/rad. Where friction in the joints resists the fast motion, it is the derivative
-        of the averaged torques, and not quite symmetric.
+        Hessian of the averaged potential, N m/rad. If friction in the joints resists the fast motion, it is the
+        derivative of the averaged torques, and not exactly symmetric.
     ripple : (n,) complex128
-        Fast motion of the links: rad, with the phase against the base's, q + Re(ripple exp(i w t)).
+        Fast motion of the links, rad, with the phase relative to the base: q + Re(ripple exp(i w t)).
     """
 
     rope: Rope
@@ -89,7 +89,7 @@ class VibrationPosture:
 
     @property
     def stable(self) -> bool:
-        """Whether no small slow motion grows, as far as averaging can tell."""
+        """Whether, according to the averaged equations, no small slow motion grows."""
         pendulum = math.sqrt(float(np.hypot(*self.rope.gravity)) / self.rope.total_length)
         return bool(self.eigenvalues.real.max() < RESOLVED * pendulum + 1e-8 * np.abs(self.eigenvalues).max())
 
@@ -100,12 +100,12 @@ class VibrationPosture:
 
     @property
     def least_frequency(self) -> float:
-        """Frequency, Hz, from which on averaging holds, at the same velocity of the base.
+        """Frequency, Hz, from which averaging applies, at the same velocity of the base.
 
         It is LEAST_RATIO times that of the fastest slow oscillation, or that at which no link turns by more than
-        MOST_RIPPLE, and the arm by no more than half of it. Averaging leaves out about U (M w^2)^-1 U of the Hessian,
-        where U is what the vibration makes of it. Where gravity takes most of U away, as near the threshold of an
-        upright rope, this must be small against the rest (docs/theory/vibration.md).
+        MOST_RIPPLE, and the arm by no more than half of it. Averaging neglects about U (M w^2)^-1 U of the Hessian,
+        where U is its part due to the vibration. If gravity cancels most of U, as near the threshold of an upright
+        rope, the neglected part must be small relative to the remainder (docs/theory/vibration.md).
         """
         own = self.hessian - self._model.at(self.q, 0.0)[1]
         omitted = own @ np.linalg.solve(mass_matrix(self.rope, self.q) + self._model.resistance, own)
@@ -117,12 +117,12 @@ class VibrationPosture:
 
     @property
     def holds(self) -> bool:
-        """Whether the vibration is fast enough for averaging: then the tilt is right to 2 % (benchmarks/vibration)."""
+        """Whether the vibration is fast enough for averaging: the tilt is then accurate to 2 % (benchmarks)."""
         return self.frequency >= self.least_frequency
 
     @property
     def compliance(self) -> Array:
-        """Mean motion of the tip per constant force on it (2, 2), m/N: J H^-1 J^T.
+        """Mean displacement of the tip per constant force on it (2, 2), m/N: J H^-1 J^T.
 
         Its inverse is the stiffness; along a straight rope the compliance is 0.
         """
@@ -130,7 +130,7 @@ class VibrationPosture:
         return np.asarray(jacobian @ np.linalg.solve(self.hessian, jacobian.T))
 
     def stiffness(self, direction: float) -> float:
-        """Force, N, per m by which the tip yields along `direction`, rad, of a link; inf along a straight rope."""
+        """Stiffness of the tip, N/m, in a `direction`, rad, as the angle of a link; inf along a straight rope."""
         push, yielding = unit_along(checks.number("direction", direction, unit="rad")), self.compliance
         along = float(push @ yielding @ push)
         return math.inf if abs(along) <= np.finfo(float).eps * float(np.trace(yielding)) else 1.0 / along
@@ -257,7 +257,7 @@ class Averaged:
 def vibration_posture(
     rope: Rope, amplitude: float, frequency: float, direction: float, *, arm: Arm | None = None
 ) -> list[VibrationPosture]:
-    """Return the postures at which a vibration of the base holds a rope, and those that it does not hold.
+    """Return the postures of a rope whose base vibrates, stable and unstable ones.
 
     Parameters
     ----------
@@ -271,20 +271,20 @@ def vibration_posture(
         Line along which the joint moves, rad, as the angle of a link that lies along it: 0 is vertical, pi/2
         horizontal.
     arm : Arm, optional
-        The joint is at the tip of an arm, which turns by small angles about direction - pi/2. By default the point that
-        the rope hangs from moves along the line.
+        The joint is at the tip of an arm, which turns by small angles about direction - pi/2. By default the point from
+        which the rope hangs moves along the line.
 
     Returns
     -------
     list of VibrationPosture
-        Stable ones first. They are those that continue the hanging and the upright rope from rest to this vibration,
-        and the straight ropes along the line, either way, from a very strong vibration down to it. Postures with a
-        fold exist as well, and are not searched.
+        Stable ones first. They continue the hanging and the upright rope from no vibration to this one, and the
+        straight ropes along the line, in both directions, from a very strong vibration to this one. Postures with a
+        fold also exist, but are not searched.
 
     Raises
     ------
     InvalidInput
-        If an argument cannot be used, or the rope has properties that averaging does not know.
+        If an argument cannot be used, or the rope has properties that averaging does not include.
 
     Notes
     -----
@@ -340,7 +340,7 @@ class VibrationMap:
     frequency : (F,) float64
         Hz.
     tilt : (F, A) float64
-        Of the posture that continues the straight rope along the line, rad; NaN where it is not held.
+        Tilt of the posture that continues the straight rope along the line, rad; NaN where it is not held.
     holds : (F, A) bool
         Whether averaging holds.
     direction : float
@@ -358,7 +358,7 @@ class VibrationMap:
     rope: Rope
 
     def plot(self, limits: MotorLimits | None = None) -> "Figure":
-        """Draw the map, with what a motor of these `limits` reaches; return a Matplotlib figure."""
+        """Draw the map, with the reach of a motor with these `limits`; return a Matplotlib figure."""
         from hyperflex.report import vibration_figure
 
         return vibration_figure(self, limits)

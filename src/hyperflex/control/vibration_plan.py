@@ -26,16 +26,16 @@ class MotorDemand(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class VibrationPlan:
-    """A vibration that holds a required posture (made by :func:`plan_vibration`), and the motor that it takes.
+    """A vibration that holds a required posture (made by :func:`plan_vibration`), and the motor that it requires.
 
     Parameters
     ----------
     posture : VibrationPosture or None
-        None if no vibration holds what is required.
+        None if no vibration meets the requirements.
     motor : MotorDemand or None
-        What the arm's motor must reach; None without an arm.
+        Requirements of the arm's motor; None without an arm.
     missing : dict of str to (float, float)
-        What the given motor lacks, by the names of `MotorLimits`: required and possible.
+        Limits that the given motor does not meet, by the names of `MotorLimits`: required and possible value.
     """
 
     posture: VibrationPosture | None
@@ -44,7 +44,7 @@ class VibrationPlan:
 
     @property
     def success(self) -> bool:
-        """Whether the posture can be held, as far as averaging holds, by the given motor if there is one."""
+        """Whether averaging applies, and the posture can be held, by the given motor if there is one."""
         return not self.message
 
     @property
@@ -75,7 +75,7 @@ def plan_vibration(
     frequency: float | None = None,
     direction: float | None = None,
 ) -> VibrationPlan:
-    """Find the weakest vibration that holds a rope at a tilt, stably, and what motor it takes.
+    """Find the weakest vibration that holds a rope stably at a tilt, and the motor that it requires.
 
     Parameters
     ----------
@@ -86,22 +86,23 @@ def plan_vibration(
     limits : MotorLimits, optional
         Of the arm's motor.
     arm : Arm, optional
-        Its tip vibrates across it; the rope hangs from the tip. By default a pivot moves along a line, without a motor.
+        Its tip vibrates perpendicular to it; the rope hangs from the tip. By default a pivot moves along a line,
+        without a motor.
     of : {"chain", "tip"}
         Whether the tilt is that of the line from the first joint to the tip, or that of the last link.
     stiffness : float, optional
         Least stiffness of the tip, N/m, in the direction `push`.
     push : float, optional
-        Direction of the stiffness, rad, as the angle of a link; by default across the tilt.
+        Direction of the stiffness, rad, as the angle of a link; by default perpendicular to the tilt.
     frequency : float, optional
-        Hz; by default the least at which averaging holds.
+        Hz; by default the lowest at which averaging applies.
     direction : float, optional
-        Line of the vibration, rad; by default that which takes the least velocity of the base.
+        Line of the vibration, rad; by default the one with the lowest velocity of the base.
 
     Returns
     -------
     VibrationPlan
-        It fails, and says what is missing, if the motor is too weak. Whether the rope touches the arm is not checked.
+        It fails if the motor is too weak, and states what is missing. Contact of the rope with the arm is not checked.
 
     Raises
     ------

@@ -44,7 +44,7 @@ class EnvOptions:
     rope, arm : Rope, Arm, optional
         The model; by default the paper's cable on an arm of 105 mm.
     limits : MotorLimits
-        Of the motor; by default the paper's.
+        Limits of the motor; by default the paper's.
     action : {"acceleration", "timing"}
         What an action is.
     observation : {"state", "markers"}

@@ -40,9 +40,9 @@ def write_mcap(
     Parameters
     ----------
     source : Trajectory or Recording, or None
-        Of a run, angles and rates of arm and links are written to the topic ``/joints`` and the places of joints and
-        tip to ``/rope``; of a recording its angles or markers. :func:`hyperflex.read_recording` reads both, bit for
-        bit, gaps included.
+        For a run, angles and rates of arm and links go to the topic ``/joints`` and the positions of joints and tip to
+        ``/rope``; for a recording, its angles or markers. :func:`hyperflex.read_recording` reads both, bit for bit,
+        including gaps.
     path : path-like
         File to write, whole or not at all.
     drive : dict of str to (K,) float64, optional

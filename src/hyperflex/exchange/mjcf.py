@@ -48,8 +48,9 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     path : path-like
         File to write, whole or not at all.
     timestep : float
-        MuJoCo's step, s. If RK4 is stable with it and nothing is touched, it is the integrator; else implicitfast is,
-        which is of first order: its tip may be off by centimetres after two seconds of a fast swing.
+        MuJoCo's step, s. The integrator is RK4 if it is stable with this step and there are neither obstacles nor joint
+        limits; else implicitfast, which is of first order: its tip may have an error of centimetres after two seconds
+        of a fast swing.
 
     Raises
     ------

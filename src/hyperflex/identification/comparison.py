@@ -175,11 +175,11 @@ class ModelComparison(Ranking):
     models : tuple of FittedModel
         In the order in which they were given, those that failed included.
     preferred, recommendation : str or None, str
-        Name of the model that the evidence prefers, None if none could be fitted; and why, in words.
+        Name of the model that the evidence prefers, None if none could be fitted; and the reason as text.
     unit : str
         Of the errors: ``rad`` or ``m``.
     ended : Status or None
-        INTERRUPTED or OUT_OF_TIME where not all candidates could be fitted to their end.
+        INTERRUPTED or OUT_OF_TIME if not all fits were completed.
     """
 
     models: tuple[FittedModel, ...]
@@ -247,18 +247,19 @@ def compare_models(
     rope_guess : Rope
         As for :func:`hyperflex.identify`; in the default models, resistances that are not free are 0.
     models : mapping, optional
-        Names to what is free (words as in ``identify``), or to a pair of a guess and what is free. By default the
-        viscous rope, alone and with one or two of dry friction, stiffness and air drag beside; and dry friction, air
-        drag or both in place of the viscous one.
+        For each name the free parameters (as in ``identify``), or a pair of a guess and its free parameters. By default
+        the viscous rope, alone and with one or two of dry friction, stiffness and air drag; and dry friction, air drag
+        or both instead of viscous friction.
     free : sequence of str
-        What is free in the viscous rope; used where `models` is not given.
+        Free parameters of the viscous rope; used if `models` is not given.
     links : sequence of int
-        Further numbers of equal links into which the guess is cut, with what is free in the first model. Needs markers.
+        Further numbers of equal links into which the guess is divided, with the free parameters of the first model.
+        Needs markers.
     setup, options : RecordingSetup, FitOptions, optional
         As for :func:`hyperflex.identify`, the same for all candidates; no intervals are computed.
     time_budget : float or Budget, optional
-        Seconds by the clock, without compiling, of which each candidate gets an equal share of what remains; by default
-        1800 for each. Out of time, the candidates fitted until then are compared, with ``status`` OUT_OF_TIME.
+        Wall-clock time, s, without compiling; each candidate gets an equal share of the remainder. By default 1800 for
+        each. If the time runs out, the candidates fitted until then are compared, with ``status`` OUT_OF_TIME.
     progress : bool
         Show a bar over the candidates on standard error.
 
@@ -269,12 +270,10 @@ def compare_models(
     Interrupted
         By Ctrl-C. Its ``partial`` compares the candidates fitted until then; None before any was.
 
-    Notes
-    -----
-    A candidate is supported by BIC within 6 of the least, and by held-out prediction if it is not worse than the best
-    by 2 % and by two standard errors over the held-out stretches (by 10 % where there are fewer than three). The
-    simplest that both support is preferred. Where none is, prediction decides, unless the residuals of BIC's choice are
-    white. All candidates must be fitted to the same samples; one that is not has no BIC.
+    Notes ----- BIC supports a candidate within 6 of the least. Held-out prediction supports one that is not worse than
+    the best by 2 % and by two standard errors over the held-out stretches (by 10 % if there are fewer than three). The
+    simplest candidate that both support is preferred. If there is none, prediction decides, unless the residuals of
+    BIC's choice are white. All candidates must be fitted to the same samples; one that is not has no BIC.
     """
     checks.instance("recording", recording, Recording)
     checks.instance("rope_guess", rope_guess, Rope)

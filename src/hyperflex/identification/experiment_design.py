@@ -52,7 +52,7 @@ class Experiment:
     name : str
         For tables.
     motion : Motion, optional
-        Of the arm, or of the first joint; by default it is fixed.
+        Motion of the arm or of the first joint; by default it is fixed.
     q0, qd0 : (n,) array_like or float, optional
         Link angles, rad, and rates, rad/s, at the start (a number: of all links); by default it hangs at rest.
     rate, duration : float
@@ -239,7 +239,7 @@ class ExperimentDesign(Ranking):
     recommendation : str
         Text: the recommended experiment, or what to measure if no experiment determines the wanted numbers.
     ended : Status or None
-        INTERRUPTED or OUT_OF_TIME where not all candidates were simulated.
+        INTERRUPTED or OUT_OF_TIME if not all candidates were simulated.
     """
 
     plans: tuple[ExperimentPlan, ...]
@@ -290,21 +290,21 @@ def design_experiment(
     Parameters
     ----------
     rope : Rope
-        The rope as far as it is known.
+        The rope, as well as it is known.
     want : str or sequence of str
-        What is to be known well: names or labels of free parameters (``"friction"``, ``"inertia[1]"``), or ratios that
-        need no known force (``"J/p1"``, ``"p/p1"``, ``"c/p1"``).
+        Wanted numbers: names or labels of free parameters (``"friction"``, ``"inertia[1]"``), or ratios that need no
+        known force (``"J/p1"``, ``"p/p1"``, ``"c/p1"``).
     candidates : sequence of Experiment, optional
         By default free swings from several angles and, with an arm, the paper's swings with several rests, 10 s at
         30 frames/s and at most 11 markers; the best of them then with other rates, durations and fewer markers.
     arm : Arm, optional
-        What the motions of the candidates turn.
+        Arm that the motions of the candidates turn.
     noise : float
         Standard deviation of a measured value: of a marker's coordinate, m, or of an angle, rad.
     free : sequence of str
-        What will be fitted, as in :func:`hyperflex.identify`.
+        Parameters that will be fitted, as in :func:`hyperflex.identify`.
     time_budget : float or Budget, optional
-        Seconds by the clock, without compiling; no limit by default. Out of time, the candidates simulated until then
+        Wall-clock time, s, without compiling; no limit by default. If it runs out, the candidates simulated until then
         are ranked, with ``status`` OUT_OF_TIME.
     progress : bool
         Show a bar on standard error.
@@ -316,12 +316,10 @@ def design_experiment(
     Interrupted
         By Ctrl-C. Its ``partial`` ranks the candidates simulated until then; None before any was.
 
-    Notes
-    -----
-    Ranked by the largest relative standard deviation among what is asked for. The prediction is first order: it holds
-    for small noise, a fit of the whole recording (``train=float("inf")``), white noise, a true model, and lengths and
-    times that are exact (``length_std=0, clock_std=0``): their errors come on top in any experiment, and longer
-    recordings or less noise do not lessen them.
+    Notes ----- Experiments are ranked by the largest relative standard deviation of the wanted numbers. The prediction
+    is of first order: it is valid for small, white noise, a fit of the whole recording (``train=float("inf")``), a true
+    model, and exact lengths and times (``length_std=0, clock_std=0``). Errors of lengths and times add to it in any
+    experiment; longer recordings or less noise do not reduce them.
 
     Examples
     --------

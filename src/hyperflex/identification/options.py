@@ -21,7 +21,7 @@ HOWS: tuple[How, ...] = get_args(How)
 
 @dataclass(frozen=True, eq=False)
 class RecordingSetup:
-    """How a recording was made: what moved the rope, where the markers are, and which torque was measured.
+    """Set-up of a recording: motion of the arm, positions of the markers, and measured torque.
 
     Parameters
     ----------
@@ -35,21 +35,22 @@ class RecordingSetup:
         fitted as ``origin_x`` and ``origin_y``.
     torque : (T,) or (T, k) array_like, optional
         Measured torque of motors, N m, or their current with `torque_constant`; NaN in gaps. It fixes the scale.
-        Where the joint moves freely the torque is an input: it drives the simulation, straight between the samples
-        (over gaps, too). The torque of an arm whose `motion` is prescribed is an output, fitted as a further channel.
+        Without a prescribed `motion` the torque is an input: interpolated linearly between the samples (also over
+        gaps), it drives the simulation. With one it is an output, fitted as a further channel.
     torque_joints : sequence of int, optional
-        Joint of each column of `torque`: 0 is the joint that the rope hangs from, 1 that between the first two links,
-        and so on. By default the first k. A motor turns its joint's link, and the link before it the other way.
+        Joint of each column of `torque`: 0 is the joint from which the rope hangs, 1 that between the first two links,
+        and so on. By default the first k. A motor acts on the link after its joint, and with the opposite sign on the
+        link before it.
     torque_constant : float or (k,) array_like
         Torque over the reading: 1 for a torque in N m, the torque constant, N m/A (with the gear), for a current.
     torque_noise : float or (T,) array_like, optional
-        Standard deviation of a torque that is fitted, in the unit of `torque`; required then, as is the noise of the
-        recording. An input counts as exact but for its constant.
+        Standard deviation of a torque that is fitted, in the unit of `torque`; it is then required, and so is the noise
+        of the recording. An input is exact except for its constant.
 
     Raises
     ------
     InvalidInput
-        For an arm without its motion, or a torque that is of no joint.
+        For an arm without its motion, or a torque of a joint that does not exist.
     """
 
     motion: Motion | None = None

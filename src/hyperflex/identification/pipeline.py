@@ -85,37 +85,38 @@ def identify(
 ) -> Identification:
     """Identify a rope from its recorded motion by multiple shooting with exact derivatives.
 
-    The recording is cut into windows, each with an initial state of its own; the parameters are common to all. States
-    and parameters are fitted together, to shorter windows first.
+    The recording is divided into windows, each with its own initial state; the parameters are common to all. States and
+    parameters are fitted together, to shorter windows first.
 
     Parameters
     ----------
     recording : Recording
-        Angles, or markers at the joints (their angles are fitted), as many links as the rope; or, with `arc_lengths`,
-        markers anywhere along the rope (their places are fitted), also fewer than links.
+        Angles, or markers at the joints (their angles are fitted), with as many links as the rope; or, with
+        `arc_lengths`, markers anywhere along the rope (their positions are fitted), also fewer than links.
     rope_guess : Rope
         Fixed values, and first guesses of the free ones.
     free : sequence of str, optional
-        By default inertia and friction (of more than four links one value for all), and what the score tests of a fit
-        with these show; a finding says which, and why. Names are, for each link, ``inertia``, ``com``, ``mass``,
-        ``length``, ``friction``, ``dry_friction``, ``stiffness``,
-        ``rest_angle``, ``drag``; for the whole ``tip_mass``, ``gravity_angle`` (rad; for a camera that is not level),
-        ``delay`` (s, of `motion` in the recording's time; at most a window's length), ``arc`` (m; each marker's place);
-        with a measured torque ``arm_inertia`` and ``arm_friction`` (of the shaft). ``friction[2]`` frees one link,
-        ``friction:shared`` one value for all, ``friction:inner`` one for all but the first, ``friction:factor`` one
-        factor on all guesses, ``friction:taper`` the logarithm by which it grows along the rope, 0 at its middle. With
-        a free length, com and inertia of the links follow, unless they are free too.
+        By default inertia and friction (one value for all if there are more than four links), and further parameters
+        that the score tests of this fit require; a finding names them. Names are, for each link, ``inertia``, ``com``,
+        ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness``, ``rest_angle``, ``drag``; for the whole
+        ``tip_mass``, ``gravity_angle`` (rad; for a camera that is not level), ``delay`` (s, of `motion` in the
+        recording's time; at most a window's length), ``arc`` (m; each marker's place); with a measured torque
+        ``arm_inertia`` and ``arm_friction`` (of the shaft). ``friction[2]`` frees one link, ``friction:shared`` one
+        value for all, ``friction:inner`` one for all but the first, ``friction:factor`` one factor on all guesses,
+        ``friction:taper`` the logarithm by which it grows along the rope, 0 at its middle. With a free length, com and
+        inertia of the links follow, unless they are free too.
     setup : RecordingSetup, optional
-        What moved the rope, where the markers are, and the measured torque; by default the first joint is fixed, and
+        Motion of the arm, positions of the markers, and measured torque; by default the first joint is fixed, and
         angles or markers are those of the joints.
     options : FitOptions, optional
         Windows, loss, held-out part, method of the intervals, and how well lengths, times and torques were measured.
     time_budget : float or Budget, optional
-        Seconds by the clock, without compiling; 1800 by default, inf: no limit. Out of time, the result is the best so
+        Wall-clock time, s, without compiling; 1800 by default, inf: no limit. If it runs out, the result is the best so
         far, with ``status`` OUT_OF_TIME.
     progress : bool or callable
-        True shows a bar on standard error, or a line every ten seconds where nobody watches; a callable gets a dict
-        with window, stage, stages, round, cost, gain, damping, and of a profile its parameter and ``phase="profile"``.
+        True shows a bar on standard error, or a line every ten seconds if that is not a terminal; a callable gets a
+        dict with window, stage, stages, round, cost, gain, damping, and of a profile its parameter and
+        ``phase="profile"``.
 
     Raises
     ------
@@ -123,17 +124,15 @@ def identify(
         For unknown names in `free`, recordings with too few samples or without motion, links or lengths that do not
         fit the rope, or more samples, links and parameters than the memory holds.
     IdentificationError
-        When no window can be simulated at all, or the time budget was over before anything was fitted.
+        When no window can be simulated, or the time budget ran out before the first fit.
     Interrupted
         By Ctrl-C. Its ``partial`` is the best so far, with ``status`` INTERRUPTED, if anything was fitted.
 
-    Notes
-    -----
-    Without a known force or torque a common factor of masses, inertias and frictions is not identifiable: `std` is inf
-    there, and `ratios` hold what is known. Of samples denser than 200 in a window of 1.2 periods, neighbours become one
-    value, their mean, with a robust loss their median (``settings["decimation"]`` is their number).
-    Samples without given noise have equal weights. With fewer markers than links, a prior keeps neighbouring links
-    about in line (0.5 rad over the root of their number).
+    Notes ----- Without a known force or torque a common factor of masses, inertias and frictions is not identifiable:
+    `std` is then inf, and `ratios` contain what is determined. If there are more than 200 samples in a window of 1.2
+    periods, neighbours are replaced by their mean, with a robust loss by their median (``settings["decimation"]`` is
+    their number). Samples without given noise have equal weights. With fewer markers than links, a prior keeps
+    neighbouring links nearly aligned (0.5 rad over the root of their number).
 
     Examples
     --------

@@ -40,7 +40,7 @@ class Identification:
     ----------
     rope : Rope
         The guess with the free parameters at their fitted values. Its gravity keeps the direction of the guess:
-        `gravity_angle`, the turn of the camera, is in `values` alone.
+        `gravity_angle`, the roll of the camera, is only in `values`.
     values, std : dict of str to ndarray
         By the names in ``free``, SI units: per-link properties (n,), others single. The standard deviation is 0 where
         a link's value was held, and inf where it is not identifiable.
@@ -48,16 +48,16 @@ class Identification:
         ``J/p1``, ``p/p1``, ``c/p1`` and of other resistances, identifiable without known forces
         (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
     model_std, ratio_model_std : dict of str to ndarray
-        The part of `std` and `ratio_std` that is not of noise: what the values would move by if laws of the joints and
-        of the air that were left out, and that the data ask for, were in, lengths, times and torques were off by
-        `length_std`, `clock_std` and `torque_std`, and links finer where they are too long.
+        The part of `std` and `ratio_std` that is not due to noise: the changes of the values if omitted laws of joints
+        and air that the data require were included, lengths, times and torques were wrong by `length_std`, `clock_std`
+        and `torque_std`, and links that are too long were shorter.
     intervals : dict of str to Interval
-        95 %, of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty where none were asked for.
+        95 % intervals of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty if none were requested.
     findings : tuple of Finding
-        What the fit shows beside its values, the most severe first; the grade follows from them, and
-        :meth:`report` puts them in words.
+        Results of the tests of data, declarations and model, the most severe first; the grade follows from them, and
+        :meth:`report` makes text from them.
     score_tests : tuple of ScoreTest
-        What the data say of what was held or declared; the greatest gain first. Empty where the fit did not converge.
+        Tests of fixed values and declarations, the greatest gain first. Empty if the fit did not converge.
     residual_rms : (C,) rad or m
         Fit error of each channel (each link's angle, or each marker's x and y) over all windows.
     residual_t (m,), residuals, fitted (m, C) : s, rad or m
@@ -67,17 +67,17 @@ class Identification:
     starts : (P,)
         Values from which `parameters` were fitted, SI units.
     parameters, covariance : tuple of str, (P, P)
-        Names of the P single free numbers, e.g. ``friction[1]``; their covariance, SI units, of all that `std` counts
+        Names of the P single free numbers, e.g. ``friction[1]``; their covariance, SI units, with all errors in `std`
         (its diagonal is the square of `std`, where that is finite), 0 along unknown directions.
     length_covariance : (P + 1,)
         Covariance of `parameters` with the error of a factor on all lengths, and that error's variance: `covariance`
-        holds what the lengths' error does to the parameters, so who draws ropes draws their lengths with them.
+        includes the effect of the lengths' error, so a sampled rope needs its sampled length too.
     singular_values : (P,)
         Of the scaled information, largest first.
     settings : dict
-        Window length (s), number of windows and of those left out, samples in a value (``decimation``), time fitted
-        (s), autocorrelation time of the residuals (samples), seconds taken; ``free``, loss, base, ``noise_declared``,
-        and where given `arc_lengths`, `origin` and the delay that the fit started from (s).
+        Window length (s), number of windows and of omitted ones, samples in a value (``decimation``), time fitted (s),
+        autocorrelation time of the residuals (samples), seconds taken; ``free``, loss, base, ``noise_declared``, and
+        where given `arc_lengths`, `origin` and the delay that the fit started from (s).
     converged : bool
         Whether the fit converged.
     ended : Status or None
@@ -93,11 +93,9 @@ class Identification:
     _basis : Basis or None
         The fit itself, see `basis`.
 
-    Notes
-    -----
-    Standard deviations allow for robust losses and autocorrelated residuals (see ``estimate_covariance``), intervals
-    for bounds and skewness as well. Both count, as `model_std`, errors of what was declared, and of the model as far as
-    score tests find them, and no others.
+    Notes ----- Standard deviations allow for robust losses and autocorrelated residuals (see ``estimate_covariance``),
+    intervals also for bounds and skewness. Both include, as `model_std`, errors of declarations, and those errors of
+    the model that score tests find, but no others.
     """
 
     rope: Rope
@@ -147,7 +145,7 @@ class Identification:
 
     @property
     def message(self) -> str:
-        """Why it is no success, and what to do; empty on success."""
+        """Why it failed, and what to do; empty on success."""
         if self.success:
             return ""
         why = (each for each in self.findings if each.severity is Severity.WRONG or each.kind is Kind.NOT_FINISHED)
@@ -177,7 +175,7 @@ class Identification:
 
     @property
     def held(self) -> tuple[str, ...]:
-        """What was held of `values` and `ratios`, by name, or by name and link: its standard deviation is no error."""
+        """Names of fixed entries of `values` and `ratios`, with the link if only some are: their `std` is no error."""
         said: list[str] = []
         for std in (self.std, self.ratio_std):
             for name, each in std.items():

@@ -41,7 +41,7 @@ class Arm:
     friction, dry_friction : float
         Viscous, N m s/rad, and Coulomb friction, N m, of the shaft.
     torque_limit : float
-        Greatest torque of the motor, N m.
+        Maximum torque of the motor, N m.
     pivot : (float, float)
         Position of the shaft, m.
     shaft_radius : float

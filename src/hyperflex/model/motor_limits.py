@@ -14,7 +14,7 @@ from hyperflex.options import check, option
 
 @dataclass(frozen=True)
 class MotorLimits:
-    """Limits of the motor that a plan keeps to. The defaults allow the paper's half turn in 0.73 s (bang-bang).
+    """Limits of the motor for a plan. The defaults allow the paper's half turn in 0.73 s (bang-bang).
 
     Parameters
     ----------

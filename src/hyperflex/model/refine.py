@@ -141,7 +141,7 @@ def _refuse_uneven(rope: Rope, cut: npt.NDArray[np.bool_]) -> None:
 
 
 def with_links(rope: Rope, n_links: int) -> Rope:
-    """Cut a rope into equal links, more or fewer; the new chain belongs to the same continuous rope.
+    """Divide a rope into another number of equal links; the new chain represents the same continuous rope.
 
     Parameters
     ----------
@@ -152,19 +152,17 @@ def with_links(rope: Rope, n_links: int) -> Rope:
     Returns
     -------
     Rope
-        Its joints resist bending as in :func:`refine_rope`: in inverse proportion to the length of a link, but for the
-        first one, a hinge, which stays as it is. Mass is spread evenly along each old link. The rope itself if it has
-        these links already.
+        Friction and stiffness of its joints are inversely proportional to the length of a link, as in
+        :func:`refine_rope`, except for the first joint, a hinge, which is unchanged. Mass is distributed evenly along
+        each old link. If the rope has these links already, it is returned.
 
     Raises
     ------
     InvalidInput
         If a link is not uniform, or the number cannot be used.
 
-    Notes
-    -----
-    Friction in the joints of links of length l stands for the bending viscosity B = l eta of a continuous rope, and the
-    paper's cable for B = 2e-5 N m^2 s (docs/theory/continuum.md).
+    Notes ----- Friction in the joints of links of length l represents the bending viscosity B = l eta of a continuous
+    rope; for the paper's cable B = 2e-5 N m^2 s (docs/theory/continuum.md).
 
     Examples
     --------

@@ -60,13 +60,14 @@ class Setup:
     ----------
     rope : Rope
     motion : Motion, optional
-        Prescribed motion of the arm, or of the point that the rope hangs from (``moving_pivot``); by default both rest.
+        Prescribed motion of the arm, or of the point from which the rope hangs (``moving_pivot``); by default both are
+        at rest.
     arm : Arm, optional
         The arm; without one the rope hangs from the point itself.
     torque : Motion, float or callable, optional
         Drives the arm by a torque, N m: a ``torque_profile``, a constant, or ``torque(t, arm_angle, arm_rate, q, qd)``,
-        which becomes `control`. Without an arm it turns the first link, against the point that the rope hangs from. A
-        ``torque_profile`` with several columns has motors in the joints beyond as well.
+        which becomes `control`. Without an arm it acts on the first link. A ``torque_profile`` with several columns
+        also has motors in the further joints.
     duration : float
         Simulated time, s.
     q0, qd0 : (n,) array_like, optional
@@ -74,9 +75,9 @@ class Setup:
     arm_angle0, arm_rate0 : float
         Start of a torque-driven arm, rad and rad/s.
     tol : float
-        Error that one step may make in the position of any joint, m. The error at the tip after some seconds of casting
-        is of the order of ten times as much (docs/models.md). In contact with pegs it also bounds, in proportion, the
-        energy error: at the default a millionth per second of the energy scale; 1e-3 suits a search.
+        Allowed error of the position of any joint in one step, m. The error at the tip after some seconds of casting is
+        of the order of ten times as much (docs/models.md). In contact with pegs the bound of the energy error is
+        proportional to it: at the default a millionth per second of the energy scale; 1e-3 suits a search.
     method : {"extrapolation", "rk4"}
         The linearly implicit extrapolation with error control, or, as a check, classical Runge-Kutta with a fixed
         `step`. A step beyond its stability limit, which holds for a hanging rope, is refused.
@@ -90,8 +91,8 @@ class Setup:
     tip_force : (2,) array_like
         Constant force on the tip in addition to gravity, N; only in a set-up with pegs.
     control : callable, optional
-        Returns the motor torque; called at the `control_rate`, and the torque is held in between. Such a set-up cannot
-        be written to a file; that of its trajectory has the torques that were applied.
+        Function that returns the motor torque; it is called at the `control_rate`, and the torque is constant in
+        between. Such a set-up cannot be written to a file; the set-up of its trajectory has the applied torques.
     control_rate : float, optional
         Rate at which `control` is called, Hz.
 

@@ -55,7 +55,7 @@ def move_pieces(
 
 
 def hold_arm(angle: float = 0.0) -> Motion:
-    """Return a motion that keeps the arm where it is for ever.
+    """Return a motion that keeps the arm at one angle for ever.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def move_arm(start: float, end: float, duration: float, profile: Profile = "bang
         Full acceleration then full deceleration; constant speed with short ramps; the quintic of minimum jerk
         (Flash and Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985).
     ramp : float
-        Part of the duration that each ramp of ``"ramp"`` takes, above 0 and at most 0.5.
+        Fraction of the duration of each ramp of ``"ramp"``, above 0 and at most 0.5.
     """
     start, end = checks.number("start", start, unit="rad"), checks.number("end", end, unit="rad")
     duration = checks.number("duration", duration, sign="positive", unit="s")
@@ -171,7 +171,7 @@ def sequence_pieces(
 
 
 def arm_moves(angles: ArrayLike, rests: ArrayLike, durations: ArrayLike, ramps: ArrayLike = 0.5) -> Motion:
-    """Return moves of the arm through given angles, each after a rest and in a time of its own.
+    """Return moves of the arm through given angles, each with its own rest before it and its own duration.
 
     It ends with the last move; the arm stays there.
 
@@ -184,8 +184,8 @@ def arm_moves(angles: ArrayLike, rests: ArrayLike, durations: ArrayLike, ramps: 
     durations : (k,) array_like
         Time of each move, s, > 0.
     ramps : float or (k,) array_like
-        Part of its time in which a move speeds up, and in which it slows down, above 0 and at most 0.5; at 0.5 it
-        speeds up, then slows down ("bang-bang").
+        Fraction of its time in which a move accelerates, and in which it decelerates, above 0 and at most 0.5; at 0.5
+        there is no constant speed ("bang-bang").
 
     Raises
     ------
@@ -230,7 +230,7 @@ def arm_strokes(
     ramp: float = 0.1,
     made: int = 0,
 ) -> Motion:
-    """Return half turns of the arm, there and back in turn, that start at given instants; it rests in between.
+    """Return half turns of the arm, alternately there and back, that start at given instants; the arm rests in between.
 
     It ends with the last half turn; the arm stays there.
 
@@ -241,9 +241,9 @@ def arm_strokes(
     t_move : float
         Time of a half turn (t_a in the paper), s.
     profile, path, ramp
-        As for :func:`hyperflex.arm_swings`, which this is with equal rests.
+        As for :func:`hyperflex.arm_swings`, which is the same motion with equal rests.
     made : int
-        Half turns made before; after an even number the arm is at -pi/2, after an odd one at the other end.
+        Number of half turns made before; after an even number the arm is at -pi/2, after an odd one at the other end.
 
     Raises
     ------
@@ -303,12 +303,12 @@ def moving_pivot(t: ArrayLike, x: ArrayLike, y: ArrayLike) -> Motion:
 
 
 def vibrating_pivot(amplitude: float, frequency: float, direction: float = 0.0) -> Motion:
-    """Return a sinusoidal vibration of the pivot along a line, for ever; it starts at one end of its way, at rest.
+    """Return an endless sinusoidal vibration of the pivot along a line; it starts at rest at one extreme.
 
     Parameters
     ----------
     amplitude : float
-        Half of the way, m.
+        Amplitude of the displacement, m.
     frequency : float
         Hz.
     direction : float
@@ -320,12 +320,12 @@ def vibrating_pivot(amplitude: float, frequency: float, direction: float = 0.0) 
 
 
 def vibrate_arm(amplitude: float, frequency: float, mean: float = 0.0) -> Motion:
-    """Return a sinusoidal vibration of the arm about an angle, for ever; it starts at one end of its way, at rest.
+    """Return an endless sinusoidal vibration of the arm about an angle; it starts at rest at one extreme.
 
     Parameters
     ----------
     amplitude : float
-        Half of the way, rad.
+        Amplitude of the angle, rad.
     frequency : float
         Hz.
     mean : float
@@ -359,7 +359,7 @@ def _sinusoid(spec: dict[str, Any], unit: str, channels: dict[int, float], mean:
 
 
 def torque_profile(t: ArrayLike, torque: ArrayLike) -> Motion:
-    """Return the torque of a motor, or of several, that runs straight between its samples and is 0 outside.
+    """Return the torque of one or several motors, linear between its samples and 0 outside.
 
     The first joint is the arm's shaft or, without an arm, the joint that the rope hangs from.
 
@@ -368,8 +368,8 @@ def torque_profile(t: ArrayLike, torque: ArrayLike) -> Motion:
     t : (T,) array_like
         Increasing times, s, at least two.
     torque : (T,) or (T, k) array_like
-        Torque of the first joint's motor, or of the motors in the first k joints, N m; 0 in one without. A motor turns
-        its joint's link, and the link before it the other way.
+        Torque of the first joint's motor, or of the motors in the first k joints, N m; 0 for a joint without one. A
+        motor acts on the link after its joint, and with the opposite sign on the link before it.
     """
     time = checks.times("t", t, least=2)
     values = checks.array("torque", torque, (time.size, -1) if np.ndim(torque) == 2 else (time.size,), unit="N m")

@@ -122,8 +122,8 @@ def fit_regression(
     Parameters
     ----------
     rope : Rope
-        Values of what is not named; its friction model decides what the friction of a joint acts on:
-        both links ("relative", -eta S^T S qd) or the outer one only ("printed", -eta S qd, as (4) prints it).
+        Values of all other parameters. Its friction model states on which links the friction of a joint acts: both
+        ("relative", -eta S^T S qd) or the outer one only ("printed", -eta S qd, as (4) prints it).
     q, qd, qdd : (T, n) array_like
         Absolute angles, rad, rates, rad/s, and accelerations, rad/s^2; NaN marks gaps.
     names : sequence of str
@@ -131,9 +131,9 @@ def fit_regression(
         each link; ``friction[2]`` of one link, ``friction:shared`` one value for all; ``tip_mass``; the lumped moments
         ``p`` (kg m) and ``J`` (about the joint, kg m^2) of docs/notation.md. By default the paper's J and eta.
     pivot_velocity, pivot_acceleration : (T, 2) array_like, optional
-        Of the first joint, m/s (for air drag alone) and m/s^2; by default it stands still.
+        Velocity, m/s (only for air drag), and acceleration, m/s^2, of the first joint; by default it is fixed.
     arm_angle, arm_rate : (T,) array_like or float
-        Of what the first joint is fixed to, rad and rad/s.
+        Angle, rad, and rate, rad/s, of the body to which the first joint is attached.
 
     Raises
     ------

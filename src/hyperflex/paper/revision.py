@@ -90,8 +90,8 @@ def estimate_initial_state(
     start : ((n,), (n,)) array_like, optional
         Angles and rates to start from; by default the measured ones. Rates are used if they are sought.
     max_evaluations : int
-        Most rollouts for each unknown, in each of two descents: a fresh simplex restarts where the first one ended, for
-        a simplex may collapse.
+        Maximum rollouts for each unknown, in each of two descents: a new simplex restarts where the first one ended,
+        because a simplex may collapse.
 
     Raises
     ------
@@ -239,15 +239,16 @@ class IterativeRevision:
     Attributes
     ----------
     rope, best : Rope, Round
-        The last round, or the one of least error if it did not converge, and the rope with its J and eta.
+        The rope with the J and eta of the best round; that round: the last one, or the one of least error without
+        convergence.
     std : dict of str to float
         Standard deviations of "inertia" and "friction" from the regression.
     rounds : tuple of Round
         All rounds; the first one has the guess's parameters.
     status : Status
-        SUCCESS if nothing moved any more, FAILED or INTERRUPTED.
+        SUCCESS if the values no longer changed, FAILED or INTERRUPTED.
     samples : int
-        Measured angles that were fitted, gaps left out.
+        Number of measured angles that were fitted, without gaps.
     """
 
     rope: Rope
@@ -269,7 +270,7 @@ class IterativeRevision:
 
     @property
     def converged_after(self) -> int | None:
-        """Number of revisions after which nothing moved any more; None if it did not converge."""
+        """Number of revisions after which the values no longer changed; None without convergence."""
         return len(self.rounds) - 2 if self.success else None
 
     @property
@@ -300,7 +301,7 @@ def iterative_revision(
     max_evaluations: int = MAX_EVALUATIONS,
     progress: Callable[[Round], None] | None = None,
 ) -> IterativeRevision:
-    """Identify link inertia and joint friction as the paper does: initial state and parameters revised in turn.
+    """Identify link inertia and joint friction by the paper's method: revise initial state and parameters in turn.
 
     A round finds the initial angles by the downhill simplex method (7), simulates from them, and identifies J and eta
     by least squares. It ends when a revision moves both by less than a tenth of their standard deviations.
@@ -315,10 +316,10 @@ def iterative_revision(
     rates : {"rest", "measured", "free"}
         Initial rates, see :func:`estimate_initial_state`.
     profile : {"response", "calculated", "measured", "measured rates"}
-        What the least squares compare. ``"calculated"`` is (6) with the calculated angles, rates and accelerations, as
+        Quantities of the least squares. ``"calculated"`` is (6) with the calculated angles, rates and accelerations, as
         step 4 is printed; ``"measured"`` takes angles and rates (by three successive samples) from the recording;
         ``"measured rates"`` only the rates. By default the torques of (5), Lambda times the changes of J and eta, are
-        carried through the linearised motion to changes of the angles, fitted to the measured ones.
+        propagated through the linearised motion to changes of the angles, which are fitted to the measured ones.
     rounds : int
         Revisions at most.
     max_evaluations : int
@@ -335,12 +336,10 @@ def iterative_revision(
     Interrupted
         By Ctrl-C. Its ``partial`` is the best round so far; None in the first one.
 
-    Notes
-    -----
-    Paper III A-B. A calculated profile fulfils (4) with its own J and eta, so with ``"calculated"`` nothing ever moves.
-    With ``"measured"`` the errors of the angles, multiplied by gravity, outweigh J's torque a hundredfold and the
-    rounds diverge; with ``"measured rates"`` they creep, and the noise of the rates biases eta. Only the default
-    settles at the least error.
+    Notes ----- Paper III A-B. A calculated profile satisfies (4) with its own J and eta, so ``"calculated"`` never
+    changes them. With ``"measured"`` the errors of the angles, multiplied by gravity, are a hundred times as large as
+    J's torque, and the rounds diverge; with ``"measured rates"`` they converge slowly, and the noise of the rates
+    biases eta. Only the default converges to the least error.
     """
     began = time.perf_counter()
     measured = matching_angles(recording, rope_guess)

@@ -244,22 +244,22 @@ def plan_cast(
     rope, arm : Rope, Arm
         The rope hangs from the arm, which points to one side, at rest unless the conditions have a `state0`.
     target : Peg or sequence of Peg
-        To be wound. Of many targets those that lie apart are planned first, then the others, starting from the moves
-        for the nearest of these; `options.executor` plans them in parallel.
+        Target of the rope. In a sequence, targets far from each other are planned first, then the others, starting from
+        the moves for the nearest of these; `options.executor` plans them in parallel.
     limits : MotorLimits, optional
-        Of the motor; by default the paper's.
+        Limits of the motor; by default the paper's.
     criteria : WindCriteria, optional
-        When the rope counts as wound.
+        Criteria of a wound rope.
     conditions : Conditions, optional
         Time limit, clearance, obstacles and start.
     uncertainty : Uncertainty, optional
-        Of rope, target and motor. With it the plan is the one that succeeds in most of the sampled scenarios, and its
-        success probability is estimated in others, as many as there is time for.
+        Uncertainty of rope, target and motor. With it the plan is the one that succeeds in the largest number of
+        sampled scenarios; its success probability is estimated from other scenarios, as many as the time allows.
     time_budget : float or Budget, optional
-        Time by the clock for search, verifications and success probability of a target, s, without compiling. A plan
-        that succeeds with a margin ends the search before (:func:`hyperflex.planning.ensemble.margin`), one without
-        after a quarter more time. With an uncertainty, one with a margin that succeeds in all scenarios does. Of a
-        Budget targets, and fallback targets, get equal parts of what is left.
+        Wall-clock time for search, verifications and success probability of a target, s, without compiling. The search
+        ends earlier when a plan succeeds with a margin (:func:`hyperflex.planning.ensemble.margin`; with an uncertainty
+        also in all scenarios), and a quarter more time after one without. Targets, and fallback targets, get equal
+        shares of a Budget.
     options : SearchOptions, optional
         Seed, threads, fallback and other options of the search.
     on_plan : callable, optional
@@ -277,8 +277,8 @@ def plan_cast(
     WorkerLost
         If targets kill the workers of the executor.
     Interrupted
-        By Ctrl-C. Its ``partial`` is the best plan until then, or the list of the plans until then; what was not
-        verified before is not verified any more.
+        By Ctrl-C. Its ``partial`` is the best plan so far, or the list of plans so far; unverified candidates remain
+        unverified.
 
     Examples
     --------

@@ -37,20 +37,20 @@ class FollowOptions:
     Parameters
     ----------
     decision_time : float
-        Time that a decision may take, s: moves that are due sooner are made as planned.
+        Time allowed for a decision, s: moves that are due sooner are made as planned.
     real_time : bool
-        Whether the rope moves on while a decision is made: one that takes until the move that it changes is not carried
-        out then. By default the rope waits, as a simulated one does.
+        Whether the rope moves on during a decision: a decision that is not ready before the move that it changes is
+        discarded. By default the rope waits, as a simulated one does.
     sending : float
-        Time that it takes to send a decision to the motor, s.
+        Time to send a decision to the motor, s.
     max_arm_error : float
         Angle, rad, between arm and command at a rest, above which a cast is aborted.
     min_gain : float
-        Reduction of the distance from the planned strike, in scales, that changed moves must bring.
+        Required reduction of the distance from the planned strike by changed moves, in scales.
     blind_time : float
         Time before the expected strike, s, within which the rope is no longer observed.
     position_scale, speed_scale : float
-        Errors of a joint's position, m, and velocity, m/s, that count one in the distance from the planned strike.
+        Units of a joint's position error, m, and velocity error, m/s, in the distance from the planned strike.
     rest_scale, stroke_scale : float
         Scales of the changes of a rest, s, and of a stroke, rad.
     rounds : int
@@ -121,15 +121,15 @@ class FollowResult:
     Attributes
     ----------
     moves : Moves
-        The moves that were commanded in the end.
+        The commanded moves, with all changes.
     motion : Motion
         Their motion.
     decisions : tuple of Decision
     options : FollowOptions
     planned : str
-        Why the plan fails as it was planned; empty if it succeeds.
+        Why the unchanged plan fails; empty if it succeeds.
     turns : float
-        Turns that the rope makes and keeps by the model, from the state at the last observation on; NaN without one.
+        Turns that the rope makes and keeps in a simulation from the last observed state; NaN without one.
     required : float
         Turns that are required.
     """
@@ -168,9 +168,9 @@ class FollowResult:
 
     @property
     def status(self) -> Status:
-        """SUCCESS: made to its end, and by the model the rope winds from the last observed state on.
+        """SUCCESS: the cast was completed, and the rope winds in a simulation from the last observed state.
 
-        Where nothing was observed: the plan succeeds.
+        Without an observation: the plan succeeds.
         """
         return Status.FAILED if self.message else Status.SUCCESS
 
@@ -190,7 +190,7 @@ def follow_plan(
     options: FollowOptions | None = None,
     threads: int | None = None,
 ) -> FollowResult:
-    """Follow a planned cast; at each rest before the strike, plan the rest of it again from the observed state.
+    """Execute a planned cast in closed loop: at each rest, correct the remaining moves from the observed state.
 
     Parameters
     ----------
@@ -199,11 +199,11 @@ def follow_plan(
     source : StateSource
         Source of the rope's state, with as many links as the plan's rope.
     motor : Motor, optional
-        Gets the plan at t = 0 and each change at a rest; its angle is read there. Without a motor only `source` gets
+        It gets the plan at t = 0 and each change at a rest; its angle is read there. Without a motor only `source` gets
         the commands.
     rope : Rope, optional
-        As it is known now, such as one that was found to be longer, with as many links; by default the plan's. It is
-        led to the planned strike at the same distances from the arm.
+        The rope as now known, for example longer, with the same number of links; by default the plan's. It is led to
+        the planned strike at the same distances from the arm.
     options : FollowOptions, optional
     threads : int, optional
 
@@ -212,12 +212,10 @@ def follow_plan(
     InvalidInput
         If the plan is no cast or has no moves, or a number is out of range.
 
-    Notes
-    -----
-    From each observed state the flight of the model is compared with the planned strike where it passes it nearest, in
-    positions and velocities of all joints. Gauss-Newton steps on the remaining strokes and rests
+    Notes ----- From each observed state the flight is simulated and compared, at its nearest approach, with the planned
+    strike in positions and velocities of all joints. Gauss-Newton steps on the remaining strokes and rests
     (:mod:`hyperflex.planning.shooting`) reduce this distance; they are carried out if they reduce it by `min_gain`.
-    Contact before the last observation is not noticed.
+    Contact before the last observation is not detected.
 
     A decision takes 0.05 to 0.3 s of processor time with 50 links.
     """

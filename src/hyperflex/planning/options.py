@@ -35,8 +35,8 @@ class WindCriteria:
     Parameters
     ----------
     turns : float
-        Least turns about the target, from the arm's tip to the rope's end; more than 0.5, which a rope makes that only
-        lies over a peg, and at most 20.
+        Minimum turns about the target, from the arm's tip to the rope's end; at most 20 and more than 0.5, which a rope
+        that only lies over a peg has.
     contact : float
         Least angle of the target that the rope covers, rad.
     settle : float
@@ -48,18 +48,18 @@ class WindCriteria:
     holding_force : float
         Pull that the wound rope must withstand, N, by a simulated tug.
     max_sideways : float
-        Greatest distance from the plane at the rope's first touch, m, of the rope from there to its end, if it begins
-        out of the plane by `tilt`: half of the width of the peg that it needs. inf: not checked.
+        Maximum distance from the plane at the rope's first touch, m, from the touching link to the rope's end, if the
+        rope begins out of the plane by `tilt`: half of the required width of the peg. inf: not checked.
     tilt : float
         Angle of the rope out of the plane of the swing at the start, rad, at most 5 degrees.
     behind : sequence of Peg
         Fixed pegs that the rope must run behind on its way from the arm to the target: in the end it touches each of
-        them between the arm and its first touch of the target. Neither with an uncertainty nor with a holding force.
+        them between the arm and its first contact with the target. Not with an uncertainty or a holding force.
 
     Raises
     ------
     InvalidInput
-        If a number is out of range, or `behind` holds something else than fixed pegs.
+        If a number is out of range, or `behind` contains anything but fixed pegs.
     """
 
     turns: float = option(1.25, "Least turns about the target, from the arm's tip to the rope's end.")
@@ -115,7 +115,7 @@ def refuse_behind(pegs: Sequence[Peg], what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Under what conditions a plan is made.
+    """Conditions of a plan.
 
     Parameters
     ----------
@@ -124,16 +124,16 @@ class Conditions:
         periods of the rope's swing: five of a cast and more if the target is high, three of a whip, two of an
         insertion.
     clearance : float
-        Least distance of the rope from its own arm, the motor's shaft and obstacles in verified runs, m, >= 0; -inf
+        Minimum distance of the rope from its own arm, the motor's shaft and obstacles in verified runs, m, >= 0; -inf
         allows the rope to pass in front of arm and shaft.
     obstacles : sequence of Peg, Wall, Ground
-        That the rope must not touch: a wall, the floor, a person.
+        Obstacles that the rope must not touch: a wall, the floor, a person.
     side : {-1, 0, 1}
-        Side on which the arm stands at first, left or right; 0 lets the planner choose.
+        Side of the arm at the start, left or right; 0 lets the planner choose.
     state0 : RopeState, optional
-        State of a rope that swings while the arm stands still, as a tracker measures it: angles, rad, and rates, rad/s,
-        at a time `t` <= 0, s, before the motion begins at 0. It needs a `side`, and casts alone support it. By default
-        the rope hangs at rest.
+        State of a rope that swings while the arm is at rest, as a tracker measures it: angles, rad, and rates, rad/s,
+        at a time `t` <= 0, s, before the motion begins at 0. It needs a `side`; only casts support it. By default the
+        rope hangs at rest.
     """
 
     time_limit: float | None = option(
@@ -168,20 +168,20 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class SearchOptions:
-    """How a plan is searched for.
+    """Options of the search for a plan.
 
     Parameters
     ----------
     seed : int
-        Of the random numbers. What is searched in a time depends on the machine, so the same seed may give another
-        plan: keep the plan, not the seed.
+        Seed of the random numbers. The number of candidates searched in a given time depends on the machine, so the
+        same seed may give another plan: save the plan, not the seed.
     threads : int, optional
-        Threads that the search may use, by default one a processor.
+        Threads of the search, by default one per processor.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach, unless geometry rules it out.
     fallback : bool
-        For a cast that fails: plan for the nearest targets until a plan succeeds, three times at most, each with the
-        same time budget. Without it the fallback is only expected to be feasible.
+        If a cast fails: plan for the nearest targets until a plan succeeds, at most three, each with the same time
+        budget. Otherwise the fallback target is only expected to be feasible.
     progress : bool
         Show a progress bar.
     start_from : sequence of CastPlan
@@ -192,12 +192,13 @@ class SearchOptions:
     chunk_size : int, optional
         Targets, or scenarios, that a worker takes at once.
     improve : float
-        A plan that succeeds without a margin is improved for this fraction of the time that it took to find, one with a
-        part of the margin for as much less.
+        A plan that succeeds without a margin is improved for this fraction of the time used so far; a part of the
+        margin reduces this time in proportion.
     speeds : tuple of float
-        Speeds of strokes, over the motor's, that are tried in turn: gentle ones make swings more predictable.
+        Speeds of strokes, relative to the motor's, that are tried in turn: slow ones make swings more predictable.
     width, siblings : int
-        Swings from each side that are continued by a stroke, and how many of them may differ in the last stroke alone.
+        Number of swings from each side that are continued by a stroke, and how many of them may differ only in the last
+        stroke.
     rests : int
         Rests that are tried after each stroke.
     longest_rest : float
@@ -205,26 +206,28 @@ class SearchOptions:
     stroke : float
         Full stroke, in half turns; later passes try shorter ones, too.
     watched : float
-        Periods after a stroke in which a strike is looked for.
+        Periods after a stroke in which a strike is searched.
     back : int
-        Strokes before the first strike at which the next pass begins: those before pump the rope up.
+        Number of strokes before the first strike at which the next pass begins: earlier ones pump the rope up.
     pieces : int
         Pieces of each link in the checks with shorter links; thirds found more errors than halves.
     coarse : float
-        Longest link in contact, in radii of the target and the rope: longer ones are cut.
+        Longest link in contact, in radii of the target and the rope: longer ones are divided.
     deviations : (usual, most)
-        Of the rope with shorter links after a stroke, root mean square in rope lengths. Swings count as predictable up
-        to the usual one, or up to twice that of the most predictable swing where that is not more than the most.
+        Deviation of the rope with shorter links after a stroke, root mean square in rope lengths. Swings count as
+        predictable up to the usual deviation, or up to twice that of the most predictable swing, if this is at most
+        `most`.
     batch : int
         Swings that are tried in contact at once.
     finishes : int
-        Last moves that are tried at once with a swing that winds the rope, but not for good, with the first.
+        Last moves that are tried together for a swing that winds the rope, but does not keep it wound with the first
+        one.
     nearly : float
-        Turns that a rope makes, over those required, for moves to be varied before others are tried.
+        Turns, relative to the required ones, from which moves are varied before others are tried.
     members, parents : int
-        Varied moves of a generation, and the candidates that they are made from; without members there are none.
+        Varied moves per generation, and the number of candidates from which they are made; 0 members: none.
     spread : float
-        Greatest standard deviation of varied strokes, in half turns, and rests, in periods.
+        Largest standard deviation of varied strokes, in half turns, and rests, in periods.
     scenarios : int
         Sampled scenarios in which a robust plan is verified.
     """
@@ -244,7 +247,7 @@ class SearchOptions:
     rests: int = option(5, "Rests tried after each stroke.", sign="positive")
     longest_rest: float = option(0.6, "The longest rest, in periods of the rope's swing.", sign="nonnegative")
     stroke: float = option(0.95, "Full stroke, in half turns.", sign="positive")
-    watched: float = option(0.7, "Periods after a stroke in which a strike is looked for.", sign="positive")
+    watched: float = option(0.7, "Periods after a stroke in which a strike is searched.", sign="positive")
     back: int = option(3, "Strokes before the first strike at which the next pass begins.", sign="positive")
     pieces: int = option(3, "Pieces of each link in the checks with shorter links.", sign="positive")
     coarse: float = option(

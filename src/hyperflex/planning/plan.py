@@ -253,8 +253,8 @@ class CastPlan(Plan):
     finer_outcome : CastOutcome or None
         With links of a third of the length.
     margin : float
-        How much of each criterion is to spare in both runs, over what is usual: the least; see
-        :func:`hyperflex.planning.ensemble.margin`. Of a robust plan it is 1 if it succeeds in all scenarios.
+        Smallest distance of a criterion from its limit in both runs, divided by a usual amount; see
+        :func:`hyperflex.planning.ensemble.margin`. A robust plan that succeeds in all scenarios has 1.
     fallback : FallbackTarget or None
         For a plan that fails: the nearest target with a plan that succeeds, or that is expected to be feasible.
     remedies : tuple of str
@@ -301,7 +301,7 @@ class CastPlan(Plan):
         return verified_setup(self.problem, motion, end, (self.target,))
 
     def measure_holding_force(self) -> HoldingForce | None:
-        """Tug at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""
+        """Pull at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""
         outcome, most = self.outcome, self.problem.criteria.max_slip
         if outcome is None or self.run is None or not (outcome.wound and outcome.slip < most):
             return None

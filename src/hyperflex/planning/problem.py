@@ -35,14 +35,14 @@ class Problem:
         Time within which the rope must strike, s, at least MIN_TIME; 0 (the default) means PERIODS periods of the
         rope's swing.
     clearance : float
-        Least distance of the rope from its own arm and shaft in verified runs, m, >= 0; -inf lets it go through both,
-        where it swings in front of them.
+        Minimum distance of the rope from its own arm and shaft in verified runs, m, >= 0; -inf allows it to swing in
+        front of both.
     criteria : WindCriteria
         When a rope counts as wound round a target. The arm must not reach the pegs that the rope is to run behind.
     side : {-1, 0, 1}
-        Side on which the arm stands at first, left or right; 0 lets the planner choose.
+        Side of the arm at the start, left or right; 0 lets the planner choose.
     obstacles : sequence of Peg, Wall, Ground
-        That the rope must not touch: it keeps `clearance` from them in verified runs. The arm must not reach them.
+        Obstacles from which the rope keeps `clearance` in verified runs. The arm must not reach them.
     q0, qd0 : (n,) tuples of float
         Link angles, rad, and rates, rad/s, of a rope that swings at first; then `side` is -1 or 1. Empty: it hangs.
 

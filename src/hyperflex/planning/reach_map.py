@@ -46,7 +46,7 @@ VARIABLES = {  # name: dimensions, unit, long name
 
 @dataclass(frozen=True, eq=False)
 class ReachMap:
-    """What a rope on an arm can wind: casts planned for targets on a grid. Simulated.
+    """Targets round which a rope on an arm can be wound: casts planned for a grid. Simulated.
 
     Attributes
     ----------
@@ -60,8 +60,8 @@ class ReachMap:
     seed : int
         Of the searches.
     status : (Y, X) int64
-        Number in STATUSES of :attr:`CastPlan.status`: 0 if a cast succeeds, 1 if the target is infeasible and no search
-        was made. NOT_PLANNED if an interrupt came before, or ended the search.
+        Number in STATUSES of :attr:`CastPlan.status`: 0 if a cast succeeds, 1 if the target is infeasible and was not
+        searched. NOT_PLANNED if an interruption came before or during the search.
     turns, contact_angle : (Y, X) float64
         Of the casts that succeed: turns, and the angle of the target that the rope covers, rad; else NaN.
     seconds : (Y, X) float64
@@ -92,7 +92,7 @@ class ReachMap:
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
-        """Targets (Y, X) that are infeasible: no search was made for."""
+        """Infeasible targets (Y, X), which were not searched."""
         return np.asarray(self.status == STATUSES.index(Status.INFEASIBLE))
 
     @property
@@ -146,10 +146,10 @@ class TargetGrid:
     Parameters
     ----------
     cells : int
-        From the arm's pivot to as far as the rope comes.
+        Number of cells from the arm's pivot to the rope's reach.
     x, y : array_like, optional
-        Of the targets' middles, m, increasing. By default all that the rope can come to on the right-hand side; on the
-        left it is the mirror image if the motor's angles, and obstacles, are alike on both sides.
+        Coordinates of the targets' middles, m, increasing. By default the rope's reach on the right-hand side; the left
+        is its mirror image if the motor's angles and the obstacles are symmetric.
     radius, mu : float
         Of the targets, m, and their friction with the rope.
     """
@@ -192,10 +192,10 @@ def build_reach_map(
     Parameters
     ----------
     rope, arm, limits, criteria, conditions, options
-        As of :func:`plan_cast`; without pegs to run behind, and a rope that hangs at first.
+        As in :func:`plan_cast`, without pegs to run behind; the rope hangs at the start.
     grid : TargetGrid, optional
     time_budget : float
-        Of each target, s. A search ends with the first plan that succeeds.
+        Time for each target, s. A search ends with the first plan that succeeds.
 
     Returns
     -------
@@ -210,11 +210,9 @@ def build_reach_map(
     Interrupted
         By Ctrl-C. Its ``partial`` is the map until then.
 
-    Notes
-    -----
-    "Infeasible" is the result of the feasibility check, which excludes a few targets that can be wound
+    Notes ----- "Infeasible" is the result of the feasibility check, which wrongly rejects a few targets
     (``benchmarks/results/reach-nominal.md`` counts them); "none found" is the result of a search in the time budget:
-    more time may wind such a target, most of all with a long rope.
+    more time may give a plan, most of all with a long rope.
 
     Examples
     --------

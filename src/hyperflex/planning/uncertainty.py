@@ -205,8 +205,8 @@ class Uncertainty:
     place : float
         Standard deviation of each coordinate of the target's place, m; normal, independent.
     tilt : float
-        Standard deviation of the rope's angle out of the plane at the start, rad, at most 5 degrees; normal. It counts
-        where the criteria have a `max_sideways`. A recording in space gives it: ``recording.tilt``.
+        Standard deviation of the rope's angle out of the plane at the start, rad, at most 5 degrees; normal. It is used
+        if the criteria have a `max_sideways`. A recording in space gives it: ``recording.tilt``.
     posterior : RopePosterior, optional
         Identified rope: ropes are sampled from its covariance, and then multiplied by the factors above.
     drive : DriveFit, optional
@@ -274,7 +274,7 @@ class Uncertainty:
         return cls(**values, posterior=posterior)
 
     def describe(self) -> str:
-        """Return as text which uncertainties count, and their source."""
+        """Return the uncertainties and their source as text."""
         usual = [f"{name} {100 * getattr(self, name):.2g} %" for name in RELATIVE if getattr(self, name)]
         usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if self._assumed(name)]
         usual += [f"place {1e3 * self.place:.2g} mm"] if self.place else []

@@ -34,7 +34,7 @@ def read_recording(
     The file or the arguments must declare units, axes, scale and frame rate. A missing declaration is an error that
     names the argument; declarations in both must agree. A CSV file declares by notes before its header (``# unit:
     deg``, with the argument names below) or by units in the header (``t [ms], th1 [deg]``); ``hyperflex look FILE``
-    shows what a file holds and declares, and how to read it.
+    shows what a file contains and declares, and how to read it.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ def read_recording(
         stamps, or "log", when they were recorded.
     columns : sequence of str, optional
         Names of the data columns, or paths of the datasets, in order, for other names than ``th1, ..`` or ``x0, y0,
-        ..``. Other columns may hold anything. Of joint states the names of the joints, from the motor to the tip; by
+        ..``. Other columns may contain anything. For joint states: names of the joints, from the motor to the tip; by
         default all, in the file's order.
     markers : sequence of str, optional
         Names of markers in the file, from the pivot to the tip. Required for files with several named markers.
     topic : str, optional
-        Of an MCAP file or a bag that holds several.
+        Topic of an MCAP file or a bag that contains several.
     noise : float or array_like (C,) or (T, C), optional
         Standard deviation in the unit of the data; also by CSV columns ``std_th1, ..`` or a note.
     max_rate : float, rad/s
@@ -93,7 +93,7 @@ def read_recording(
     MissingPackage
         When the package that reads its format is not installed.
     InvalidInput
-        When something is not declared, contradicts the file, or the numbers cannot be used (the place is named).
+        When a declaration is missing or contradicts the file, or a number cannot be used (the message names its place).
 
     Examples
     --------

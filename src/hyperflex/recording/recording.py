@@ -45,20 +45,20 @@ class Recording:
     noise : array_like (T, C), (C,) or float, optional
         Standard deviation of each sample, in the unit of `data`.
     rates : array_like (T, n), rad/s, optional
-        Angular rates that came with the angles. Readers check units by them; they are not fitted, since rates in files
-        are mostly computed from the angles.
+        Angular rates in the file. Readers check units with them; they are not fitted, because rates in files are mostly
+        computed from the angles.
     convention, name, source : str
         For reports: the declared and converted units and axes, a short name, and the source of the data.
     columns : tuple of str, optional
         For messages: the columns of each link or marker in the file.
     epoch : float, s, optional
-        Time 0 in seconds since 1970, where the file has such stamps.
+        Time 0 in seconds since 1970, if the file has such stamps.
     out_of_plane : float, m, optional
         Root mean square of the motion out of the plane of the swing, of markers that were measured in space.
     tilt : float, rad, optional
-        Amplitude over the whole recording, not at its start, of a steady swing whose lines between neighbouring markers
-        lean out of that plane as much, root mean square: the ``tilt`` of a plan. Noise counts twice, of both ends of a
-        line: it alone gives twice its standard deviation over the distance of the markers.
+        Tilt out of that plane, as the ``tilt`` of a plan: the amplitude of a steady swing whose lines between
+        neighbouring markers have the same root mean square angle over the whole recording. Noise alone gives twice its
+        standard deviation over the distance of the markers, because both ends of a line have noise.
 
     Raises
     ------
@@ -196,12 +196,11 @@ class Recording:
         return np.asarray(np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0))
 
     def check(self) -> "list[Finding]":
-        """Return what is wrong with the samples themselves; nothing is repaired.
+        """Return the faults of the samples; nothing is repaired.
 
-        Samples that programs write where they have lost a marker (such as exact (0, 0)), repeated and missing frames,
-        wrapped angles, channels that jump by a constant, and a rope that was held before it moved. `identify` names
-        them before anything else. A fault that is small against noise and motion is not found; ``print(finding)``
-        shows one as a line.
+        These are samples that programs write for a lost marker (such as exact (0, 0)), repeated and missing frames,
+        wrapped angles, channels that jump by a constant, and a rope that was held before it moved. `identify` reports
+        them first. A fault that is small relative to noise and motion is not found. ``print(finding)`` shows a line.
 
         Examples
         --------

@@ -269,15 +269,15 @@ def simulate_batch(
         Times of the output, s, from 0 on; by default only the end: give ``np.linspace(0.0, duration, 101)`` for the
         course. A step ends at each of them.
     keep : sequence of {"tip", "q", "qd", "motor_torque", "motor_work", "dissipated_energy", "turns", ...}
-        What to keep; memory is (M, T) times this, in addition to the blocks in work. Turns are those about each round
-        peg; ``"peg_angle"`` and ``"peg_rate"`` are the others. For a whole trajectory of one member, simulate it:
-        ``simulate(ropes[m], motions[m], t_eval=batch.t, ...)``.
+        Quantities to keep; memory is (M, T) times this, in addition to the blocks being computed. Turns are those about
+        each round peg; ``"peg_angle"`` and ``"peg_rate"`` are the others. For a whole trajectory of one member,
+        simulate it: ``simulate(ropes[m], motions[m], t_eval=batch.t, ...)``.
     time_budget : float or Budget, optional
-        Time by the clock for all members, s; those that are not finished then have the status "out of time". A member
-        with pegs or with joint limits may take half of the time left while others wait. By default there is no limit
-        but that of :func:`simulate` for each such member.
+        Wall-clock time for all members, s; those that are not finished then have the status "out of time". A member
+        with pegs or joint limits may use half of the remaining time while others wait. By default the only limit is
+        that of :func:`simulate` for each such member.
     threads : int, optional
-        By default one a processor, or one in each worker of an executor. Results do not depend on it.
+        By default one per processor, or one in each worker of an executor. Results do not depend on it.
     executor : concurrent.futures.Executor, optional
         Where chunks of members are run: processes, or other machines (``docs/how-to/many-machines.md``). Results do not
         depend on it. Members whose chunk kills each worker that runs it have the status "worker lost".
@@ -562,7 +562,7 @@ class BatchStepper:
     tol : float
         As in :func:`hyperflex.simulate_batch`, m.
     threads : int, optional
-        By default one a processor. Results do not depend on it.
+        By default one per processor. Results do not depend on it.
 
     Raises
     ------
@@ -644,7 +644,7 @@ class BatchStepper:
         arm_angle: npt.ArrayLike = 0.0,
         arm_rate: npt.ArrayLike = 0.0,
     ) -> BatchState:
-        """Return the state with some members begun anew, also those that had failed; time goes on for all.
+        """Return the state with some members restarted, also failed ones; time continues for all.
 
         Parameters
         ----------
@@ -652,8 +652,8 @@ class BatchStepper:
         which : (K,) array_like of int, or (M,) of bool
             The members. With none, the state is returned as it is.
         ropes : Rope or sequence of Rope, optional
-            New ropes for them, one or one each. The stepper has them from here on, so that states from before, too, go
-            on with the new ropes.
+            New ropes for them, one or one each. The stepper keeps them: earlier states also continue with the new
+            ropes.
         q0, qd0, arm_angle, arm_rate
             Of these members, as in :meth:`start`.
 
@@ -730,7 +730,8 @@ class BatchStepper:
         Returns
         -------
         BatchState
-            A member that cannot be simulated within `tol` has failed, in ``status`` and as NaN, from there on.
+            A member that cannot be simulated within `tol` fails: its ``status`` has the reason, its values are NaN from
+            then on.
         """
         members, own, count = self._members, self._own, len(self.setups)
         n = members.links.shape[2]

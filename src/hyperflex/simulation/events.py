@@ -52,14 +52,14 @@ class Event:
 
 
 def tip_crosses(point: ArrayLike, direction: ArrayLike, *, sense: int = 1, after: float = -math.inf) -> Event:
-    """End a run where the tip crosses a straight line.
+    """End a run when the tip crosses a straight line.
 
     Parameters
     ----------
     point : (2,) array_like
         A point of the line, m.
     direction : (2,) array_like
-        At right angles to the line; the length does not matter. ``(1, 0)`` crosses an upright line towards +x.
+        Perpendicular to the line; the length does not matter. ``(1, 0)`` crosses a vertical line towards +x.
     sense : {1, -1, 0}
         With the direction, against it, or either way.
     after : float
@@ -82,7 +82,7 @@ def tip_crosses(point: ArrayLike, direction: ArrayLike, *, sense: int = 1, after
 
 
 def tip_speed_peak(*, after: float = -math.inf) -> Event:
-    """End a run where the speed of the tip stops growing.
+    """End a run at a peak of the tip's speed.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def tip_speed_peak(*, after: float = -math.inf) -> Event:
 
 
 def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
-    """End a run where the swing of the tip has come to a phase.
+    """End a run when the swing of the tip reaches a phase.
 
     Parameters
     ----------
@@ -110,16 +110,14 @@ def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
     after : float
         Phases reached before this time do not count, s.
 
-    Notes
-    -----
-    Reached means passed in the sense of growing phase.
+    Notes ----- The phase must be passed in the direction of increasing phase.
     """
     angle, scale = checks.number("phase", phase, unit="rad"), checks.number("c", c, sign="positive", unit="s")
     return _event("phase reached", PHASE, (angle, scale), 1, after)
 
 
 def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, after: float = -math.inf) -> Event:
-    """End a run where a link, or the arm, comes to an absolute angle.
+    """End a run when a link, or the arm, reaches an absolute angle.
 
     Parameters
     ----------

@@ -36,14 +36,14 @@ class Sideways:
     t : (T,) float64
         Times, s: those of the run until it touches an obstacle.
     angles, rates : (T, n) float64
-        Of the links out of the plane, rad and rad/s.
+        Angles of the links out of the plane, rad, and their rates, rad/s.
     touch : float or None
         Time of the first sample at which the rope touches an obstacle, s: the motion is known until before it.
     error : float
-        Of the joints' places, m: half of their greatest difference from those with every second sample and twice the
-        step, which are wrong some three times as much, or more.
+        Error of the joints' positions, m: half of their largest difference from a computation with every second sample
+        and twice the step, whose error is about three times as large, or more.
     finer : int
-        By how much the steps are finer than at first, 10 ms.
+        Refinement factor of the steps, relative to 10 ms.
     """
 
     run: Trajectory
@@ -76,7 +76,7 @@ class Sideways:
         return self.joints[:, -1]
 
     def growth(self) -> tuple[Array, Array]:
-        """Return times (K,), s, and by how much any deviation at the start has grown at most until then (K,).
+        """Return times (K,), s, and the largest growth factor (K,) of a deviation at the start.
 
         The size of a deviation is the root of the sum of squares over all joints of their distances from the plane, m,
         and of their velocities, m/s, times the swing time sqrt(length / g), at most 1 s. The growth is the largest
@@ -106,7 +106,7 @@ class Sideways:
 def sideways(
     run: Trajectory, *, tilt: ArrayLike | None = None, rate: ArrayLike = 0.0, lean: float = 0.0, side: float = 0.0
 ) -> Sideways:
-    """Compute how a planar run moves out of its plane, to first order in the angles out of it.
+    """Compute the motion of a planar run out of its plane, to first order in the angles out of it.
 
     Parameters
     ----------
@@ -114,19 +114,19 @@ def sideways(
         Planar run with a prescribed arm, or without one, from its first sample on. It needs samples every 20 ms or more
         often: accelerations between them are interpolated. The rope has no dry friction.
     tilt : float or (n,) array_like, optional
-        Angles of the links out of the plane at the first sample, rad, positive towards the viewer. By default `lean`,
-        along gravity, of a rope that hangs at rest.
+        Angles of the links out of the plane at the first sample, rad, positive towards the viewer. By default `lean`:
+        the rope hangs at rest along gravity.
     rate : float or (n,) array_like
         Their rates, rad/s.
     lean : float
-        Angle of the plane from gravity, rad: of a shaft that is not level.
+        Angle of the plane from gravity, rad, if the shaft is not level.
     side : float
         Force of a draught on each metre of rope across the plane, N/m.
 
     Returns
     -------
     Sideways
-        Until the rope first touches an obstacle.
+        The motion until the rope first touches an obstacle.
 
     Raises
     ------
@@ -137,11 +137,9 @@ def sideways(
     SimulationError
         If the motion is not finite.
 
-    Notes
-    -----
-    Model: docs/models.md, (M.40)-(M.45). Joints resist bending alike in all directions and carry twist. Joint
-    limits and the rope's contact with itself are not seen. A rope whose joints bend by more than 1 rad needs more
-    links. Cost: 0.3 to 0.6 of that of a run in free flight, more where steps must be finer.
+    Notes ----- Model: docs/models.md, (M.40)-(M.45). Joints resist bending equally in all directions and transmit
+    twist. Joint limits and the rope's contact with itself are ignored. A rope whose joints bend by more than 1 rad
+    needs more links. Cost: 0.3 to 0.6 of that of a run in free flight, more if steps must be finer.
 
     Examples
     --------

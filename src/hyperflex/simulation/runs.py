@@ -273,46 +273,47 @@ def simulate(
         of pegs that turn. With everything else equal, the continued run equals an uninterrupted one bit for bit; in
         contact, within the accuracy of the steps. The run begins at the state's time.
     until : Event, optional
-        Ends the run where it happens (``tip_crosses``, ``tip_speed_peak``, ``phase_reached``, ``angle_reached``), or
-        after the duration if it does not; ``trajectory.event`` names it. The last sample is the event then, located to
-        some 1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that begins
-        and ends within such a step can be missed. Not with pegs, nor where a joint is at its limit.
+        Ends the run at an event (``tip_crosses``, ``tip_speed_peak``, ``phase_reached``, ``angle_reached``), or after
+        the duration if there is none; ``trajectory.event`` names it. The last sample is then the event, located to
+        about 1e-12 s within the run's own accuracy. Steps are at most 10 ms while an event is awaited; one that begins
+        and ends within such a step can be missed. Not with pegs, nor if a joint reaches its limit.
     refine : bool, optional
-        Cut links that may touch a peg to what a wound rope needs (:func:`hyperflex.refine_rope`; ``q0``, ``qd0`` and
-        `state` may then be those of either rope). The trajectory's rope is the finer one. By default a rope is cut; a
-        whole set-up cannot be.
+        Divide links that may touch a peg as a wound rope requires (:func:`hyperflex.refine_rope`; ``q0``, ``qd0`` and
+        `state` may then be those of either rope). The trajectory's rope is the finer one. By default a rope is divided;
+        a whole set-up cannot be.
     throw : bool
         Raise an error if the run fails; False returns the part of the run that is valid, with its ``status`` and
         ``message``, also after Ctrl-C.
     time_budget : float or Budget, optional
-        Time by the clock, s, after which the run ends as a failure ("out of time"). It is checked every few hundred
-        steps; compiling does not count. By default the run ends as soon as its progress predicts more than half an hour
-        of processor time in all; inf sets no limit.
+        Wall-clock time, s, after which the run ends as a failure ("out of time"). It is checked every few hundred
+        steps; compiling does not count. By default the run ends when its progress predicts a total of more than half an
+        hour of processor time; inf sets no limit.
     progress : bool
         Show a progress bar on standard error.
     **setup
         Fields of :class:`hyperflex.Setup`: ``duration``, ``arm``, ``q0``, ``qd0``, ``torque``, ``pegs``, ``tol`` and
-        others. Of a whole set-up, they replace its own. With a rope, ``duration`` is required. ``extrapolate=True``
-        also simulates the rope with links of half and of a quarter of the length, from q0 and qd0 as samples of a
-        smooth shape, and gives the trajectory its ``limit`` of ever shorter links with its ``limit_error``
+        others. They replace those of a whole set-up. With a rope, ``duration`` is required. ``extrapolate=True`` also
+        simulates the rope with links of half and of a quarter of the length, from q0 and qd0 as samples of a smooth
+        shape, and gives the trajectory its ``limit`` of ever shorter links with its ``limit_error``
         (docs/theory/continuum.md). Free flight only.
 
     Returns
     -------
     Trajectory
-        ``print`` shows from when on inputs and tolerance do not determine it, as soon happens without friction: see
-        its ``predictable_until``. Its ``qdd`` follows from (1) at each state. In a fine rope friction turns an error of
-        the rates into one of the accelerations 4 eta / J times as large: for n of some hundreds ask for a tight `tol`
-        if you need them.
+        ``print`` shows until when inputs and tolerance determine it (without friction not for long): see its
+        ``predictable_until``. Its ``qdd`` follows from (1) at each state. In a fine rope friction amplifies an error of
+        the rates to one of the accelerations 4 eta / J times as large: for n of some hundreds use a tight `tol` if you
+        need them.
 
     Raises
     ------
     InvalidInput
         If an argument cannot be used, or the result would not fit into the memory.
     SimulationError
-        If the run diverges, cannot meet `tol`, or does not keep its energy balance; says when and what to try.
+        If the run diverges, cannot meet `tol`, or violates its energy balance; the message states the time and what to
+        try.
     Interrupted
-        By Ctrl-C. Its ``partial`` is the trajectory until then, to go on from.
+        By Ctrl-C. Its ``partial`` is the trajectory until then, from which a run can continue.
 
     Notes
     -----

@@ -345,17 +345,15 @@ def sensitivities(
     SimulationError
         If the run fails, or would take more than half an hour.
 
-    Notes
-    -----
-    Derivatives hold at fixed times, also where a switch of the motion moves with its parameter. At the very instant of
-    such a switch they are those from before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as the
-    run for two parameters, and a third of it for each further initial angle or rate.
+    Notes ----- Derivatives are those at fixed times, also if a switch of the motion moves with its parameter. At the
+    instant of such a switch they are those before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as
+    the run for two parameters, and a third of it for each further initial angle or rate.
 
-    With dry friction they go through each instant at which a joint sticks or comes loose, which moves with the
-    parameter, too. Where two sides differ they are one-sided, for the modes that the run has: for a joint at rest
-    exactly at its limit, or at rest at the start and slipping from there; for joints that change at the same instant;
-    for ``"dry_friction"`` of a joint that has none, towards more. A joint that sticks at the start stops a change of
-    its rate at once, so behind the start ``"qd0"`` moves both of its links alike.
+    With dry friction they include each instant at which a joint sticks or slips, which also depends on the parameter.
+    If the derivatives on two sides differ, those of the run's own modes are returned: for a joint at rest exactly at
+    its limit, or at rest at the start and slipping from there; for joints that change at the same instant; for
+    ``"dry_friction"`` of a joint that has none, towards more. A joint that sticks at the start stops a change of its
+    rate at once, so after the start ``"qd0"`` moves both of its links equally.
 
     Examples
     --------
@@ -601,12 +599,12 @@ class Predictability:
 
     @property
     def growth(self) -> Array:
-        """Displacement of the worst joint by the worst nudge, in units of the nudge at the start (T,)."""
+        """Largest displacement (T,) of any joint by any perturbation, in units of the initial perturbation."""
         return np.asarray(self.displacement.max(axis=0), dtype=np.float64)
 
     @property
     def amplification(self) -> Array:
-        """By how much the worst error made at any earlier time has grown, at least 1 (T,)."""
+        """Growth factor (T,) of the worst earlier error, at least 1."""
         since = self.displacement / np.minimum.accumulate(self.size, axis=1)
         return np.asarray(np.maximum(1.0, since.max(axis=0)), dtype=np.float64)
 
@@ -629,8 +627,8 @@ class Predictability:
     def horizon(self, allowed: float) -> float:
         """Return the time, s, up to which an error of `tol`, made anywhere on the way, stays below `allowed`, m.
 
-        `allowed` is the largest displacement of any joint that still means something. Infinite if the error stays below
-        it for the whole run; 0.0 if it is less than `tol`; InvalidInput if it is not a number > 0.
+        `allowed` is the largest acceptable displacement of a joint. Infinite if the error stays below it for the whole
+        run; 0.0 if it is less than `tol`; InvalidInput if it is not a number > 0.
         """
         limit = checks.number("allowed", allowed, sign="positive", unit="m") / self.tol
         if limit < 1.0:

@@ -52,7 +52,7 @@ from hyperflex.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Slot:
-    """A gap between two thin walls in one line, through which the tip shall go.
+    """A gap between two thin walls in one line, through which the tip must move.
 
     Parameters
     ----------
@@ -63,11 +63,11 @@ class Slot:
     width : float
         Of the gap, m, > 0.
     depth : float
-        How far beyond the walls the tip shall come, m, > 0.
+        Depth beyond the walls that the tip must reach, m, > 0.
     wall : float
         Length of each wall, m, > 0.
     tube : float
-        How far walls go on inwards from both edges of the gap, m, >= 0: the tip goes into a tube. 0: none.
+        Length of walls that continue inwards from both edges of the gap, m, >= 0: the tip enters a tube. 0: none.
     max_speed : float
         Greatest speed of the tip at that depth, m/s, > 0; infinite for any.
     touching : bool
@@ -250,7 +250,7 @@ class InsertPlan(TipPlan):
     finer_outcome : InsertOutcome or None
         With more, shorter links and a tighter tolerance.
     position_std : float
-        Of where the rope crosses the gap.
+        Standard deviation of the point where the rope crosses the gap, m.
     decided
         As of :class:`hyperflex.planning.tasks.tip.TipPlan`.
     problem, target, feasibility, moves, message, runs, seconds, interrupted, success_probability
@@ -567,7 +567,7 @@ def plan_insert(
     time_budget: float | Budget | None = 30.0,
     options: SearchOptions | None = None,
 ) -> InsertPlan:
-    """Plan how an arm swings its rope so that the tip goes through a slot, to a depth, and the rope touches no wall.
+    """Plan swings of the arm after which the tip moves through a slot to a depth, and the rope touches no wall.
 
     Parameters
     ----------
@@ -576,16 +576,16 @@ def plan_insert(
     slot : Slot
         Its gap must be three diameters of the rope wide or more.
     conditions : Conditions, optional
-        The time limit is by default two periods of the rope's swing. Obstacles count until 0.15 s after the tip is
-        inside.
+        The time limit is by default two periods of the rope's swing. Obstacles are checked until 0.15 s after the tip
+        is inside.
     uncertainty : Uncertainty, optional
-        Of the scenarios of the success probability: by default the slot is 2 mm off in each coordinate, and each move
-        starts 2 ms early or late (standard deviations). A rope that touches a wall fails in them, also if the slot
-        allows it, and the motor's torque is not checked.
+        Scenarios of the success probability: by default each coordinate of the slot has a standard deviation of 2 mm,
+        and the start of each move one of 2 ms. A rope that touches a wall fails in them, even if the slot allows it;
+        the motor's torque is not checked.
     samples : int
-        Scenarios of the success probability; fewer of them, or none, if the time is over before.
+        Number of scenarios of the success probability; fewer, or none, if the time runs out.
     time_budget : float or Budget, optional
-        Time by the clock for search, verifications and success probability, s, without compiling.
+        Wall-clock time for search, verifications and success probability, s, without compiling.
     options : SearchOptions, optional
 
     Returns
@@ -597,7 +597,7 @@ def plan_insert(
     Interrupted
         By Ctrl-C. Its ``partial`` is the best plan until then.
     InvalidInput
-        If an argument is out of range or of another class, or the gap too narrow for the rope.
+        If an argument is out of range or of another class, or the gap is too narrow for the rope.
     """
     options = options or SearchOptions()
     slot.check_width(checks.instance("rope", rope, Rope))

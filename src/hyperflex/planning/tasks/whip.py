@@ -49,7 +49,7 @@ from hyperflex.winding import closest_points
 
 @dataclass(frozen=True)
 class TipTarget:
-    """A point that the tip shall pass at a peak of its speed.
+    """A point that the tip must pass at a peak of its speed.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ class TipTarget:
     angle_tolerance : float
         Greatest angle between velocity and direction, rad, > 0 and at most pi; pi: any direction.
     tolerance : float
-        Greatest distance of the tip from the point, m, > 0, with the links as planned. With finer links, another model
-        of the same rope, three times that is allowed, and the standard deviation of the place.
+        Maximum distance of the tip from the point, m, > 0, with the links as planned. With finer links, another model
+        of the same rope, three times as much is allowed, or the standard deviation of the position if that is larger.
 
     Raises
     ------
@@ -233,14 +233,14 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> TipFeasibili
 def build_whip_map(
     problem: Problem, swings: int = OPTIONS.swings, time_budget: float | Budget | None = None
 ) -> WhipMap:
-    """Simulate random swings, the same ones each time, and find the peaks of the tip's speed.
+    """Simulate random swings, always the same, and find the peaks of the tip's speed.
 
     Parameters
     ----------
     problem : Problem
     swings : int
     time_budget : float or Budget, optional
-        s; if it ends before, the map consists of the first swings alone, one batch at least.
+        s; if it ends early, the map has only the first swings, at least one batch.
 
     Raises
     ------
@@ -585,22 +585,22 @@ def plan_whip(
     time_budget: float | Budget | None = 30.0,
     options: SearchOptions | None = None,
 ) -> WhipPlan:
-    """Plan how an arm whips its rope so that the tip passes a point at a peak of its speed.
+    """Plan strokes of the arm after which the tip passes a point at a peak of its speed.
 
     Parameters
     ----------
     rope, arm, limits
         As of :func:`hyperflex.plan_cast`.
     target : TipTarget
-        Place, direction and least speed of the tip at the peak.
+        Position, direction and least speed of the tip at the peak.
     conditions : Conditions, optional
         The rope must not touch obstacles until the tip is there. The time limit is by default that of the map if one
         is given, else three periods of the rope's swing.
     whip_map : WhipMap, optional
-        Of the same rope, arm, limits, time and obstacles, from :func:`build_whip_map`; by default it is built, which
-        takes some seconds.
+        Map for the same rope, arm, limits, time and obstacles, from :func:`build_whip_map`; by default it is built in
+        some seconds.
     time_budget : float or Budget, optional
-        Time by the clock for map, search and verifications, s, without compiling.
+        Wall-clock time for map, search and verifications, s, without compiling.
     options : SearchOptions, optional
 
     Returns
@@ -612,8 +612,8 @@ def plan_whip(
     Interrupted
         By Ctrl-C. Its ``partial`` is the best plan until then.
     InvalidInput
-        If an argument is out of range or of another class, or a link's centre of mass is not in its middle: the second
-        verification cuts it in two.
+        If an argument is out of range or of another class, or a link's centre of mass is not in its middle (the second
+        verification divides each link in two).
     """
     options = options or SearchOptions()
     problem = tip_problem(rope, arm, limits, conditions, periods=3.0)
