@@ -270,10 +270,12 @@ def compare_models(
     Interrupted
         By Ctrl-C. Its ``partial`` compares the candidates fitted until then; None before any was.
 
-    Notes ----- BIC supports a candidate within 6 of the least. Held-out prediction supports one that is not worse than
-    the best by 2 % and by two standard errors over the held-out stretches (by 10 % if there are fewer than three). The
-    simplest candidate that both support is preferred. If there is none, prediction decides, unless the residuals of
-    BIC's choice are white. All candidates must be fitted to the same samples; one that is not has no BIC.
+    Notes
+    -----
+    BIC supports a candidate within 6 of the least. Held-out prediction supports one that is not worse than the best by
+    2 % and by two standard errors over the held-out stretches (by 10 % if there are fewer than three). The simplest
+    candidate that both support is preferred. If there is none, prediction decides, unless the residuals of BIC's choice
+    are white. All candidates must be fitted to the same samples; one that is not has no BIC.
     """
     checks.instance("recording", recording, Recording)
     checks.instance("rope_guess", rope_guess, Rope)

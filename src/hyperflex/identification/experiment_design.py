@@ -316,10 +316,12 @@ def design_experiment(
     Interrupted
         By Ctrl-C. Its ``partial`` ranks the candidates simulated until then; None before any was.
 
-    Notes ----- Experiments are ranked by the largest relative standard deviation of the wanted numbers. The prediction
-    is of first order: it is valid for small, white noise, a fit of the whole recording (``train=float("inf")``), a true
-    model, and exact lengths and times (``length_std=0, clock_std=0``). Errors of lengths and times add to it in any
-    experiment; longer recordings or less noise do not reduce them.
+    Notes
+    -----
+    Experiments are ranked by the largest relative standard deviation of the wanted numbers. The prediction is of first
+    order: it is valid for small, white noise, a fit of the whole recording (``train=float("inf")``), a true model, and
+    exact lengths and times (``length_std=0, clock_std=0``). Errors of lengths and times add to it in any experiment;
+    longer recordings or less noise do not reduce them.
 
     Examples
     --------

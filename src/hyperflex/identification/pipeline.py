@@ -128,11 +128,13 @@ def identify(
     Interrupted
         By Ctrl-C. Its ``partial`` is the best so far, with ``status`` INTERRUPTED, if anything was fitted.
 
-    Notes ----- Without a known force or torque a common factor of masses, inertias and frictions is not identifiable:
-    `std` is then inf, and `ratios` contain what is determined. If there are more than 200 samples in a window of 1.2
-    periods, neighbours are replaced by their mean, with a robust loss by their median (``settings["decimation"]`` is
-    their number). Samples without given noise have equal weights. With fewer markers than links, a prior keeps
-    neighbouring links nearly aligned (0.5 rad over the root of their number).
+    Notes
+    -----
+    Without a known force or torque a common factor of masses, inertias and frictions is not identifiable: `std` is then
+    inf, and `ratios` contain what is determined. If there are more than 200 samples in a window of 1.2 periods,
+    neighbours are replaced by their mean, with a robust loss by their median (``settings["decimation"]`` is their
+    number). Samples without given noise have equal weights. With fewer markers than links, a prior keeps neighbouring
+    links nearly aligned (0.5 rad over the root of their number).
 
     Examples
     --------

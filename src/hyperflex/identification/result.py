@@ -93,9 +93,11 @@ class Identification:
     _basis : Basis or None
         The fit itself, see `basis`.
 
-    Notes ----- Standard deviations allow for robust losses and autocorrelated residuals (see ``estimate_covariance``),
-    intervals also for bounds and skewness. Both include, as `model_std`, errors of declarations, and those errors of
-    the model that score tests find, but no others.
+    Notes
+    -----
+    Standard deviations allow for robust losses and autocorrelated residuals (see ``estimate_covariance``), intervals
+    also for bounds and skewness. Both include, as `model_std`, errors of declarations, and those errors of the model
+    that score tests find, but no others.
     """
 
     rope: Rope

@@ -161,8 +161,10 @@ def with_links(rope: Rope, n_links: int) -> Rope:
     InvalidInput
         If a link is not uniform, or the number cannot be used.
 
-    Notes ----- Friction in the joints of links of length l represents the bending viscosity B = l eta of a continuous
-    rope; for the paper's cable B = 2e-5 N m^2 s (docs/theory/continuum.md).
+    Notes
+    -----
+    Friction in the joints of links of length l represents the bending viscosity B = l eta of a continuous rope; for the
+    paper's cable B = 2e-5 N m^2 s (docs/theory/continuum.md).
 
     Examples
     --------

@@ -336,10 +336,12 @@ def iterative_revision(
     Interrupted
         By Ctrl-C. Its ``partial`` is the best round so far; None in the first one.
 
-    Notes ----- Paper III A-B. A calculated profile satisfies (4) with its own J and eta, so ``"calculated"`` never
-    changes them. With ``"measured"`` the errors of the angles, multiplied by gravity, are a hundred times as large as
-    J's torque, and the rounds diverge; with ``"measured rates"`` they converge slowly, and the noise of the rates
-    biases eta. Only the default converges to the least error.
+    Notes
+    -----
+    Paper III A-B. A calculated profile satisfies (4) with its own J and eta, so ``"calculated"`` never changes them.
+    With ``"measured"`` the errors of the angles, multiplied by gravity, are a hundred times as large as J's torque, and
+    the rounds diverge; with ``"measured rates"`` they converge slowly, and the noise of the rates biases eta. Only the
+    default converges to the least error.
     """
     began = time.perf_counter()
     measured = matching_angles(recording, rope_guess)

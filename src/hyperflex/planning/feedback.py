@@ -212,8 +212,10 @@ def follow_plan(
     InvalidInput
         If the plan is no cast or has no moves, or a number is out of range.
 
-    Notes ----- From each observed state the flight is simulated and compared, at its nearest approach, with the planned
-    strike in positions and velocities of all joints. Gauss-Newton steps on the remaining strokes and rests
+    Notes
+    -----
+    From each observed state the flight is simulated and compared, at its nearest approach, with the planned strike in
+    positions and velocities of all joints. Gauss-Newton steps on the remaining strokes and rests
     (:mod:`hyperflex.planning.shooting`) reduce this distance; they are carried out if they reduce it by `min_gain`.
     Contact before the last observation is not detected.
 

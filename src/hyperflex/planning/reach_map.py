@@ -210,7 +210,9 @@ def build_reach_map(
     Interrupted
         By Ctrl-C. Its ``partial`` is the map until then.
 
-    Notes ----- "Infeasible" is the result of the feasibility check, which wrongly rejects a few targets
+    Notes
+    -----
+    "Infeasible" is the result of the feasibility check, which wrongly rejects a few targets
     (``benchmarks/results/reach-nominal.md`` counts them); "none found" is the result of a search in the time budget:
     more time may give a plan, most of all with a long rope.
 

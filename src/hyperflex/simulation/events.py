@@ -110,7 +110,9 @@ def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
     after : float
         Phases reached before this time do not count, s.
 
-    Notes ----- The phase must be passed in the direction of increasing phase.
+    Notes
+    -----
+    The phase must be passed in the direction of increasing phase.
     """
     angle, scale = checks.number("phase", phase, unit="rad"), checks.number("c", c, sign="positive", unit="s")
     return _event("phase reached", PHASE, (angle, scale), 1, after)

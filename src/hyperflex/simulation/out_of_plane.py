@@ -137,9 +137,11 @@ def sideways(
     SimulationError
         If the motion is not finite.
 
-    Notes ----- Model: docs/models.md, (M.40)-(M.45). Joints resist bending equally in all directions and transmit
-    twist. Joint limits and the rope's contact with itself are ignored. A rope whose joints bend by more than 1 rad
-    needs more links. Cost: 0.3 to 0.6 of that of a run in free flight, more if steps must be finer.
+    Notes
+    -----
+    Model: docs/models.md, (M.40)-(M.45). Joints resist bending equally in all directions and transmit twist. Joint
+    limits and the rope's contact with itself are ignored. A rope whose joints bend by more than 1 rad needs more links.
+    Cost: 0.3 to 0.6 of that of a run in free flight, more if steps must be finer.
 
     Examples
     --------

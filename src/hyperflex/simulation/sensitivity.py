@@ -345,9 +345,11 @@ def sensitivities(
     SimulationError
         If the run fails, or would take more than half an hour.
 
-    Notes ----- Derivatives are those at fixed times, also if a switch of the motion moves with its parameter. At the
-    instant of such a switch they are those before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as
-    the run for two parameters, and a third of it for each further initial angle or rate.
+    Notes
+    -----
+    Derivatives are those at fixed times, also if a switch of the motion moves with its parameter. At the instant of
+    such a switch they are those before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as the run for
+    two parameters, and a third of it for each further initial angle or rate.
 
     With dry friction they include each instant at which a joint sticks or slips, which also depends on the parameter.
     If the derivatives on two sides differ, those of the run's own modes are returned: for a joint at rest exactly at
