@@ -86,7 +86,7 @@ def test_derivatives_of_what_is_seen():
 
 def test_derivatives_of_the_motion_by_friction():
     """That of the first joint is beside that of all."""
-    names = ("friction", "hinge")
+    names = ("friction", "first_joint_friction")
     tracker = RopeFilter(rope(4), [2.0], parameters=[EstimatedParameter(name, 0.5) for name in names])
     x, step = np.concatenate([[0.3, 0.5, 0.4, 0.2], [1.0, 3.0, -2.0, 1.0], [0.2, -0.3]]), 1e-3
     slope = tracker.process.predict(x, 0.0, 0.03).transition
@@ -99,8 +99,8 @@ def test_derivatives_of_the_motion_by_friction():
 def test_the_friction_of_a_joint_without_any_has_no_relative_change():
     free = rope(4).replace(friction=[0.0, *rope(4).friction[1:]])
     RopeFilter(free, [2.0], parameters=[EstimatedParameter("friction", 0.5)])
-    with pytest.raises(InvalidInput, match="hinge is a relative change, and the rope has none"):
-        RopeFilter(free, [2.0], parameters=[EstimatedParameter("hinge", 0.5)])
+    with pytest.raises(InvalidInput, match="first_joint_friction is a relative change, and the rope has none"):
+        RopeFilter(free, [2.0], parameters=[EstimatedParameter("first_joint_friction", 0.5)])
 
 
 def test_a_first_frame_with_few_markers():

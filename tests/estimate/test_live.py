@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -29,6 +30,8 @@ from hyperflex.estimate import (
     TrackingTask,
     Watch,
     WatchLog,
+    curve_arc_lengths,
+    measurements,
     open_frames,
 )
 from hyperflex.estimate.live.page import PicturePage
@@ -36,9 +39,14 @@ from hyperflex.estimate.live.state_source import StampClock
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
     Camera,
+    FoundRope,
     Frame,
     MarkerColour,
     MarkerDetector,
+    Renderer,
+    RopeLook,
+    RopeMotion,
+    Scene,
     VideoReader,
     VideoWriter,
 )
@@ -222,6 +230,79 @@ def test_a_live_source_gives_the_newest(pictures):
         begin = time.monotonic()
         assert frames.take(0.1) is None
         assert time.monotonic() - begin < 5.0  # the source sleeps on; nobody waits for it
+
+
+class Stepped(Scripted):
+    """An emulated camera that gives frames when it is told to, and then breaks off for good."""
+
+    def __init__(self, *script: Frame) -> None:
+        super().__init__(*script)
+        self.told, self.given, self.opened = threading.Semaphore(0), threading.Semaphore(0), False
+
+    def __iter__(self) -> Iterator[Frame]:
+        for each in self.script:
+            self.told.acquire()
+            yield each
+            self.given.release()
+
+    def give(self, count: int) -> None:
+        """Give so many frames; return when they wait to be taken."""
+        for _ in range(count):
+            self.told.release()
+            assert self.given.acquire(timeout=30.0)
+
+    def opening(self) -> FrameThread:
+        def open_once() -> Scripted:
+            if self.opened:
+                raise FileProblem("gone")
+            self.opened = True
+            return self
+
+        return FrameThread(open_once, live=True, reconnect_timeout=0.0)
+
+
+def test_frames_that_wait_are_worked_off_unless_as_many_come(pictures, monkeypatch):
+    """Of 9 frames 4 wait, the newest in the place of the last one. Then each one that is taken is followed by one."""
+    monkeypatch.setattr(FrameThread, "KEPT", 4)
+    source = Stepped(*pictures[:15])
+    with source.opening() as frames:
+        source.give(9)
+        taken, behind = [], frames.catch_up()
+        for _ in range(6):
+            taken.append(frames.take(30.0))
+            source.give(1)
+        assert frames.take(30.0).frame.index == 14
+    assert behind == 4
+    assert [(each.frame.index, each.missed) for each in taken] == [(0, 0), (1, 0), (2, 0), (8, 5), (12, 3), (13, 0)]
+
+
+def test_a_plain_rope_that_moves_is_followed_from_its_first_picture_on(monkeypatch):
+    """12 frames come during the search, then one for each three that are looked at. The free end moves at 4 m/s."""
+    camera, motion = facing((320, 240), 100.0, exposure=0.002), RopeMotion.from_trajectory(free_swing(3, 2.0))
+    renderer = Renderer(camera, motion, Scene([], rope_width=0.012, seed=3))
+    source = Stepped(*(Frame(t, renderer.image(t), k) for k, t in enumerate(0.4 + np.arange(19) / 30.0)))
+    look, find = RopeLook(np.array([45.0, 45.0, 45.0]), 1.2), measurements.find_rope
+
+    def find_slowly(*given: object, **more: object) -> FoundRope:
+        source.give(12)
+        return find(*given, **more)
+
+    monkeypatch.setattr(measurements, "find_rope", find_slowly)
+    task = TrackingTask(rope(20), curve_arc_lengths(rope(20)), camera, [], look=look)
+    found = []
+    with source.opening() as frames:
+        source.give(1)
+        watch = Watch(frames, task.tracker(), interval=30.0)
+        for each in watch:
+            found.append(each)
+            if len(found) % 3 == 0 and len(found) < 19:
+                source.give(1)
+    assert [each.frame.index for each in found if each.frame] == [*range(19)]
+    assert found[0].messages == ("12 frames came during the search, and are worked off",)
+    assert watch.skipped == 0
+    true = motion.places([each.t for each in found[:19]], [2.0])[:, 0, :2]
+    off = np.linalg.norm([each.tip for each in found[:19]] - true, axis=1)
+    assert off[6:].max() < 0.01  # m, a pixel
 
 
 def test_a_driver_that_fails_is_told(pictures):

@@ -29,7 +29,8 @@ CLICKED = 1.0  # px, standard deviation of a pixel that a person reads from a pi
 # drag as parts of themselves, roll of a camera that is held level by eye, rad, readout of a phone's sensor, s. Friction
 # and drag over an unknown mass are known by their order of magnitude; a wrong friction, above all that of the first
 # joint, would be taken for a readout: both delay the free end
-_OPEN = {"scale": 0.02, "roll": 0.03, "readout": 0.01, "friction": 1.0, "hinge": 1.0, "drag": 1.0}
+_OPEN = {"scale": 0.02, "roll": 0.03, "readout": 0.01}
+_OPEN |= {"friction": 1.0, "first_joint_friction": 1.0, "drag": 1.0}
 
 QUESTIONS = (
     Question(
@@ -306,12 +307,12 @@ class PlainScene:
         roll, wide = np.degrees(found["roll"])
         scale, std = (100.0 * each for each in found["scale"])
         readout, late = (1e3 * each for each in found["readout"])
-        hinge, free = (100.0 * each for each in found["hinge"])
+        first, free = (100.0 * each for each in found["first_joint_friction"])
         said = [
             f"the camera is level: found {roll:+.2f} +- {wide:.2f} degrees",
             f"the scale is as answered: found {scale:+.2f} +- {std:.2f} %",
             f"all rows are exposed at once: found {readout:+.1f} +- {late:.1f} ms from the first to the last",
-            f"the first joint resists half as much as the others: found {hinge:+.0f} +- {free:.0f} %",
+            f"the first joint resists half as much as the others: found {first:+.0f} +- {free:.0f} %",
             "the swing plane is at a right angle to the view: 5 degrees make lengths across 0.4 % too small",
             "the lens does not distort: a phone's moves places by less than 1 % of their distance from the middle",
         ]

@@ -395,6 +395,7 @@ def watch(
                 log.ending = frames.ended or f"stopped after {duration:g} s"
             log.interrupted = stop.received
     result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **record.summary()}
+    result["skipped"] = follow.skipped
     stopped = f"Interrupted; the log is kept in {out}." if log.interrupted else ""
     output.show(result, output.rows(f"Watched {source}", result), one_line=True, interrupted=stopped)
 

@@ -31,7 +31,7 @@ class Kind(NamedTuple):
 ROPE_KINDS = {
     "length": Kind("", 2e-3, -0.5, 1.0),
     "friction": Kind("", 0.3, -1.0),
-    "hinge": Kind("", 0.3, -1.0),
+    "first_joint_friction": Kind("", 0.3, -1.0),
     "drag": Kind("", 0.3, -1.0),
     "tip_mass": Kind("kg", 4e-3),  # tolerance in units of the rope's mass; at least -tip_mass
 }
@@ -63,12 +63,12 @@ class EstimatedParameter:
     ----------
     name : str
         ``"length"``: relative change of all lengths of the rope, markers included; ``"friction"``, ``"drag"``: relative
-        change of the rope's; ``"hinge"``: further change of the first joint's friction; ``"tip_mass"``: kg, in addition
-        to the rope's; ``"base_x"``, ``"base_y"``: where the first joint is, m from its declared place (with a walk: it
-        moves in an unknown way). Of the picture: ``"scale"``: relative change of the plane's scale; ``"roll"``: its
-        rotation about the line of sight, rad; ``"offset_x"``, ``"offset_y"``: m; ``"arc[k]"``: change of the k-th
-        marker's arc length, m; ``"delay"``: how much older than their time stamps the pictures are, s; ``"readout"``:
-        time from the first row of a picture to the last, s.
+        change of the rope's; ``"first_joint_friction"``: further change of the first joint's friction; ``"tip_mass"``:
+        kg, in addition to the rope's; ``"base_x"``, ``"base_y"``: where the first joint is, m from its declared place
+        (with a walk: it moves in an unknown way). Of the picture: ``"scale"``: relative change of the plane's scale;
+        ``"roll"``: its rotation about the line of sight, rad; ``"offset_x"``, ``"offset_y"``: m; ``"arc[k]"``: change
+        of the k-th marker's arc length, m; ``"delay"``: how much older than their time stamps the pictures are, s;
+        ``"readout"``: time from the first row of a picture to the last, s.
     std : float
         Standard deviation of the prior, > 0.
     value : float
@@ -136,10 +136,10 @@ class ParameterStates:
         self.std = np.array([*(each.std for each in estimated), *(0.0 for _ in fixed)])
         if len(set(self.names)) != len(self.names):
             raise InvalidInput("parameters name something twice", got=self.names, allowed="each name once")
-        changed = {"friction": rope.friction, "hinge": rope.friction[:1], "drag": rope.drag}
+        changed = {"friction": rope.friction, "first_joint_friction": rope.friction[:1], "drag": rope.drag}
         for name, own in changed.items():
             if name in self.names and not own.any():
-                fix = f"Give the rope a {'friction in its first joint' if name == 'hinge' else name} to begin with"
+                fix = f"Give the rope some {name.replace('_', ' ')} to begin with"
                 raise InvalidInput(f"{name} is a relative change, and the rope has none", got=0.0, fix=fix)
         self._of_rope = [k for k, name in enumerate(self.names) if name in ROPE_KINDS]
         self.dynamic = [k for k, name in enumerate(self.names) if k in self._of_rope or (name == "delay" and moved)]
@@ -183,7 +183,7 @@ class ParameterStates:
         changes = {
             "length": {"length": rope.length, "com": rope.com, "inertia": 2.0 * rope.inertia},
             "friction": {"friction": rope.friction},
-            "hinge": {"friction": _first(rope.friction)},
+            "first_joint_friction": {"friction": _first(rope.friction)},
             "drag": {"drag": rope.drag},
             "tip_mass": {"tip_mass": np.ones(1)},
         }
@@ -193,12 +193,12 @@ class ParameterStates:
     def rope_at(self, values: Array) -> Rope:
         """Return the rope that the values (P,) describe."""
         rope, at = self.rope, functools.partial(self.value, values=values)
-        longer = 1.0 + at("length")
+        longer, first = 1.0 + at("length"), at("first_joint_friction") * _first(rope.friction)
         return rope.replace(
             length=rope.length * longer,
             com=rope.com * longer,
             inertia=rope.inertia * longer**2,
-            friction=np.maximum(rope.friction * (1.0 + at("friction")) + _first(rope.friction) * at("hinge"), 0.0),
+            friction=np.maximum(rope.friction * (1.0 + at("friction")) + first, 0.0),
             drag=rope.drag * (1.0 + at("drag")),
             tip_mass=rope.tip_mass + at("tip_mass"),
         )

@@ -49,14 +49,14 @@ class Arrival(NamedTuple):
 
 
 class FrameThread:
-    """Reads frames and keeps the newest (of a camera or stream) or the next ones (of a file) until they are taken.
+    """Reads frames and keeps them until they are taken: of a camera or stream the newest, of a file the next one.
 
     Parameters
     ----------
     open_source : callable
         Opens the source; its errors are raised at once.
     live : bool
-        Keep only the newest frame, and open the source again if it breaks off; else give all frames, and end.
+        Give the newest frame, and open the source again if it breaks off; else give all frames, and end.
     paced : bool
         Give the frames at the intervals of their time stamps, from when the first one is taken.
     reconnect_timeout : float
@@ -72,6 +72,7 @@ class FrameThread:
 
     PAUSE = 0.5  # s between two attempts to open a source again
     AHEAD = 2  # frames of a file that are read ahead
+    KEPT = 60  # frames of a camera that wait to be taken, at most; then the newest takes the place of the last one
 
     def __init__(
         self, open_source: Callable[[], Source], *, live: bool, paced: bool = False, reconnect_timeout: float = 10.0
@@ -84,6 +85,7 @@ class FrameThread:
         self._notes: list[str] = []
         self._condition, self._waiting = threading.Condition(), deque[Arrival]()
         self._closed = self._played = False
+        self._behind = self._left = 0  # frames that are given one by one, and how many of these are left
         self._last: Arrival | None = None  # of the opening before
         self._opening = 0
         self._thread = threading.Thread(target=self._run, args=(source,), name="frames", daemon=True)
@@ -99,18 +101,32 @@ class FrameThread:
         """Return the next frame without taking it; None as :meth:`take`."""
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self.ended is not None, timeout)
-            return self._waiting[0].frame if self._waiting else None
+            return self._waiting[-self.live].frame if self._waiting else None
 
     def take(self, timeout: float) -> Arrival | None:
-        """Return the next frame; None if none comes within `timeout`, s, or the source has ended."""
+        """Return the next frame, of a camera the newest; None if none comes within `timeout`, s, or it has ended."""
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self.ended is not None, timeout)
             if not self._waiting:
                 return None
-            found = self._waiting.popleft()
+            skipped = 0 if self._left or not self.live else len(self._waiting) - 1
+            passed = [self._waiting.popleft() for _ in range(skipped + 1)]
+            found = passed[-1]._replace(missed=skipped + sum(each.missed for each in passed))
+            self._left -= self._left > 0
+            if not self._left:  # then those that came meanwhile, if they are half as many or less
+                self._behind = self._left = len(self._waiting) if 2 * len(self._waiting) <= self._behind else 0
             self._condition.notify_all()
             played, self._played = self.live or (self._paced and self._played), True
             return found if played else found._replace(at=time.monotonic())
+
+    def catch_up(self) -> int:
+        """Give the frames of a camera that wait one by one, and return how many these are.
+
+        So too those that come meanwhile, if they are half as many or less: else nobody takes them fast enough.
+        """
+        with self._condition:
+            self._behind = self._left = len(self._waiting) * self.live
+            return self._behind
 
     def messages(self) -> tuple[str, ...]:
         """Return what happened to the source since the last call: stalls, ends, frames that cannot be used."""
@@ -177,11 +193,9 @@ class FrameThread:
                 if self._paced and begin is not None:
                     moment = begin + frame.time
                     self._condition.wait_for(lambda: self._closed, max(0.0, moment - time.monotonic()))
-                missed = 0
-                if self.live:
-                    missed = sum(1 + old.missed for old in self._waiting)
-                    self._waiting.clear()
-                self._condition.wait_for(lambda: len(self._waiting) < self.AHEAD or self._closed)
+                full = self.live and len(self._waiting) == self.KEPT
+                missed = 1 + self._waiting.pop().missed if full else 0
+                self._condition.wait_for(lambda: self.live or len(self._waiting) < self.AHEAD or self._closed)
                 self._last = Arrival(frame, time.monotonic(), missed, self._opening)
                 self._waiting.append(self._last)
                 self._condition.notify_all()

@@ -84,10 +84,17 @@ class Watch:
     before : callable, optional
         Called when a frame has come; returns whether the rope is looked for in it.
 
+    Attributes
+    ----------
+    skipped : int
+        Frames since the first one that came while others were processed, and were left out.
+
     Notes
     -----
     Frames of another size than the camera's are skipped. Gaps of up to 2 s are bridged by the rope's equations; after
-    longer ones, and when the source was opened again, the rope is searched anew.
+    longer ones, and when the source was opened again, the rope is searched anew. A search takes as long as many frames:
+    once it has found the rope, those that came meanwhile are worked off, because a single picture shows no velocity, by
+    which a moving rope could be followed to the newest one.
     """
 
     STALLED = 0.5  # s without a frame after which that is reported
@@ -111,6 +118,7 @@ class Watch:
         self._seen_at = -math.inf
         self._stalled = self._wrong_size = False
         self._messages: list[str] = []
+        self.skipped = 0
 
     def __iter__(self) -> Iterator[LiveEstimate]:
         while True:
@@ -129,6 +137,7 @@ class Watch:
         """Track the rope in a frame."""
         frame, estimator, tracked = arrival.frame, self.tracker.estimator, None
         self._note_gap(arrival)
+        known = estimator.t is not None
         if self._before() and self._fits(frame):
             try:
                 tracked = self.tracker.look(frame)
@@ -139,6 +148,9 @@ class Watch:
             self._messages += [str(change) for change in tracked.changes]
             if tracked.state is not None:
                 self._seen_at = max(self._seen_at, tracked.t - estimator.age)
+            searched = getattr(self.tracker.measurement, "searched", not known)
+            if searched and tracked.seen.any() and (behind := self.frames.catch_up()):
+                self._messages.append(f"{behind} frames came during the search, and are worked off")
         return self._estimate(frame.time, frame, tracked, time.monotonic() - arrival.at)
 
     def _wait(self) -> LiveEstimate:
@@ -195,6 +207,7 @@ class Watch:
         self._last = arrival
         self._arrivals.append(arrival.at)
         if last is not None:
+            self.skipped += arrival.missed
             gap, opened = stamp - last.frame.time, arrival.opening != last.opening
             usual = statistics.median(self._gaps) if len(self._gaps) > 2 else math.inf
             if opened or gap > self.LONGEST:
