@@ -220,18 +220,6 @@ def test_time_goes_on_where_a_source_begins_its_stamps_anew(video, pictures):
             assert begin + 2 * 0.5 < times[-1] <= ended
 
 
-def test_a_live_source_gives_the_newest(pictures):
-    """Nobody takes frames for a while: the newest is kept, and how many were left out is told."""
-    with FrameThread(lambda: Scripted(*pictures[:6], 30.0), live=True) as frames:
-        time.sleep(0.5)
-        arrival = frames.take(1.0)
-        assert arrival is not None
-        assert (arrival.frame.index, arrival.missed) == (5, 5)
-        begin = time.monotonic()
-        assert frames.take(0.1) is None
-        assert time.monotonic() - begin < 5.0  # the source sleeps on; nobody waits for it
-
-
 class Stepped(Scripted):
     """An emulated camera that gives frames when it is told to, and then breaks off for good."""
 
@@ -259,6 +247,17 @@ class Stepped(Scripted):
             return self
 
         return FrameThread(open_once, live=True, reconnect_timeout=0.0)
+
+
+def test_a_live_source_gives_the_newest(pictures):
+    """Nobody takes frames for a while: the newest is given, and how many were left out is told."""
+    source = Stepped(*pictures[:7])
+    with source.opening() as frames:
+        source.give(6)
+        arrival = frames.take(30.0)
+        assert (arrival.frame.index, arrival.missed) == (5, 5)
+        assert frames.take(0.1) is None  # nobody waits for a source that gives no more
+        source.give(1)
 
 
 def test_frames_that_wait_are_worked_off_unless_as_many_come(pictures, monkeypatch):
