@@ -102,6 +102,16 @@ def test_three_markers_and_the_curve_together_are_better_than_each():
     assert both < 0.7 * min(markers, curve)
 
 
+def test_scale_roll_and_readout_are_estimated_together_with_the_arc_length_of_the_free_end():
+    """It is seen half of the thickness, 2.5 mm, too far. Without its arc length the curve is off by 14 mm."""
+    doubts = {"scale": 0.02, "roll": 0.03, "readout": 0.01, "arc[43]": 0.5 * WIDTH}
+    doubted = [EstimatedParameter(name, std) for name, std in doubts.items()]
+    lens = CAMERA.adjusted(1.01, 0.0, (0.0, 0.0))
+    tracker = TrackingTask(rope(50), MARKERS, lens, [RED], look=LOOK, parameters=doubted).tracker()
+    off, _ = followed(tracker, 13, arc_lengths=MARKERS)
+    assert np.sqrt(np.mean(off[9:] ** 2)) < 4e-3
+
+
 def test_a_marker_at_the_free_end_is_measured_in_place_of_it():
     arcs = np.append(MARKERS, 2.0)
     tracker = TrackingTask(rope(24), arcs, CAMERA, [RED], look=LOOK).tracker()

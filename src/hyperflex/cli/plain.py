@@ -264,7 +264,7 @@ class PlainScene:
     @cached_property
     def rope(self) -> "Rope":
         """The rope to track with: a cable of the paper's density, where its mass is not known, with air drag."""
-        from hyperflex.model import Rope, with_links
+        from hyperflex.model import Rope, divided, with_links
 
         usual, mass = Answers(), self.answers["mass"]
         density = usual.mass / usual.length if isinstance(mass, str) else mass[0] / self.length
@@ -272,8 +272,10 @@ class PlainScene:
         radius = 0.5 * self.found.look.width / self.camera.pixels_per_metre
         wind = 1.2  # drag coefficient of a cylinder across the wind
         how: dict[str, Any] = {"radius": radius, "friction": friction, "drag_coefficient": wind}
-        # shorter links, which the curve shows: of longer ones friction would be taken for a readout
-        return with_links(Rope.uniform(self.length, density * self.length, usual.links, **how), 2 * usual.links)
+        # shorter links, which the curve shows: of longer ones friction would be taken for a readout; above all that of
+        # the first joint, which bends the rope over some centimetres
+        line = with_links(Rope.uniform(self.length, density * self.length, usual.links, **how), 2 * usual.links)
+        return divided(line, [4, *[1] * (line.n_links - 1)])
 
     @property
     def doubts(self) -> dict[str, float]:
@@ -284,7 +286,7 @@ class PlainScene:
     def write(self, found: "VideoTrack", out: Path) -> dict[str, Any]:
         """Write rope and camera as a track found them beside its file; return what a result tells of them.
 
-        The rope has half as many links as the tracked one: `identify` takes a fifth of the time.
+        The rope has some half of the links of the tracked one: `identify` takes a fifth of the time.
         """
         from hyperflex.model import with_links
 
@@ -296,7 +298,7 @@ class PlainScene:
         length = self.length * (1.0 + values.get("length", 0.0))
         line = replace(self, length=length, find=lambda *_: self.found).rope
         damping = {name: getattr(line, name) * (1.0 + values[name]) for name in ("friction", "drag")}
-        coarse = with_links(line.replace(**damping), line.n_links // 2)
+        coarse = with_links(line.replace(**damping), Answers().links)
         files.rescued(coarse.replace(friction=coarse.friction[-1]).to_toml, rope)
         free = "friction:shared,inertia:shared,drag:shared,gravity_angle"
         following = f"hyperflex identify {out} --rope {rope} --free {free} -o identified"

@@ -203,6 +203,9 @@ class CurveMeasurement:
     -----
     A picture does not show how far the rope is along itself (the aperture problem): each piece of it is measured across
     the rope, and the free end along it. If it is expected too uncertainly, it is searched in the whole picture.
+
+    The free end is seen up to half of the rope's thickness too far, alike in all frames: where scale, roll or readout
+    are estimated, estimate its arc length, too (``"arc[k]"``), or they make up for it.
     """
 
     LINES = 7  # across a piece
