@@ -221,6 +221,11 @@ def test_a_weak_motor_is_refused_with_what_it_lacks():
     assert plan.missing["speed"] == (plan.motor.speed, hf.MotorLimits().speed)
     assert "the motor lacks" in plan.message
     assert "speed of" in plan.message
+    assert "rad/s, has 8.61" in plan.message
+    narrow = hf.MotorLimits(speed=1e3, acceleration=1e6, angles=(-1.0, plan.motor.angles[0] + 0.01))
+    assert hf.plan_vibration(ROD, 1.9, narrow, arm=hf.Arm(length=0.1)).missing == {
+        "angles": (plan.motor.angles[1], narrow.angles[1])
+    }
     strong = replace(plan, missing={})
     assert strong.success
     assert strong.message == ""
@@ -241,7 +246,12 @@ def test_gravity_alone_hangs_and_a_vibration_leaves_it_there():
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [({"dry_friction": [1e-3]}, "viscous friction"), ({"drag": [1e-3]}, "viscous"), ({"max_bend": [1.0]}, "max_bend")],
+    [
+        ({"dry_friction": [1e-3]}, "viscous friction"),
+        ({"drag": [1e-3]}, "viscous"),
+        ({"max_bend": [1.0]}, "max_bend"),
+        ({"friction_model": "printed"}, "friction_model"),
+    ],
 )
 def test_ropes_that_averaging_does_not_know_are_refused(change, words):
     with pytest.raises(InvalidInput, match=words):

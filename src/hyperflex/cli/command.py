@@ -29,6 +29,10 @@ def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float |
 
 
 OutFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if it does not exist.")]
+ArmLength = Annotated[
+    float | None,
+    typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
+]
 ArcLengths = Annotated[
     list[str] | None,
     typer.Option(help="Distance of each marker along the rope, m; several times or with commas."),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hyperflex.cli import output
-from hyperflex.cli.command import Given, check_destination, positive
+from hyperflex.cli.command import ArmLength, Given, check_destination, positive
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, MotorLimits, Rope
@@ -48,9 +48,7 @@ def check(
         float | None,
         typer.Option(callback=positive("V"), help="Voltage of your supply, V. [default: the data sheet's]"),
     ] = None,
-    arm_length: Annotated[
-        float | None, typer.Option(callback=positive("m"), help="Length of the arm, m. [default: 0.105]")
-    ] = None,
+    arm_length: ArmLength = None,
     move_time: Annotated[float, typer.Option(callback=positive("s"), help="Time of a half turn, s.")] = 0.5,
 ) -> None:
     """Check whether a motor is fast and strong enough, before anything is planned.

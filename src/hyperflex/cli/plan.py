@@ -13,7 +13,7 @@ import typer
 
 from hyperflex import checks, files
 from hyperflex.cli import output
-from hyperflex.cli.command import Given, OutFolder, positive
+from hyperflex.cli.command import ArmLength, Given, OutFolder, positive
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model import PLAN, PLANNING, Arm, Obstacle, Peg, Rope, Setup, check_tables, obstacles_of, warn_of_grade
@@ -83,10 +83,7 @@ class Source:
     rope: Annotated[
         Path | None, typer.Option(help="TOML file with the rope, such as identify writes; overrides [rope].")
     ] = None
-    arm_length: Annotated[
-        float | None,
-        typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
-    ] = None
+    arm_length: ArmLength = None
     drive: Annotated[
         Path | None,
         typer.Option(help="File of hyperflex motor identify: its lag counts with --robust, its limits always."),

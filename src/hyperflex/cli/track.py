@@ -256,6 +256,7 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     unknown as the length if it is by the rope's own length (`by_rope`).
     """
     from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
+    from hyperflex.model import swing_rate
 
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
     wide = ("length", "scale") if by_rope else ("length",)
@@ -266,7 +267,7 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
         found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
     except BaseElsewhere:
         return output.run(lambda: track_video(video, moving.tracker(), **follow))
-    period = 2.0 * np.pi * np.sqrt(task.rope.total_length / np.hypot(*task.rope.gravity))  # s, of a pendulum so long
+    period = math.tau / swing_rate(task.rope)
     doubted, others = {each.kind for each in found.doubts}, []
     if task.look is not None and found.recording.duration > period:
         others.append((longer, DoubtKind.LENGTH))

@@ -7,7 +7,7 @@ import numpy as np
 import typer
 
 from hyperflex.cli import output
-from hyperflex.cli.command import Given, check_destination, positive
+from hyperflex.cli.command import ArmLength, Given, check_destination, positive
 from hyperflex.cli.output import Rows
 from hyperflex.control import VibrationPosture
 from hyperflex.errors import InvalidInput
@@ -36,9 +36,7 @@ def vibrate(
     direction: Annotated[
         float | None, typer.Option(help="Line of the vibration, rad: 0 is vertical, 1.57 horizontal.")
     ] = None,
-    arm_length: Annotated[
-        float | None, typer.Option(callback=positive("m"), help="Length of the arm that vibrates, m. [default: 0.105]")
-    ] = None,
+    arm_length: ArmLength = None,
     limits: Annotated[Given, MotorLimits],
     out: Annotated[
         Path | None, typer.Option("--output", "-o", help="Picture of tilt over amplitude and frequency, .png.")
@@ -55,11 +53,8 @@ def vibrate(
 
     if out is not None:
         check_destination(out, ".png", [rope])
-    cord, arm, motor = (
-        Rope.from_toml(rope),
-        Arm() if arm_length is None else Arm(length=arm_length),
-        MotorLimits(**limits),
-    )
+    cord, motor = Rope.from_toml(rope), MotorLimits(**limits)
+    arm = Arm() if arm_length is None else Arm(length=arm_length)
     if tilt is None:
         if amplitude is None or frequency is None or direction is None:
             fix = "Give --tilt, or --amplitude, --frequency and --direction"
@@ -72,14 +67,13 @@ def vibrate(
     else:
         if amplitude is not None:
             raise InvalidInput("the amplitude follows from the tilt", got="--amplitude", fix="Omit it, or --tilt")
-        how: dict[str, Any] = {"stiffness": stiffness, "push": push, "frequency": frequency, "direction": direction}
+        how = {"stiffness": stiffness, "push": push, "frequency": frequency, "direction": direction}
         plan = plan_vibration(cord, tilt, motor, arm=arm, **how)
         found = [] if plan.posture is None else [plan.posture]
         result = {"posture": _posture(found[0], push) if found else None, "message": plan.message}
         result |= {"motor": plan.motor and plan.motor._asdict(), "missing": plan.missing}
         rows = [("posture", repr(each)) for each in found]
-        if plan.motor is not None:
-            m = plan.motor
+        if m := plan.motor:
             rows.append(("motor", f"{m.speed:.3g} rad/s, {m.acceleration:.3g} rad/s^2, {m.torque:.3g} N m"))
         rows += [("NOT possible", plan.message)] if plan.message else []
         shown, code = Rows("Vibration", rows), 0 if plan.success else output.ExitCode.NO_PLAN

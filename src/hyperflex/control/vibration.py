@@ -19,7 +19,7 @@ from hyperflex.checks import Array
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, MotorLimits, Rope, unit_across, unit_along
+from hyperflex.model import Arm, MotorLimits, Rope, swing_rate, unit_across, unit_along
 from hyperflex.motion import Motion, vibrate_arm, vibrating_pivot
 from hyperflex.simulation import first_moment, simulate
 from hyperflex.trajectory import Trajectory
@@ -90,8 +90,8 @@ class VibrationPosture:
     @property
     def stable(self) -> bool:
         """Whether, according to the averaged equations, no small slow motion grows."""
-        pendulum = math.sqrt(float(np.hypot(*self.rope.gravity)) / self.rope.total_length)
-        return bool(self.eigenvalues.real.max() < RESOLVED * pendulum + 1e-8 * np.abs(self.eigenvalues).max())
+        least = RESOLVED * swing_rate(self.rope) + 1e-8 * np.abs(self.eigenvalues).max()
+        return bool(self.eigenvalues.real.max() < least)
 
     @property
     def frequencies(self) -> Array:
@@ -174,12 +174,11 @@ class Averaged:
 
     def __init__(self, rope: Rope, arm: Arm | None, direction: float, frequency: float) -> None:
         chain = checks.instance("rope", rope, Rope).chain()
-        kinds = ("dry_friction", "drag")
-        found = [kind for kind in kinds if getattr(rope, kind).any()] + ["max_bend"] * rope.limited
-        if found or rope.friction_model != "relative":
-            got = found or rope.friction_model
+        found = [kind for kind in ("dry_friction", "drag") if getattr(rope, kind).any()] + ["max_bend"] * rope.limited
+        found += ["friction_model"] * (rope.friction_model != "relative")
+        if found:
             fix = "rope.replace(...) without them"
-            raise InvalidInput("averaging knows viscous friction and springs in the joints alone", got=got, fix=fix)
+            raise InvalidInput("averaging knows viscous friction and springs in the joints alone", got=found, fix=fix)
         self.rope, self.arm, self.direction, self.frequency = rope, arm, direction, frequency
         n, omega = rope.n_links, math.tau * frequency
         bend = np.eye(n) - np.eye(n, k=-1)  # from link angles to the relative angles of their joints
@@ -187,9 +186,9 @@ class Averaged:
         joint = rope.friction / (1j * omega) - rope.stiffness / omega**2
         self.resistance = bend.T @ (joint[:, None] * bend)
         self.spring, self.damping = -(omega**2) * self.resistance.real, -omega * self.resistance.imag
-        base = 0.0 if arm is None else direction - 0.5 * math.pi
+        # the arm turns as it moves the joint
+        base, self.hinge = (0.0, 0.0) if arm is None else (direction - 0.5 * math.pi, joint[0] / arm.length)
         self.rest = np.cumsum(rope.rest_angle) + base  # link angles at which all springs are at rest
-        self.hinge = 0.0 if arm is None else joint[0] / arm.length  # the arm turns as it moves the joint
 
     def at(self, q: Array, v: float) -> tuple[Array, Array, npt.NDArray[np.complex128]]:
         """Return mean torques (n,), N m, minus their derivatives (n, n), and link rates (n,) as complex amplitudes.
@@ -230,8 +229,7 @@ class Averaged:
     def follow(self, q: Array, velocities: Sequence[float] | Array) -> Iterator[tuple[float, Array]]:
         """Continue an equilibrium from mean angles q, rad, through velocities, m/s, until there is none."""
         for v in velocities:
-            found = self.settle(q, v)
-            if found is None:
+            if (found := self.settle(q, v)) is None:
                 return
             q = found
             yield float(v), q
@@ -239,12 +237,12 @@ class Averaged:
     @property
     def top(self) -> float:
         """Velocity, m/s, at which gravity hardly bends the rope away from the line of the vibration."""
-        return 10.0 * math.sqrt(float(np.hypot(*self.rope.gravity)) * self.rope.total_length)
+        return 10.0 * swing_rate(self.rope) * self.rope.total_length
 
     def from_top(self, v: float) -> Array:
         """Return velocities from the greatest down to v, m/s."""
-        steps = max(1, math.ceil(math.log(max(1.0, self.top / v), 1.12)))  # apart, so that they continue each other
-        return np.geomspace(max(self.top, v), v, steps + 1)
+        top = max(self.top, v)
+        return np.geomspace(top, v, 2 + int(math.log(top / v, 1.12)))  # so near that they continue each other
 
     def posture(self, q: Array, v: float) -> VibrationPosture:
         """Return the posture of an equilibrium q (n,), rad, at a velocity v, m/s, of the base."""
@@ -390,9 +388,9 @@ def vibration_map(
         velocities = ways[::-1] * math.tau * rate
         path = np.concatenate([model.from_top(velocities[0])[:-1], velocities])
         held = list(model.follow(np.full(rope.n_links, model.direction), path))[path.size - ways.size :]
-        for column, (v, q) in zip(range(ways.size - 1, -1, -1), held, strict=False):
+        for column, (v, q) in enumerate(held, 1):
             posture = model.posture(q, v)
             if not posture.stable:
                 break
-            tilt[row, column], holds[row, column] = posture.tilt, posture.holds
+            tilt[row, -column], holds[row, -column] = posture.tilt, posture.holds
     return VibrationMap(ways, rates, tilt, holds, model.direction, arm, rope)

@@ -12,7 +12,7 @@ from hyperflex.control.vibration import Averaged, Of, VibrationPosture, tilt_of
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, MotorLimits, Rope
+from hyperflex.model import Arm, MotorLimits, Rope, swing_rate
 
 
 class MotorDemand(NamedTuple):
@@ -55,11 +55,9 @@ class VibrationPlan:
         if not self.posture.holds:
             now, least = self.posture.frequency, self.posture.least_frequency
             return f"averaging does not hold at {now:.3g} Hz; from {least:.3g} Hz on at the same velocity of the base"
-        lacks = (f"{name} of {need:.3g} {UNITS[name]}, has {has:.3g}" for name, (need, has) in self.missing.items())
-        return f"the motor lacks what the vibration needs: {'; '.join(lacks)}" if self.missing else ""
-
-
-UNITS = {"speed": "rad/s", "acceleration": "rad/s^2", "torque": "N m", "angles": "rad"}
+        limits, lacks = MotorLimits.__dataclass_fields__, self.missing.items()
+        words = (f"{name} of {need:.3g} {limits[name].metadata['unit']}, has {has:.3g}" for name, (need, has) in lacks)
+        return f"the motor lacks what the vibration needs: {'; '.join(words)}" if self.missing else ""
 
 
 @interruptible()
@@ -131,12 +129,12 @@ def plan_vibration(
     if not np.any(checks.instance("rope", rope, Rope).gravity):
         raise InvalidInput("without gravity any vibration along the tilt holds it", got="gravity 0", allowed="not 0")
     tilt = checks.number("tilt", tilt, unit="rad")
-    line = None if direction is None else checks.number("direction", direction, unit="rad")
-    checks.meant("direction", 0.0 if line is None else line, "rad")
+    if direction is not None:
+        checks.meant("direction", checks.number("direction", direction, unit="rad"), "rad")
     across = tilt + 0.5 * math.pi if push is None else checks.number("push", push, unit="rad")
     checks.meant("tilt", tilt, "rad")
-    family = _Family(rope, arm, tilt, of, line, wanted, across)
-    given = 20.0 * family.slow if frequency is None else frequency
+    family = _Family(rope, arm, tilt, of, direction, wanted, across)
+    given = 20.0 * swing_rate(rope) / math.tau if frequency is None else frequency
     now = checks.number("frequency", given, sign="positive", unit="Hz")
     found = family.weakest(now)
     for _ in range(7):  # friction in the joints makes the posture depend on the frequency
@@ -177,7 +175,6 @@ class _Family:
         pull = math.sin(self.tilt - self.rope.hanging_angle)
         self.upright = abs(pull) < 1e-6  # or hanging: there any strength does, and below the tilt depends on it
         self.away = 0.0 if self.upright else math.copysign(1.0, pull)
-        self.slow = math.sqrt(float(np.hypot(*self.rope.gravity)) / self.rope.total_length) / math.tau
 
     def member(self, u: float, frequency: float) -> VibrationPosture | None:
         """Return a member; None if the rope does not come to the tilt there."""
@@ -199,8 +196,7 @@ class _Family:
         """Return the posture at the tilt between two velocities, m/s, of which the greater has the angles q."""
         for _ in range(50):
             middle = 0.5 * (v + lower)
-            found = model.settle(q, middle)
-            if found is None:
+            if (found := model.settle(q, middle)) is None:
                 return None
             if self.away * (tilt_of(self.rope, found, self.of) - self.tilt) > 0.0:
                 v, q = middle, found
@@ -213,7 +209,7 @@ class _Family:
         if held is None or not held.stable:
             return -math.inf
         squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(self.rope, held.q), held.hessian))
-        over = held.stiffness(self.push) / self.wanted, float(squares.real.min()) / (math.pi * self.slow) ** 2
+        over = held.stiffness(self.push) / self.wanted, float(squares.real.min()) / (0.5 * swing_rate(self.rope)) ** 2
         return math.log(max(min(over), 1e-300))
 
     def weakest(self, frequency: float) -> VibrationPosture | None:

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.estimate.process import swing_rate
-from hyperflex.model import Rope
+from hyperflex.model import Rope, swing_rate
 
 LARGE = 2.0  # errors over those of detection from which the set-up is doubted
 DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted

@@ -15,7 +15,7 @@ from hyperflex.core.chain.drive import motion_at
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.parameters import NEGLIGIBLE, ParameterStates
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Rope, Setup, unit_across
+from hyperflex.model import Arm, Rope, Setup, swing_rate, unit_across
 from hyperflex.motion import Motion
 from hyperflex.simulation import AngleJacobian, link_accelerations
 
@@ -301,8 +301,3 @@ class Process:
         if not self.parameters.same_rope(values, self._at):
             self._rope, self._at = self.parameters.rope_at(values), values.copy()
         return self._rope
-
-
-def swing_rate(rope: Rope) -> float:
-    """Return sqrt(g / L), rad/s: about how fast a rope swings."""
-    return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))

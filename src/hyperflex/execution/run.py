@@ -19,7 +19,7 @@ from hyperflex.execution.rope_watch import ClockedSource, RopeWatch
 from hyperflex.execution.stream import POLL, MotionStream, StreamLog
 from hyperflex.hardware import STEP, Drive, DriveZero, open_link
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import MotorLimits, Rope
+from hyperflex.model import MotorLimits, Rope, swing_rate
 from hyperflex.motion import Motion, hold_arm, move_arm
 from hyperflex.options import check, option
 from hyperflex.planning import CastPlan, FollowOptions, FollowResult, Problem, follow_plan
@@ -285,7 +285,7 @@ def _approach(
     if way > 1e-4:
         # peak speed 1.875 way / T and acceleration 5.774 way / T^2 of minimum jerk
         slow = options.approach * limits.speed, options.approach * limits.acceleration
-        calm = options.calm * math.tau * math.sqrt(rope.total_length / math.hypot(*rope.gravity))
+        calm = options.calm * math.tau / swing_rate(rope)
         duration = max(1.875 * way / slow[0], math.sqrt(5.774 * way / slow[1]), calm)
         say(f"the arm moves slowly from {now:.2f} to {start:.2f} rad, in {duration:.1f} s")
         begin = time.monotonic() + LEAD

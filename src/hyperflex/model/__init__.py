@@ -30,7 +30,16 @@ if TYPE_CHECKING:
         parse_label,
     )
     from hyperflex.model.refine import cuts, divided, refine_rope, stretched, with_links
-    from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, MOST_LINKS, Rope, unit_across, unit_along, warn_of_grade
+    from hyperflex.model.rope import (
+        FRICTION_MODELS,
+        GRAVITY,
+        MOST_LINKS,
+        Rope,
+        swing_rate,
+        unit_across,
+        unit_along,
+        warn_of_grade,
+    )
     from hyperflex.model.setup import (
         DEFAULT_CONTACT_STEP,
         DEFAULT_TOL,

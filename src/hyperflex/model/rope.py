@@ -403,6 +403,11 @@ def unit_across(angle: ArrayLike, axis: int = -1) -> Array:
     return np.stack([np.cos(angle), np.sin(angle)], axis=axis)
 
 
+def swing_rate(rope: Rope) -> float:
+    """Return sqrt(g / L), rad/s: about how fast a rope swings."""
+    return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
+
+
 def warn_of_grade(path: str | Path, content: Mapping[str, Any]) -> None:
     """Warn (UserWarning) of a rope in a file whose identification found that it must not be used."""
     found = content.get("identification")

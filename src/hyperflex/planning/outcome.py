@@ -292,14 +292,15 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
 def _aside(run: Trajectory) -> tuple[float, float, float, str]:
     """Return `sideways`, `half_width` and `lean` of a :class:`CastOutcome` over the tilt, and why they are unknown."""
     touching = np.zeros(1) if run.contact_force is None else run.contact_force.any(axis=2)
-    if not touching.any():
-        return math.nan, math.nan, math.nan, "it touches nothing"
-    try:
-        found = sideways(run, tilt=1.0)
-    except (InvalidInput, SimulationError) as error:
-        return math.nan, math.nan, math.nan, str(error)
-    beyond = np.abs(found.joints[-1, int(touching.argmax()) % run.q.shape[1] :])
-    return float(beyond[:2].mean()), float(beyond.max()), float(np.abs(found.angles).max()), ""
+    doubt = "it touches nothing"
+    if touching.any():
+        try:
+            found = sideways(run, tilt=1.0)
+            beyond = np.abs(found.joints[-1, int(touching.argmax()) % run.q.shape[1] :])
+            return float(beyond[:2].mean()), float(beyond.max()), float(np.abs(found.angles).max()), ""
+        except (InvalidInput, SimulationError) as error:
+            doubt = str(error)
+    return math.nan, math.nan, math.nan, doubt
 
 
 def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.sideways import lean as integrate
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
-from hyperflex.model import Rope
+from hyperflex.model import Rope, swing_rate
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 
@@ -55,10 +55,9 @@ class Sideways:
     finer: int = 1
 
     def __repr__(self) -> str:
-        ends = "" if self.touch is None else f"; ends before {self.touch:g} s, where the rope touches an obstacle"
-        most = 1e3 * np.abs(self.joints).max()
-        doubt = "".join(f"; {each}" for each in (self.warning(), "joint limits are not seen") if each)
-        return f"Sideways({self.t[0]:g} to {self.t[-1]:g} s, up to {most:.3g} mm out of the plane{ends}{doubt})"
+        what = f"{self.t[0]:g} to {self.t[-1]:g} s, up to {1e3 * np.abs(self.joints).max():.3g} mm out of the plane"
+        ends = "" if self.touch is None else f"ends before {self.touch:g} s, where the rope touches an obstacle"
+        return f"Sideways({'; '.join(filter(None, (what, ends, self.warning(), 'joint limits are not seen')))})"
 
     def warning(self) -> str:
         """Return that angles are too large for the first order; empty if not."""
@@ -67,8 +66,7 @@ class Sideways:
     @cached_property
     def joints(self) -> Array:
         """Distances (T, n + 1) of the joints from the plane, m; the last one is the tip's."""
-        places = np.cumsum(self.run.setup.rope.length * self.angles, axis=1)
-        return np.concatenate([np.zeros((self.t.size, 1)), places], axis=1)
+        return np.pad(_places(self.run.setup.rope, self.angles), ((0, 0), (1, 0)))
 
     @property
     def tip(self) -> Array:
@@ -84,15 +82,14 @@ class Sideways:
         """
         rope, t = self.run.setup.rope, self.t
         n = rope.n_links
-        swing = min(1.0, math.sqrt(rope.total_length / max(math.hypot(*rope.gravity), 1e-300)))
-        sums = np.tril(np.ones((n, n))) * rope.length
-        unit, start = np.linalg.inv(sums).T, np.zeros((2, 2 * n, n))  # each joint alone is off the plane
+        swing = 1.0 / max(1.0, swing_rate(rope))
+        unit, start = (np.eye(n) - np.eye(n, k=1)) / rope.length, np.zeros((2, 2 * n, n))  # one joint is off the plane
         start[0, :n], start[1, n:] = unit, unit / swing
         rows = np.unique(np.linspace(0, t.size - 1, GROWTHS).astype(int))
         found = [1.0]
         for first, last in pairwise(rows.tolist()):
             x, v = start = _integrate(self.run, slice(first, last + 1), np.zeros((2, n)), start, self.finer)[:, -1]
-            found.append(float(np.linalg.norm(np.hstack([x @ sums.T, swing * (v @ sums.T)]), 2)))
+            found.append(float(np.linalg.norm(np.hstack([_places(rope, x), swing * _places(rope, v)]), 2)))
         return t[rows], np.array(found)
 
     def plot(self) -> "Figure":
@@ -168,17 +165,15 @@ def sideways(
     if tilt is None and lean and max(np.abs(run.q[0] - rope.hanging_angle).max(), np.abs(run.qd[0]).max()) > 1e-6:
         raise InvalidInput("the rope does not begin hanging at rest", got="no tilt", fix="Give tilt along with lean")
     weight = math.hypot(*rope.gravity) * lean
-    force, moment = side * rope.length + weight * rope.mass, 0.5 * side * rope.length**2 + weight * rope.mass * rope.com
-    force[-1] += weight * rope.tip_mass
-    moment[-1] += weight * rope.tip_mass * rope.length[-1]
-    load = np.stack([force, moment])
+    load = np.stack([rope.length, 0.5 * rope.length**2]) * side + np.stack([rope.mass, rope.mass * rope.com]) * weight
+    load[:, -1] += weight * rope.tip_mass * np.array([1.0, rope.length[-1]])
     step = np.diff(run.t[:count]).max()
     for finer in (1, 2, 4):
         (angles, rates), (coarse, _) = (
             _integrate(run, slice(0, count, each), load, start, finer)[:, :, 0] for each in (1, 2)
         )
-        places, apart = (np.cumsum(rope.length * each, axis=1) for each in (angles, coarse - angles[::2]))
-        error, most = np.abs(apart).max() / 2.0, np.abs(places).max()
+        most, apart = (np.abs(_places(rope, each)).max() for each in (angles, coarse - angles[::2]))
+        error = apart / 2.0
         if error <= 0.05 * most:
             break
     if error > 0.05 * most or (run.contact_force is not None and step > 2.0 * STEP + 1e-9):
@@ -187,6 +182,11 @@ def sideways(
         raise InvalidInput("the samples of the run are too coarse", got=what, allowed=allowed, fix=fix)
     touch = float(run.t[count]) if count < run.t.size else None
     return Sideways(run, run.t[:count], angles, rates, touch, float(error), finer)
+
+
+def _places(rope: Rope, angles: Array) -> Array:
+    """Return how far from the plane links that lean by angles (..., n) end, m; for their rates, how fast, m/s."""
+    return np.cumsum(rope.length * angles, axis=-1)
 
 
 def lean_warning(most: float) -> str:

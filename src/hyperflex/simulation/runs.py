@@ -392,27 +392,25 @@ def _limit(run: Trajectory, finer: list[Setup], how: dict[str, Any]) -> Trajecto
 
 def _finer(setup: Setup, state: State | None, until: Event | None) -> list[Setup]:
     """Return set-ups whose ropes have links of half and of a quarter of the length, and starts as smooth as the old."""
+    from scipy.interpolate import CubicSpline
+
     inner = setup.torque is not None and setup.torque.joints > 1
     if state is not None or until is not None or setup.control is not None or setup.touches or inner:
         fix = "Omit state, until, pegs, max_bend, a torque callback and torques of inner joints"
         raise InvalidInput("the limit of many links is that of a free run from its start", fix=fix)
     old, result = setup.rope.link_middles, []
     starts = {name: value for name in ("q0", "qd0") if (value := getattr(setup, name)) is not None}
-    if (bends := np.abs(np.diff(starts.get("q0", np.zeros(1))))).size and float(bends.max()) > 1.0:
+    if (bend := float(np.abs(np.diff(starts.get("q0", np.zeros(1)))).max(initial=0.0))) > 1.0:
         allowed = "up to 1 rad from link to link"
-        raise InvalidInput("q0 is no smooth shape, which shorter links need", got=float(bends.max()), allowed=allowed)
+        raise InvalidInput("q0 is no smooth shape, which shorter links need", got=bend, allowed=allowed)
     for pieces in (2, 4):
         rope = divided(setup.rope, pieces)
-        smooth = {name: _smooth(old, value, rope.link_middles) for name, value in starts.items()}
+        smooth = {
+            name: CubicSpline(old, values)(rope.link_middles) if old.size > 1 else np.full(pieces, values[0])
+            for name, values in starts.items()
+        }
         result.append(setup.replace(rope=rope, **smooth))
     return result
-
-
-def _smooth(s: Array, values: Array, at: Array) -> Array:
-    """Return values at places (m,) along a rope of a smooth curve through those (n,) at places s, m."""
-    from scipy.interpolate import CubicSpline
-
-    return CubicSpline(s, values)(at) if s.size > 1 else np.full(at.size, values[0])
 
 
 def _finished(run: Rollout, watch: Watch, applied: list[tuple[float, float]]) -> int:

@@ -24,7 +24,7 @@ from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.forward_sensitivity import CHANGES, RATE, Directions, base_change, place_changes
 from hyperflex.errors import InvalidInput, listed
 from hyperflex.interruption import interruptible
-from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields, unit_across, unit_along
+from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields, swing_rate, unit_across, unit_along
 from hyperflex.motion import Motion, motion_derivatives, motion_parameters
 from hyperflex.simulation.rollouts import TABLES, Rollout, Watch, dataset_of, rollout_limits
 from hyperflex.simulation.runs import observed, output_times, setup_of
@@ -710,8 +710,7 @@ def predictability(
 
 def _displaced(setup: Setup, q: Array, changes: Array) -> Array:
     """Displacement of the worst joint (..., 2), m, by small changes (..., 2, n) of angles, and of rates in a swing."""
-    reach = setup.rope.total_length
-    swing_time = math.sqrt(reach / max(math.hypot(*setup.rope.gravity), reach))
+    swing_time = 1.0 / max(1.0, swing_rate(setup.rope))
     across = setup.chain().length[:, None] * unit_across(q)
     places = np.cumsum(changes[..., None] * across, axis=-2)
     return np.asarray(np.linalg.norm(places, axis=-1).max(axis=-1) * [1.0, swing_time])

@@ -15,7 +15,7 @@ import numpy as np
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import drag_slopes, link_drag
 from hyperflex.core.chain.articulated_body import joint_of, sines
-from hyperflex.core.chain.drive import motion_at
+from hyperflex.core.chain.drive import motion_at, polynomial
 from hyperflex.core.jit import kernel, non_allocating
 
 # rows of the work space of a stage: sines and cosines (at last of the angle to the link before), rates, stiffness K,
@@ -130,15 +130,13 @@ def between(values, k, part, out):  # type: ignore[no-untyped-def]
     `values` are samples (T,) of the time and (T, n) of the other three.
     """
     t, q, w, a = values
-    h, s = t[k + 1] - t[k], part
+    h = t[k + 1] - t[k]
     for i in range(q.shape[1]):
-        rise = q[k + 1, i] - q[k, i]
         c1, c2 = h * w[k, i], 0.5 * h * h * a[k, i]
-        f0, f1, f2 = rise - c1 - c2, h * w[k + 1, i] - c1 - 2.0 * c2, h * h * a[k + 1, i] - 2.0 * c2
+        f0, f1, f2 = q[k + 1, i] - q[k, i] - c1 - c2, h * w[k + 1, i] - c1 - 2.0 * c2, h * h * a[k + 1, i] - 2.0 * c2
         c3, c4, c5 = 10.0 * f0 - 4.0 * f1 + 0.5 * f2, -15.0 * f0 + 7.0 * f1 - f2, 6.0 * f0 - 3.0 * f1 + 0.5 * f2
-        out[0, i] = q[k, i] + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
-        out[1, i] = (c1 + s * (2.0 * c2 + s * (3.0 * c3 + s * (4.0 * c4 + s * 5.0 * c5)))) / h
-        out[2, i] = (2.0 * c2 + s * (6.0 * c3 + s * (12.0 * c4 + s * 20.0 * c5))) / (h * h)
+        out[0, i], rate, acceleration = polynomial((q[k, i], c1, c2, c3, c4, c5), part)
+        out[1, i], out[2, i] = rate / h, acceleration / (h * h)
 
 
 @kernel
@@ -164,21 +162,20 @@ def lean(chain, drive, values, load, push, parts, angles, rates):  # type: ignor
         x, v = angles[k + 1], rates[k + 1]
         x[:], v[:] = angles[k], rates[k]
         for part in range(parts):
-            for stage in range(2):
-                s = (part + (GAMMA if stage == 0 else 1.0 - GAMMA)) / parts
-                between(values, k, s, planar)
-                motion_at(drive, t[k] + s * (t[k + 1] - t[k]), base)
-                planar_loads(chain, planar[0], planar[1], planar[2], base, push, step * (1 - stage), at)
-                known = 0.0 if stage == 0 else (1.0 - 2.0 * GAMMA) * h  # for which the first stage tells
+            # place of a stage in the step, and the weight of the first stage in it
+            for place, weight in ((GAMMA, 0.0), (1.0 - GAMMA, 1.0 - 2.0 * GAMMA)):
+                s, known = part + place, weight * h
+                between(values, k, s / parts, planar)
+                motion_at(drive, t[k] + s * h, base)
+                planar_loads(chain, planar[0], planar[1], planar[2], base, push, 0.0 if known else step, at)
                 for j in range(m):
                     for i in range(n):
                         vs[i] = v[j, i] + known * first[j, i] + step * acc[j, i]
                         xs[i] = x[j, i] + known * (v[j, i] + step * first[j, i]) + step * vs[i]
                     side_accelerations(chain, at, xs, vs, load, acc[j], work)
-                    if stage == 0:
-                        first[j] = acc[j]
+                if not known:
+                    first[:] = acc
             for j in range(m):
                 for i in range(n):
-                    one, two = first[j, i], acc[j, i]
-                    x[j, i] += h * (v[j, i] + 0.5 * h * ((1.0 - GAMMA) * one + GAMMA * two))
-                    v[j, i] += 0.5 * h * (one + two)
+                    x[j, i] += h * (v[j, i] + 0.5 * h * ((1.0 - GAMMA) * first[j, i] + GAMMA * acc[j, i]))
+                    v[j, i] += 0.5 * h * (first[j, i] + acc[j, i])
