@@ -67,8 +67,9 @@ def vibrate(
     else:
         if amplitude is not None:
             raise InvalidInput("the amplitude follows from the tilt", got="--amplitude", fix="Omit it, or --tilt")
-        how = {"stiffness": stiffness, "push": push, "frequency": frequency, "direction": direction}
-        plan = plan_vibration(cord, tilt, motor, arm=arm, **how)
+        plan = plan_vibration(
+            cord, tilt, motor, arm=arm, stiffness=stiffness, push=push, frequency=frequency, direction=direction
+        )
         found = [] if plan.posture is None else [plan.posture]
         result = {"posture": _posture(found[0], push) if found else None, "message": plan.message}
         result |= {"motor": plan.motor and plan.motor._asdict(), "missing": plan.missing}

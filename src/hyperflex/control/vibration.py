@@ -186,9 +186,9 @@ class Averaged:
         joint = rope.friction / (1j * omega) - rope.stiffness / omega**2
         self.resistance = bend.T @ (joint[:, None] * bend)
         self.spring, self.damping = -(omega**2) * self.resistance.real, -omega * self.resistance.imag
-        # the arm turns as it moves the joint
-        base, self.hinge = (0.0, 0.0) if arm is None else (direction - 0.5 * math.pi, joint[0] / arm.length)
+        base = 0.0 if arm is None else direction - 0.5 * math.pi
         self.rest = np.cumsum(rope.rest_angle) + base  # link angles at which all springs are at rest
+        self.hinge = 0.0 if arm is None else joint[0] / arm.length  # the arm turns as it moves the joint
 
     def at(self, q: Array, v: float) -> tuple[Array, Array, npt.NDArray[np.complex128]]:
         """Return mean torques (n,), N m, minus their derivatives (n, n), and link rates (n,) as complex amplitudes.
