@@ -125,7 +125,7 @@ def numbers(path: Path) -> np.ndarray:
 
 BAD_TABLES = {
     "empty": ("", FileProblem, "is empty"),
-    "blank": ("\n\n", InvalidInput, "holds no table"),
+    "blank": ("\n\n", InvalidInput, "contains no table"),
     "header only": ("t,th1\n", InvalidInput, "no rows"),
     "no header": ("0.0,1.0\n0.1,1.1\n", InvalidInput, "has no header"),
     "unnamed": ("t,\n0.0,1.0\n", InvalidInput, "without a name"),

@@ -44,7 +44,7 @@ def test_a_set_up_with_pegs_survives_its_file(tmp_path):
     again = hf.Setup.loads(setup.dumps())
     assert (again.pegs, again.contact_step, again.tip_force) == (setup.pegs, 1e-4, (0.1, -0.2))
     one = setup.dumps().replace("x = [0.6, -0.5]", "x = 0.6")
-    refuses("one number of pegs", hf.Setup.loads, one)
+    refuses("different numbers of pegs", hf.Setup.loads, one)
 
 
 def test_a_run_survives_its_file_and_goes_on(tmp_path):

@@ -57,7 +57,7 @@ class LocalServer(ABC):
     def __init__(self, port: int = 0, host: str = HOST, allow: Collection[str] = ()) -> None:
         for each in allow:
             if _authority(f"//{each}") != each:
-                fix = "Leave out http:// and what follows the port"
+                fix = "Omit http:// and everything after the port"
                 raise InvalidInput("allow is no host", got=each, allowed="host:port, as in robot.lan:8080", fix=fix)
         page = self
 

@@ -124,7 +124,7 @@ def test_a_part_of_the_recording_is_fitted(hyperflex, hyperflex_json, swing):
     assert result["settings"]["fitted_to"] == pytest.approx(3.48)
     code, _, err = hyperflex(*words("rope.toml", *FRICTION, "--start", "4"))
     assert code == 2
-    assert "the span holds fewer than two samples" in err
+    assert "the span contains fewer than two samples" in err
 
 
 def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json, swing):

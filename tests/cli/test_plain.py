@@ -220,7 +220,7 @@ def test_a_camera_that_pans_for_a_whole_swing_is_no_wrong_length(hyperflex_json,
 
 def test_a_file_that_holds_no_answers_is_refused(refused, folder):
     write_toml("phone.answers.toml", {"answers": {}})
-    assert "holds no answers on a video" in refused("track", "phone.mp4", "--length", "2.0")
+    assert "contains no answers on a video" in refused("track", "phone.mp4", "--length", "2.0")
 
 
 def scene(image: np.ndarray, size: str | list[float], find=None) -> PlainScene:

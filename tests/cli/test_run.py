@@ -156,7 +156,7 @@ def test_with_yes_an_arm_whose_zero_is_in_doubt_is_not_moved(hyperflex, plan, tm
     DriveZero(0.0).to_toml(tmp_path / "zero.toml")
     real = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml", "--torque", 1, "--yes"
     code, _, err = hyperflex("run", plan, "-o", tmp_path / "done", *real)
-    assert (code, "without torque the arm stands at 0.30 rad" in err) == (2, True)
+    assert (code, "without torque the arm is at 0.30 rad" in err) == (2, True)
     assert (tmp_path / "notes").read_text().split() == ["open", "closed"]
 
 

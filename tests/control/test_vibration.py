@@ -107,7 +107,7 @@ def test_a_tilt_near_the_vertical_can_be_held(tilt):
 def test_a_posture_for_which_averaging_does_not_hold_is_no_plan():
     plan = hf.plan_vibration(ROD, 1.9, frequency=5.0)
     assert not plan.success
-    assert "averaging does not hold at 5 Hz; from" in plan.message
+    assert "averaging does not apply at 5 Hz; from" in plan.message
 
 
 @pytest.mark.parametrize("line", [1.8, 2.4, 2.9])

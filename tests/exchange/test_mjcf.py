@@ -102,7 +102,7 @@ def test_edited_rope_is_read(tmp_path):
         ('qpos="0.0', 'qpos="0.3', "key start has another qpos"),
         ('axis="0.0 -1.0', 'axis="0.0 1.0', "another axis"),
         ('name="joint1"', 'name="elbow"', "another name"),
-        ("<actuator>", '<actuator><motor joint="joint1" />', "actuator holds other parts"),
+        ("<actuator>", '<actuator><motor joint="joint1" />', "actuator contains other parts"),
         ('mass="0.025"', 'mass="heavy"', "inertial has no usable mass.*Allowed: a number"),
         ('mass="0.025"', 'mass="1_000"', "inertial has no usable mass: got '1_000'"),
         ('name="hyperflex"', 'name="other"', "not written by hyperflex"),

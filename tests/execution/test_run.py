@@ -135,7 +135,7 @@ def test_a_person_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(
 
     with pytest.raises(InvalidInput, match="no"):
         run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes"), options=QUICK, say=said.append, ready=ask)
-    assert "without torque the arm stands at 0.30" in said[-2]
+    assert "without torque the arm is at 0.30" in said[-2]
     assert said[-1] == "open"
 
 
@@ -153,7 +153,7 @@ def test_an_arm_whose_weight_is_not_as_expected_is_told(tmp_path: Path, holds: f
     start = float(plan.required(plan.motion, "motion").angle(0.0))
     drive = partial(ideal_drive, tmp_path / "notes", holds=holds * 0.05 * 9.80665 * 0.1 * math.sin(start))
     run_plan(plan, drive, source=SeenRope(plan), options=QUICK, doubt=said.append)
-    assert any("without torque the arm stands at 0.30" in each for each in said)
+    assert any("without torque the arm is at 0.30" in each for each in said)
     assert any("Check zero, rope and arm" in each for each in said) == (holds < 1.0)
 
 

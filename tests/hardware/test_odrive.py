@@ -156,7 +156,7 @@ def test_a_limit_of_torque_needs_the_torque_constant_and_a_torque_that_is_told()
         link._messages.clear()
         link._came = dict.fromkeys(link._came, -math.inf)
         wait_for(lambda: link._listen(0.01, lambda *_: link._beat > 0.0) and len(link._messages) > 1)
-        with pytest.raises(DriveError, match=r"does not tell its torque.*torques_msg_rate_ms = 10"):
+        with pytest.raises(DriveError, match=r"does not report its torque.*torques_msg_rate_ms = 10"):
             link.enable(LIMITS)
     assert not device.plant.enabled
 
@@ -297,7 +297,7 @@ def test_what_an_axis_no_longer_tells_is_not_known(monkeypatch):
             return bool(refusals)
 
         wait_for(refused)
-        assert "no longer tells its torque" in refusals[0]
+        assert "no longer reports its torque" in refusals[0]
         assert math.isfinite(link._pair(odrive.Message.VOLTAGE, 10.0)[0])
         link.disable()
         wait_for(lambda: device._state == 1)

@@ -181,7 +181,7 @@ def test_out_of_time_it_ranks_what_was_simulated():
 
 
 def test_wrong_questions_are_refused():
-    refuses("want names what is not free", design_experiment, SINGLE, "mass", [SHORT])
+    refuses("want has names that are not free", design_experiment, SINGLE, "mass", [SHORT])
     refuses("unknown name", design_experiment, SINGLE, "friction", [SHORT], free=["colour"])
     refuses("no experiments", design_experiment, SINGLE, "friction", [])
     refuses("no experiments", design_experiment, SINGLE, "friction", [arm_swings()])

@@ -152,7 +152,7 @@ def test_a_taper_is_found_as_two_numbers():
 
 
 BAD = {
-    "arc_lengths for angles": ({"arc_lengths": [0.1]}, "the recording holds angles"),
+    "arc_lengths for angles": ({"arc_lengths": [0.1]}, "the recording contains angles"),
     "origin for angles": ({"origin": (0.0, 0.0)}, "origin is given, but angles are fitted"),
     "a delay of nothing": ({"free": ["delay"]}, "nothing moves the first joint"),
     "arc_lengths free without places": ({"free": ["arc"]}, "no places are measured"),

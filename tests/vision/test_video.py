@@ -106,7 +106,7 @@ def sound(path, video):
         (lambda path, video: path.write_bytes(b""), "empty"),
         (lambda path, video: path.write_bytes(b"not a video " * 500), "cannot be read as a video"),
         (without_index, "cut off"),
-        (sound, "holds no video, only audio"),
+        (sound, "contains no video, only audio"),
         (lambda path, video: path.mkdir(), "a folder"),
         (lambda path, video: None, "There is no video"),
     ],
@@ -121,7 +121,7 @@ def test_no_video_is_refused_by_name(video, tmp_path, make, message):
 def test_a_set_up_given_for_a_video_is_named_as_text(tmp_path):
     path = tmp_path / "rope.toml"
     path.write_text("[rope]\nn_links = 50\nlength = 0.02\nmass = 0.0025\n" * 20)
-    with pytest.raises(FileProblem, match=r"rope.toml holds no video, but text \(.toml\)"):
+    with pytest.raises(FileProblem, match=r"rope.toml contains no video, but text \(.toml\)"):
         VideoReader(path)
 
 

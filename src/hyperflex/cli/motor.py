@@ -171,7 +171,7 @@ def identify(
         for name, value in fit.values.items()
     ]
     lost = int(np.isnan(record.angle).sum())
-    rows.append(("replies lost, left out", f"{lost} of {record.angle.size}"))
+    rows.append(("lost replies, omitted", f"{lost} of {record.angle.size}"))
     if "rate_limit" not in fit.values:
         rows.append(("rate limit", f"not reached: above {fit.reached[0]:.3g} rad/s"))
     result = {"values": fit.values, "intervals": fit.intervals, "reached": fit.reached, "doubt": fit.doubt}
@@ -252,7 +252,7 @@ def zero_of(address: str, path: Path | None) -> "DriveZero":
 
     link = open_link(address)
     if link.watchdog > 0.2:
-        fix = "Leave out ?watchdog="
+        fix = "Remove ?watchdog="
         raise InvalidInput(
             "the watchdog of a real motor is too long", got=link.watchdog, allowed="up to 0.2 s", fix=fix
         )

@@ -151,7 +151,7 @@ def _read(path: Path, head: Mapping[str, Any]) -> dict[str, Any]:
     table = content.get("answers")
     if content.get("format") != FORMAT or not isinstance(table, dict):
         raise InvalidInput(
-            f"{path} holds no answers on a video", got=sorted(content), fix="Remove it to be asked again"
+            f"{path} contains no answers on a video", got=sorted(content), fix="Remove it to be asked again"
         )
     if any(content.get(name) != each for name, each in head.items()):
         output.note(f"{path} is about another video: its answers are not used")

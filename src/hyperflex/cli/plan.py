@@ -166,7 +166,7 @@ def _of_plan(path: Path, given: Given) -> Problem:
     plan = read_plan(path)
     known, there = plan.problem, Setup.from_toml(path).pegs
     if gone := [each for each in (*known.obstacles, *known.criteria.behind) if each not in there]:
-        fix = "Plan from a set-up file of your own that holds the present obstacles"
+        fix = "Plan from your own set-up file with the present obstacles"
         raise InvalidInput(f"{path} is of a plan for other obstacles than it names", got=gone[0], fix=fix)
     if known.q0:
         fix = "Plan in Python, with state0"
@@ -210,7 +210,7 @@ class Aim(NamedTuple):
         """Return the target."""
         checks.keys(f"the table [{self.name}]", table, [each.name for each in options_of(self.kind)])
         if missing := self.missing(table):
-            raise InvalidInput(missing, fix=f"Give what is missing, or a set-up file with a table [{self.name}]")
+            raise InvalidInput(missing, fix=f"Give the missing values, or a set-up file with a table [{self.name}]")
         return self.kind(**{**table, **self.given})
 
 

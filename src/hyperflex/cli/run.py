@@ -296,7 +296,7 @@ def _count(repeat: int | None, learn: bool) -> int:
 
 
 def _refuse(doubt: str) -> None:
-    raise InvalidInput(doubt, fix="Mend it, or leave out --yes and judge for yourself")
+    raise InvalidInput(doubt, fix="Correct it, or decide yourself, without --yes")
 
 
 def _check_real(

@@ -58,7 +58,7 @@ def vibrate(
     if tilt is None:
         if amplitude is None or frequency is None or direction is None:
             fix = "Give --tilt, or --amplitude, --frequency and --direction"
-            raise InvalidInput("it is not said what to hold", fix=fix)
+            raise InvalidInput("nothing to hold is given", fix=fix)
         if stiffness is not None:
             raise InvalidInput("a stiffness is required of a tilt", got="--stiffness", fix="Give --tilt, or omit it")
         found = vibration_posture(cord, amplitude, frequency, direction, arm=arm)

@@ -124,7 +124,7 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
             if worker.poll():
                 said = worker.stderr.read().splitlines()  # type: ignore[union-attr]  # a pipe
                 last = said[-1] if said else f"exit status {worker.returncode}"
-                raise HyperflexError(f"a process that compiled kernels failed: {last}. What was compiled is kept.")
+                raise HyperflexError(f"a process that compiled kernels failed: {last}. Compiled kernels are kept.")
     return _children_time() - begin
 
 

@@ -54,10 +54,10 @@ class VibrationPlan:
             return "no vibration holds this posture stably; allow another direction, or a smaller tilt or stiffness"
         if not self.posture.holds:
             now, least = self.posture.frequency, self.posture.least_frequency
-            return f"averaging does not hold at {now:.3g} Hz; from {least:.3g} Hz on at the same velocity of the base"
+            return f"averaging does not apply at {now:.3g} Hz; from {least:.3g} Hz on at the same velocity of the base"
         limits, lacks = MotorLimits.__dataclass_fields__, self.missing.items()
         words = (f"{name} of {need:.3g} {limits[name].metadata['unit']}, has {has:.3g}" for name, (need, has) in lacks)
-        return f"the motor lacks what the vibration needs: {'; '.join(words)}" if self.missing else ""
+        return f"the motor lacks the required {'; '.join(words)}" if self.missing else ""
 
 
 @interruptible()

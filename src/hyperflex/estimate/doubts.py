@@ -54,7 +54,7 @@ ADVICE = {
     DoubtKind.SHAKE: "fix the camera, and switch its stabilisation off",
     DoubtKind.NOISE: "take more light, larger markers, or less compression",
     DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point, give the arm's motion (in Python "
-    "RopeFilter(motion=, arm=)), or check the camera's scale: a wrong one looks so, too",
+    "RopeFilter(motion=, arm=)), or check the camera's scale: a wrong one has the same effect",
     DoubtKind.END: "check the rope's length, and that nothing hides its end",
     DoubtKind.LENGTH: "measure the rope's length again, and check the time stamps (slow motion stored at a usual rate)",
     DoubtKind.BASE_ELSEWHERE: "calibrate with the hook's pixel (--origin-pixel)",
@@ -65,8 +65,8 @@ PLAIN_SET_UP = (
 )
 PLAIN_ADVICE = ADVICE | {
     DoubtKind.NOISE: "take more light, a wall that differs more from the rope, or less compression",
-    DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point with a camera that stands still, or check what "
-    "tells the size of the picture (--size): a wrong one looks so, too",
+    DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point with a fixed camera, or check what "
+    "tells the size of the picture (--size): a wrong one has the same effect",
     DoubtKind.BASE_ELSEWHERE: "give the pixel that the rope hangs from (--pivot)",
 }
 

@@ -269,7 +269,7 @@ def _compare(got: ET.Element, expected: ET.Element) -> None:
                 raise InvalidInput(what, got=one.get(name), allowed=allowed, fix=fix)
         parts, wanted = [each.tag for each in one], [each.tag for each in other]
         if parts != wanted:
-            raise InvalidInput(f"{_named(one)} holds other parts", got=parts, allowed=", ".join(wanted) or "nothing")
+            raise InvalidInput(f"{_named(one)} contains other parts", got=parts, allowed=", ".join(wanted) or "nothing")
 
 
 def _values(text: str | None) -> list[float] | str | None:

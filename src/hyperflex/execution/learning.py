@@ -114,7 +114,7 @@ class LearningOptions:
     """
 
     parameters: bool = option(True, "learn the parameters of rope and motor")
-    motion: bool = option(True, "go on from what was measured")
+    motion: bool = option(True, "continue from the measured state")
     wins: int = option(3, "casts in a row that must wind", sign="positive")
     prior: Sequence[EstimatedParameter] = (
         EstimatedParameter("length", 0.02),

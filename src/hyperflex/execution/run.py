@@ -153,7 +153,7 @@ def run_plan(
     """
     chosen, made = options or RunOptions(), plan.required(plan.motion, "motion")
     if follow is not None and source is None:
-        raise InvalidInput("a plan is followed by what is seen of the rope", fix="Give a source, or a camera")
+        raise InvalidInput("following a plan requires an observed rope", fix="Give a source, or a camera")
     connect().check_motion(made)
     say("simulating the plan")
     prediction, stop, found, known = Prediction.of(plan), "", None, None
@@ -260,7 +260,7 @@ def _prepare(
     """Bring the arm to the start, rad, wait until the rope hangs still, and count down."""
     free = drive.state().angle
     if abs(free - problem.rope.hanging_angle) > HANGS:
-        doubt(f"without torque the arm stands at {free:.2f} rad: if it hangs freely there, its zero is wrong")
+        doubt(f"without torque the arm is at {free:.2f} rad: if it hangs freely there, its zero is wrong")
     ready()
     if source is not None:  # a rope that is still wound would be pulled
         _wait_until_still(drive, hold_arm(drive.state().angle), source, problem.rope, options, say, still=math.inf)

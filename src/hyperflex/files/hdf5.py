@@ -51,7 +51,7 @@ def most_bytes(path: PathLike) -> int:
 def check_size(path: PathLike, size: int) -> None:
     """Raise ValueError if a file says that it holds more bytes than it can."""
     if size > most_bytes(path):
-        raise ValueError("it says that it holds more than it can")
+        raise ValueError("its header declares more data than it has")
 
 
 def _has_endless_heap(content: mmap.mmap) -> bool:

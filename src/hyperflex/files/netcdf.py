@@ -25,7 +25,7 @@ class Variable(NamedTuple):
         try:
             return np.asarray(self.values, dtype=np.float64)
         except (ValueError, TypeError):
-            raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values, allowed="numbers") from None
+            raise InvalidInput(f"variable {name!r} contains no numbers", got=self.values, allowed="numbers") from None
 
 
 class NetCDF(NamedTuple):

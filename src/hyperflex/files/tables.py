@@ -17,7 +17,7 @@ from hyperflex.files.reading import read_text
 from hyperflex.files.writing import PathLike, atomic
 
 _CUT = "The file ends within this line: it was probably cut off; get it again"
-_MEND = "Mend or remove the line"
+_MEND = "Correct or remove the line"
 _EXAMPLE = f"a number such as 0.5 or 1e-3, up to {LARGEST:g}, or nothing, NA, nan or - for a gap"
 _GAPS = frozenset({"", "na", "nan", "n/a", "#n/a", "null", "none", "-", "--"})  # in lower case
 _MARKS = "\t;,"  # what separates cells; the first of them that is in a line; else spaces
@@ -260,7 +260,7 @@ def table_of(path: PathLike, lines: list[str]) -> Table:
             rows.append(line)
             numbers.append(k)
     if not rows:
-        raise InvalidInput(f"{path} holds no table", allowed="a header line of column names, then rows of numbers")
+        raise InvalidInput(f"{path} contains no table", allowed="a header line of column names, then rows of numbers")
     parts = [each.partition(":") for _, each in comments]
     notes = {key.strip().lower(): value.strip() for key, colon, value in parts if colon}
     try:

@@ -31,12 +31,16 @@ def loads_toml(text: str, name: str = "the text") -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InvalidInput(f"{name} is not valid TOML ({error})", fix="Mend that place; see https://toml.io") from None
+        raise InvalidInput(
+            f"{name} is not valid TOML ({error})", fix="Correct that place; see https://toml.io"
+        ) from None
     except RecursionError:
-        raise InvalidInput(f"{name} nests arrays or tables too deep", allowed="a few levels", fix="Mend it") from None
+        raise InvalidInput(
+            f"{name} nests arrays or tables too deep", allowed="a few levels", fix="Correct it"
+        ) from None
     except ValueError as error:  # of a date that does not exist, or a number with thousands of digits
         raise InvalidInput(
-            f"{name} holds a value that cannot be read ({str(error).partition(';')[0]})", fix="Mend that value"
+            f"{name} contains a value that cannot be read ({str(error).partition(';')[0]})", fix="Correct that value"
         ) from None
 
 

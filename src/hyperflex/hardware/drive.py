@@ -588,7 +588,7 @@ class Drive:
                 self.off()
             except DriveError as error:
                 unsure = f" {error}"
-        off = "" if unsure else " Torque is off; acknowledge the fault to go on."
+        off = "" if unsure else " Torque is off; acknowledge the fault to continue."
         raise DriveError(f"{self.link.name}: {why}.{off}{unsure}")
 
     def _guarded(self, request: Callable[[], Any]) -> Any:

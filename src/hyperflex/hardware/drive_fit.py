@@ -253,7 +253,7 @@ class _Fit:
         self.record, self.bounds = record, vars(_Guess())
         self.known = np.isfinite(record.angle)
         if np.ptp(record.angle[self.known]) < 0.05:
-            raise InvalidInput("arm hardly moved in the test motion", got=float(np.ptp(record.angle[self.known])))
+            raise InvalidInput("arm barely moved in the test motion", got=float(np.ptp(record.angle[self.known])))
         self.times, self.angles = record.read_at[self.known], record.angle[self.known]
         usual = float(np.mean(self.times - record.sent[self.known]))  # s from sending a goal to its arrival
         self.sent = np.where(self.known, record.read_at - usual, record.sent)  # as if all arrived after that time

@@ -206,7 +206,7 @@ class MoteusLink:
         try:
             mode = int(self._run(asyncio.wait_for(asked, SILENCE + self.patience)))
         except (TimeoutError, RuntimeError, ValueError, IndexError):
-            raise NoReply("it does not tell its servo.timeout_mode") from None
+            raise NoReply("it does not report its servo.timeout_mode") from None
         if mode != self.timeout_mode:
             fix = f"Set it with moteus_tool (conf set servo.timeout_mode {self.timeout_mode}, conf write)"
             what = f"its servo.timeout_mode, what it does after its watchdog, is {mode}, not {self.timeout_mode}"

@@ -212,7 +212,7 @@ class ODriveLink:
             if self._listen(SILENCE, lambda *_: Message.VERSION in self._messages):
                 break
         else:
-            raise DriveError(f"{self.name} does not tell its version: it is no ODrive with firmware 0.6.")
+            raise DriveError(f"{self.name} does not report its version: it is not an ODrive with firmware 0.6.")
         firmware = tuple(self._messages[Message.VERSION][4:7])
         if firmware < (0, 6):
             had = ".".join(map(str, firmware))
@@ -235,7 +235,7 @@ class ODriveLink:
                 told = self._listen(SILENCE, lambda *_: math.isfinite(self._pair(Message.TORQUES)[1]))
             if not told:
                 fix = "Set axis0.config.can.torques_msg_rate_ms = 10 with odrivetool"
-                raise DriveError(f"{self.name} does not tell its torque, which has a limit. {fix}.")
+                raise DriveError(f"{self.name} does not report its torque, which has a limit. {fix}.")
         self._arm(limits)
         if self._trial:
             self._try_watchdog()
@@ -344,7 +344,7 @@ class ODriveLink:
         angle, rate = self._pair(Message.ENCODER)
         torque, enabled = self._pair(Message.TORQUES)[1], self._axis != AxisState.IDLE
         if self._limited and enabled and math.isnan(torque):
-            raise NoReply(f"{self.name}: it no longer tells its torque, which has a limit")
+            raise NoReply(f"{self.name}: it no longer reports its torque, which has a limit")
         return Reading(
             angle=angle * math.tau,
             rate=rate * math.tau,

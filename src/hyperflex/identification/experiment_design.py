@@ -193,7 +193,7 @@ def spreads(parameters: Parameters, information: Information, want: Iterable[str
         which = [k for k, each in enumerate(parameters.all) if word in (each.label, each.name)]
         if not which:
             words = [*(each.name for each in parameters.all), *parameters.labels, *known]
-            raise InvalidInput("want names what is not free", got=word, allowed=", ".join(dict.fromkeys(words)))
+            raise InvalidInput("want has names that are not free", got=word, allowed=", ".join(dict.fromkeys(words)))
         for k in which:
             one = parameters.all[k]
             result[one.label] = float(std[k]), float(std[k] / size(one, x[k]))

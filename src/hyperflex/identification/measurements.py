@@ -220,7 +220,7 @@ def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.Array
     count = recording.data.shape[1] // 2
     if recording.kind != "markers":
         raise InvalidInput(
-            "arc_lengths are given, but the recording holds angles", got=recording.kind, allowed="markers"
+            "arc_lengths are given, but the recording contains angles", got=recording.kind, allowed="markers"
         )
     places = checks.array("arc_lengths", arc_lengths, (count,), unit="m")
     if count == 1 and places[0] <= 0.0:
@@ -245,7 +245,7 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
     swing = reach[beyond] / arc_lengths[beyond]
     if swing.max() > STILL and (swing < STUCK * swing.max()).any():
         marker, last = int(np.flatnonzero(beyond)[np.argmin(swing)]), len(reach) - 1
-        fix = "See what the tracker holds there, and leave that marker out (and give arc_lengths=... of the others)"
+        fix = "Check the tracker's data there, and omit that marker (and give arc_lengths=... of the others)"
         if marker == last > 0 and reach[0] > max(STUCK * reach.max(), 2.0 * reach[marker]):  # whose reach is noise
             fix = "The first marker moves: count them from where the rope hangs to its free end"
         elif marker == last > 0:
@@ -508,7 +508,7 @@ def check_times(recording: Recording, rope: Rope) -> None:
     spacing = float(np.median(np.diff(recording.t)))
     if recording.duration < least:
         raise InvalidInput(
-            "the recording is too short to tell anything of the rope",
+            "the recording is too short to identify anything",
             got=f"{recording.t.size} samples in {recording.duration:.3g} s",
             allowed=f"at least {least:.2g} s; a rope so long swings once in {period:.2g} s",
             fix="Record longer. Are the times in another unit (time_unit='s'), or the lengths?",
@@ -544,7 +544,7 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
             raise InvalidInput(
                 f"link {link} never moves while others do",
                 got=f"{values[0]:.6g} rad in all {values.size} samples",
-                fix="See what the sensor or tracker holds there; a link without a sensor is a gap (empty or nan)",
+                fix="Check the data of the sensor or tracker there; a link without a sensor is a gap (empty or nan)",
             )
     noise = np.inf if channels.noise is None else np.median(channels.noise, axis=0)
     spread = partial(iqr, axis=0, scale="normal", nan_policy="omit")  # outliers do not matter

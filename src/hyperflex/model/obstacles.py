@@ -227,7 +227,7 @@ def _rows(kind: type[Obstacle], what: str, table: Mapping[str, Any]) -> Iterator
     }
     sizes = {name: value.size for name, value in columns.items() if name in needed or value.size > 1}
     if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
-        raise InvalidInput(f"{what} arrays do not tell one number of {what}", got=sizes, allowed="arrays of one length")
+        raise InvalidInput(f"{what} arrays have different numbers of {what}", got=sizes, allowed="arrays of one length")
     for row in zip(*(np.broadcast_to(value, columns["x"].shape) for value in columns.values()), strict=True):
         given = dict(zip(columns, map(float, row), strict=True))
         yield kind(**{name: value for name, value in given.items() if value != math.inf})

@@ -213,7 +213,7 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
         pieces = np.maximum(pieces, np.where(near, np.minimum(needed, 1e15), 1.0).astype(np.int64))
     if (total := float(pieces.sum(dtype=np.float64))) > max(MOST_PIECES, rope.n_links):
         raise InvalidInput(
-            "the rope would be cut into too many links to wind round a peg so thin",
+            "the rope would need too many links to wind round a peg so thin",
             got=f"{total:.3g} links",
             allowed=f"up to {MOST_PIECES}",
             fix="Check the radii of peg and rope, which are in m, or give a larger ratio",

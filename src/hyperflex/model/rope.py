@@ -465,7 +465,7 @@ def _number_of_links(values: Mapping[str, ArrayLike | None]) -> int:
         )
     if len(set(sizes.values())) != 1 or 0 in sizes.values():
         raise InvalidInput(
-            "rope arrays do not tell one number of links",
+            "rope arrays have different numbers of links",
             got=sizes,
             allowed="arrays (n,) of one length n >= 1, and single numbers",
             fix="Give length = [...] with one entry a link (of equal links: n_links in a file, Rope.uniform in Python)",

@@ -96,7 +96,7 @@ class CastRequest:
                 "target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius), or a list of them"
             )
         if target.turns:
-            raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
+            raise InvalidInput("casts are planned for fixed targets", got=target, fix="Omit inertia and bearing")
         own = self.share(len(MARGINS) if self.options.fallback else 1)
         budget = Budget.of(own.time_budget, threads=self.options.threads)
         problem, touch = self.checked_problem(target)
@@ -104,7 +104,7 @@ class CastRequest:
         start = [one.moves for one in (*near, *self.options.start_from) if one.moves is not None]
         task = WindTask(problem, target, self.options, self.uncertainty, start)
         if touch or not task.sides:
-            inside = "the rope begins in the target, or beside it in an obstacle"
+            inside = "the rope begins in the target, or in an obstacle next to it"
             known = replace(known, impossible=True, message=touch or inside)
         if known.impossible or not (known.feasible or self.options.skip_feasibility):
             plan = CastPlan(problem, target, known, message=known.message)

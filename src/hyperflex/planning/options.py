@@ -110,7 +110,7 @@ def refuse_behind(pegs: Sequence[Peg], what: str) -> None:
     """Raise InvalidInput if there are pegs that the rope must run behind, because `what` does not support them."""
     if pegs:
         words = f"{what} takes no pegs that the rope is to run behind"
-        raise InvalidInput(words, got=f"{len(pegs)} pegs", fix="Leave out behind")
+        raise InvalidInput(words, got=f"{len(pegs)} pegs", fix="Omit behind")
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class Conditions:
         0.0, "Least distance of the rope from its arm, the shaft and obstacles; -inf: no limit for arm and shaft.", "m"
     )
     obstacles: tuple[Obstacle, ...] = ()
-    side: int = option(0, "Side on which the arm stands at first: -1 left, 1 right, 0 either.")
+    side: int = option(0, "Side of the arm at the start: -1 left, 1 right, 0 either.")
     state0: RopeState | None = None
 
     def __post_init__(self) -> None:
@@ -155,7 +155,7 @@ class Conditions:
             object.__setattr__(self, "clearance", clearance)
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
         if self.side not in (-1, 0, 1) or (self.state0 is not None and not self.side):
-            allowed, fix = "-1 (left), 1 (right), or 0 for a rope that hangs", "Give the side on which the arm stands"
+            allowed, fix = "-1 (left), 1 (right), or 0 for a rope that hangs", "Give the side of the arm"
             raise InvalidInput("side of the arm at the start", got=self.side, allowed=allowed, fix=fix)
         if self.state0 is not None:
             if not isinstance(self.state0, RopeState):
@@ -271,7 +271,7 @@ class SearchOptions:
         near = tuple(checks.sequence("start_from", self.start_from, "a sequence of CastPlan"))
         for each in near:
             if getattr(each, "kind", None) != "cast":
-                raise InvalidInput("start_from holds something else", got=each, allowed="a sequence of CastPlan")
+                raise InvalidInput("start_from contains something else", got=each, allowed="a sequence of CastPlan")
         object.__setattr__(self, "start_from", near)
         if max(self.speeds) > 1.0:
             raise InvalidInput("speeds exceed the motor's", got=self.speeds, allowed="more than 0, up to 1")

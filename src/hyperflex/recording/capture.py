@@ -85,7 +85,7 @@ def read_vicon(path: PathLike, selection: Selection) -> Content:
             f"{path} is a Vicon Nexus file without markers",
             got=list(blocks),
             allowed="a block Trajectories",
-            fix="Export the trajectories from Nexus as ASCII; devices and model outputs hold no places of markers",
+            fix="Export the trajectories from Nexus as ASCII; devices and model outputs contain no marker positions",
         )
     at = blocks["Trajectories"]
     if len(lines) < at + 6:
@@ -150,7 +150,7 @@ def _rate(path: PathLike, text: str = "") -> float:
     try:
         return float(text)
     except ValueError:
-        fix = "Mend its header, or export it again"
+        fix = "Correct its header, or export it again"
         raise InvalidInput(f"{path} has no frame rate in its header", got=text, allowed="frames/s", fix=fix) from None
 
 

@@ -180,7 +180,7 @@ def raw_of(content: Content, selection: Selection) -> Raw:
             raise InvalidInput(what, got=list(names), allowed="angles or places", fix=content.advice or "Choose others")
         if declared.setdefault("unit", unit) != unit:
             what = f"{content.source}: header and notes disagree on unit"
-            raise InvalidInput(what, got=[unit, declared["unit"]], fix="Mend one of them")
+            raise InvalidInput(what, got=[unit, declared["unit"]], fix="Correct one of them")
     t, data = content.t, content.take(names)
     rates, noise = (_beside(content, key, names) for key in ("rates", "noise"))
     if content.sparse:

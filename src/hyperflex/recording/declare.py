@@ -290,7 +290,7 @@ def _agreed(raw: Raw, given: Mapping[str, Any]) -> dict[str, Any]:
             raise InvalidInput(
                 f"{raw.source} declares {key} = {file!r}, the argument something else",
                 got=argument,
-                fix=f"Omit {key}, or mend the file",
+                fix=f"Omit {key}, or correct the file",
             )
         if argument is not None or file is not None:
             result[key] = file if argument is None else argument

@@ -31,7 +31,7 @@ def read_netcdf_recording(path: PathLike, selection: Selection) -> Content:
     name = VARIABLE[kind]
     if "time" not in found or name not in found:
         raise InvalidInput(
-            f"{path} holds no recording",
+            f"{path} contains no recording",
             got=sorted(found),
             allowed="variables time and angle (time, link) or position (time, marker, axis)",
             fix="A trajectory is opened by read_trajectory",

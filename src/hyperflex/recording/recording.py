@@ -151,7 +151,7 @@ class Recording:
         inside = (self.t >= start) & (self.t < end)
         if inside.sum() < 2:
             allowed = f"a span within {self.t[0]:g} to {self.t[-1]:g} s"
-            raise InvalidInput("the span holds fewer than two samples", got=[start, end], allowed=allowed)
+            raise InvalidInput("the span contains fewer than two samples", got=[start, end], allowed=allowed)
         return self._pick(inside)
 
     def decimate(self, step: int) -> "Recording":

@@ -60,7 +60,7 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         unit = unit_name(units[time])
         if declared.setdefault("time_unit", unit) != unit:
             what = f"{path}: header and notes disagree on time_unit"
-            raise InvalidInput(what, got=[unit, declared["time_unit"]], fix="Mend one of them")
+            raise InvalidInput(what, got=[unit, declared["time_unit"]], fix="Correct one of them")
     found = {what: _numbered(names, pattern) for what, pattern in _NUMBERED.items()}
     noise = {name.removeprefix(_NOISE): name for name in names if name.startswith(_NOISE)}
     others = [name for name in names if not _COUNTERS.fullmatch(name) and name not in noise.values()]

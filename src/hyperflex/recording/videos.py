@@ -57,7 +57,7 @@ def _row(path: PathLike, number: int, cells: Sequence[str]) -> tuple[float, floa
             f"{path}, line {number}, is no row of a Kinovea trajectory",
             got=" ".join(cells),
             allowed="a time, x and y",
-            fix="Mend or remove the line, or export the trajectories again",
+            fix="Correct or remove the line, or export the trajectories again",
         ) from None
     return time, *place
 

@@ -18,7 +18,7 @@ def vibration_figure(found: VibrationMap, limits: MotorLimits | None = None) -> 
     line, rope = math.degrees(found.direction), found.rope
     title = (
         f"Tilt of a rope of {rope.total_length:.3g} m, vibrated along {line:.3g} degrees\n"
-        "0 hangs, 90 is horizontal, 180 stands upright; averaged equations"
+        "0 hangs, 90 is horizontal, 180 is upright; averaged equations"
     )
     with new_figure(7.6, 5.4, title) as figure:
         axis: Any = figure.subplots()
@@ -26,7 +26,7 @@ def vibration_figure(found: VibrationMap, limits: MotorLimits | None = None) -> 
         axis.grid(visible=False)
         mesh = axis.pcolormesh(ways, found.frequency, tilt, alpha=np.where(found.holds, 1.0, 0.35), cmap="YlGnBu")
         figure.colorbar(mesh, ax=axis, label="tilt, degrees")
-        axis.plot([], [], "s", color="#b9c6d8", ms=9.0, label="pale: averaging does not hold")
+        axis.plot([], [], "s", color="#b9c6d8", ms=9.0, label="pale: averaging does not apply")
         axis.plot([], [], "s", color="white", mec=GREY, ms=9.0, label="white: not held")
         if limits is not None and found.arm is not None:
             omega, reach = math.tau * found.frequency, 1e3 * found.arm.length

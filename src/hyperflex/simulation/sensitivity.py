@@ -143,7 +143,7 @@ def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
         elif isinstance(entry, Mapping):
             found = {name: _own(setup, name, part) for name, part in entry.items()}
         else:
-            raise InvalidInput("wrt holds neither a name nor a mapping", got=entry, allowed=_allowed(setup))
+            raise InvalidInput("wrt contains neither a name nor a mapping", got=entry, allowed=_allowed(setup))
         names += found
         parts += found.values()
     if not names:
@@ -208,7 +208,7 @@ def _by_name(setup: Setup, name: str) -> dict[str, ParameterChange]:
             return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
         if int(index) < n:
             return {name: {base: np.eye(n)[int(index)]}}
-    raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
+    raise InvalidInput("wrt has an unknown name", got=name, allowed=_allowed(setup))
 
 
 def _gravity(setup: Setup, change: Array) -> ParameterChange:

@@ -168,7 +168,7 @@ class VideoReader:
         kinds = sorted({stream.type for stream in container.streams})
         if "video" not in kinds:
             raise FileProblem(
-                f"{self.path} holds no video, {_held(self.path, kinds)}. Get it again, or give another file."
+                f"{self.path} contains no video, {_held(self.path, kinds)}. Get it again, or give another file."
             )
         stream = container.streams.video[0]
         context: Any = stream.codec_context

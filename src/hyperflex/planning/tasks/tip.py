@@ -595,7 +595,7 @@ def tip_problem(
     """
     given = conditions or Conditions()
     if given.state0 is not None:
-        fix = "Leave out state0"
+        fix = "Omit state0"
         raise InvalidInput("whips and insertions begin with a rope that hangs", got="state0", fix=fix)
     time = given.time_limit or periods * swing_period(checks.instance("rope", rope, Rope))
     limits = limits or MotorLimits()
