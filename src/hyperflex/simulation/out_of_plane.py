@@ -137,8 +137,8 @@ def sideways(
     Notes
     -----
     Model: docs/models.md, (M.40)-(M.45). Joints resist bending equally in all directions and transmit twist. Joint
-    limits and the rope's contact with itself are ignored. A rope whose joints bend by more than 1 rad needs more links.
-    Cost: 0.3 to 0.6 of that of a run in free flight, more if steps must be finer.
+    limits and the rope's contact with itself are ignored. Cost: 0.3 to 0.6 of that of a run in free flight, up to 1.0
+    if steps must be finer.
 
     Examples
     --------
@@ -216,6 +216,6 @@ def _integrate(run: Trajectory, rows: slice, load: Array, start: Array, finer: i
     parts = finer * max(1, math.ceil(float(np.diff(run.t).max()) / STEP - 1e-9))
     integrate(setup.rope.chain(), setup.drive(), values, load, setup.tip_force, parts, *found)
     if not np.isfinite(found[:, -1]).all():
-        text = "the motion out of the plane grows beyond all bounds: simulate with more samples, or more links"
+        text = "the motion out of the plane grows beyond all bounds: simulate with more samples"
         raise SimulationError(text, status=Status.NOT_FINITE, time=float(values[0][-1]))
     return found

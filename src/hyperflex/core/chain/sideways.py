@@ -21,8 +21,8 @@ from hyperflex.core.jit import kernel, non_allocating
 # rows of the work space of a stage: sines and cosines (at last of the angle to the link before), rates, stiffness K,
 # torque of each joint, speed along the link, forces on the link, resistance of the air (three moments), factors of the
 # sweep
-SIN, COS, RATE, STIFF, TORQUE, ALONG, FX, FY, AIR, PULL, CARRY, INVERSE, SLOPE, KAPPA = *range(9), *range(11, 16)
-ROWS = 16
+SIN, COS, RATE, STIFF, TORQUE, ALONG, FX, FY, AIR, PULL, CARRY, TWIST, INVERSE, SLOPE, KAPPA = *range(9), *range(11, 17)
+ROWS = 17
 GAMMA = 0.5 + math.sqrt(3.0) / 6.0  # of the two-stage implicit Runge-Kutta method of order 3 (Crouzeix 1975)
 
 
@@ -58,7 +58,9 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
         out[FY, i] += resistance * sin
         out[RATE, i], out[ALONG, i] = w[i], x * sin - y * cos
     sx, sy = chain.tip_mass * (px - chain.gx) - push[0], chain.tip_mass * (py - chain.gy) - push[1]
-    bulk, e, f, inv, kappa = chain.tip_mass, 0.0, 0.0, 0.0, 0.0
+    # What lies beyond a link resists where its joint moves (bulk), and where it twists (roll; with both: cross).
+    bulk, cross, roll, g, e = chain.tip_mass, 0.0, 0.0, 0.0, chain.length[n - 1] * chain.tip_mass
+    own = chain.length[n - 1] * e
     for way in range(n):
         i = n - 1 - way
         sin, cos, fx, fy, length, com = out[SIN, i], out[COS, i], out[FX, i], out[FY, i], chain.length[i], chain.com[i]
@@ -66,18 +68,26 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
         sx, sy = sx + fx, sy + fy
         before = 0.0
         if i > 0:
-            before = chain.length[i - 1]
-            out[SIN, i] = sin * out[COS, i - 1] - cos * out[SIN, i - 1]
-            out[COS, i] = cos * out[COS, i - 1] + sin * out[SIN, i - 1]
+            before, up, right = chain.length[i - 1], out[SIN, i - 1], out[COS, i - 1]
+            sin, cos = sin * right - cos * up, cos * right + sin * up
+            out[SIN, i], out[COS, i] = sin, cos
         if h == 0.0:
             continue
-        ma, slope, beyond = chain.mass[i] * com, h * h * out[STIFF, i], kappa
-        kappa = h * (chain.viscous[i] + h * chain.stiffness[i])
-        own = chain.inertia[i] + ma * com + slope + kappa + beyond + length * length * bulk - f * f * inv
-        bulk, e = chain.mass[i] + bulk - e * e * inv, ma + length * bulk + e * f * inv
-        f, inv = kappa - before * e, 1.0 / own
-        out[PULL, i], out[CARRY, i], out[INVERSE, i] = e * inv, f * inv, inv
+        slope, kappa = h * h * out[STIFF, i], h * (chain.viscous[i] + h * chain.stiffness[i])
+        inv = 1.0 / (own + chain.inertia[i] + chain.mass[i] * com * com + slope + kappa)
+        e += chain.mass[i] * com
+        f, p = kappa * cos + g * sin - before * e, kappa * sin - g * cos
+        out[PULL, i], out[CARRY, i], out[TWIST, i], out[INVERSE, i] = e * inv, f * inv, p * inv, inv
         out[SLOPE, i], out[KAPPA, i] = slope, kappa
+        bulk += chain.mass[i]
+        own = before * (before * bulk - 2.0 * sin * cross) + kappa * cos * cos + roll * sin * sin - f * f * inv
+        g = cos * (before * cross + sin * (kappa - roll)) - f * p * inv
+        bulk, cross, roll, e = (
+            bulk - e * e * inv,
+            cos * cross + e * p * inv,
+            kappa * sin * sin + roll * cos * cos - p * p * inv,
+            before * bulk - sin * cross + e * f * inv,
+        )
 
 
 @non_allocating
@@ -94,32 +104,33 @@ def side_accelerations(chain, at, x, v, load, out, work):  # type: ignore[no-unt
     """
     n = x.size
     past = twist = a = b = aside = 0.0  # of the link before: angles, and rates of its rho; the velocity of the joint
+    up = turn = 0.0  # of the link before: the guess, and what it is about the link
     for i in range(n):
         sin, cos, rate, lean, swing = at[SIN, i], at[COS, i], at[RATE, i], x[i], v[i]
         before, twist = cos * past + sin * twist, cos * twist - sin * past  # about c and d of this link
         before_rate = rate * twist + cos * a + sin * b
         bent = chain.stiffness[i] * (lean - before) - at[TORQUE, i] * twist
-        work[0, i] = chain.viscous[i] * (swing - before_rate) + bent
+        work[0, i] = chain.viscous[i] * (swing - before_rate) + bent - at[KAPPA, i] * (out[i] - cos * up - sin * turn)
+        up, turn = out[i], cos * turn - sin * up
         past, a, b = lean, swing - twist * rate, cos * b + (rate * (lean - before) - sin * a)
         drift = aside - lean * at[ALONG, i]
         work[1, i] = load[0, i] - at[AIR, i] * drift - at[AIR + 1, i] * swing
         work[2, i] = load[1, i] - at[AIR + 1, i] * drift - at[AIR + 2, i] * swing
         aside += chain.length[i] * swing
-    sin = cos = own = along = beyond = back = pull = carry = pushed = torque = 0.0  # of the link beyond
+    sin = cos = own = along = beyond = pull = carry = twist = pushed = turned = torque = 0.0  # of the link beyond
     for way in range(n):
         i = n - 1 - way
         bent, along = cos * own - sin * along, cos * along + (sin * own + (at[TORQUE, i] - beyond) * x[i])
-        sin, cos, own, beyond = at[SIN, i], at[COS, i], work[0, i], at[TORQUE, i]
-        known = work[2, i] + bent - own + at[SLOPE, i] * out[i] - at[STIFF, i] * x[i] - back
-        back = at[KAPPA, i] * (out[i] - (out[i - 1] if i > 0 else 0.0))
-        known += back - chain.length[i] * pushed
-        pushed, torque = pushed - work[1, i] + pull * torque, known + carry * torque
-        pull, carry = at[PULL, i], at[CARRY, i]
-        work[2, i] = torque
-    moved = up = length = 0.0
+        own, beyond = work[0, i], at[TORQUE, i]
+        known = work[2, i] + bent - own + at[SLOPE, i] * out[i] - at[STIFF, i] * x[i] - chain.length[i] * pushed
+        known -= sin * turned
+        pushed, turned = pushed - work[1, i] + pull * torque, cos * turned + twist * torque
+        work[2, i] = torque = known + carry * torque
+        sin, cos, pull, carry, twist = at[SIN, i], at[COS, i], at[PULL, i], at[CARRY, i], at[TWIST, i]
+    moved = up = turn = length = 0.0
     for i in range(n):
-        known = at[INVERSE, i] * work[2, i] - at[PULL, i] * moved
-        moved, up = moved + length * up, known + at[CARRY, i] * up
+        known = at[INVERSE, i] * work[2, i] - at[PULL, i] * moved + at[TWIST, i] * turn
+        moved, turn, up = moved + length * up, at[COS, i] * turn - at[SIN, i] * up, known + at[CARRY, i] * up
         out[i], length = up, chain.length[i]
 
 
