@@ -6,7 +6,7 @@ chrt -r 1 python -m benchmarks.watch  before other programs, where the machine i
 
 The camera is emulated: a thread gives rendered pictures of 1280x720 pixels at 30 a second by the clock, whether they
 are taken or not. The rope (100 links, 2 m, 5 mm thick, 1/500 s) swings from the first of them on. It is tracked as
-`hyperflex watch --length 2.0` does, with 40 links and nine parameters, twice: pictures that come during the search are
+`hyperflex watch --length 2.0` does, with 43 links and nine parameters, twice: pictures that come during the search are
 worked off, or left out for the newest one. Decoding is left out.
 """
 

@@ -262,7 +262,7 @@ def test_a_live_source_gives_the_newest(pictures):
 
 def test_frames_that_wait_are_worked_off_unless_as_many_come(pictures, monkeypatch):
     """Of 9 frames 4 wait, the newest in the place of the last one. Then each one that is taken is followed by one."""
-    monkeypatch.setattr(FrameThread, "KEPT", 4)
+    monkeypatch.setattr(FrameThread, "KEPT", 4 * pictures[0].image.nbytes)
     source = Stepped(*pictures[:15])
     with source.opening() as frames:
         source.give(9)

@@ -72,7 +72,7 @@ class FrameThread:
 
     PAUSE = 0.5  # s between two attempts to open a source again
     AHEAD = 2  # frames of a file that are read ahead
-    KEPT = 60  # frames of a camera that wait to be taken, at most; then the newest takes the place of the last one
+    KEPT = 2**28  # bytes of a camera's frames that wait to be taken, at most; then the newest replaces the last one
 
     def __init__(
         self, open_source: Callable[[], Source], *, live: bool, paced: bool = False, reconnect_timeout: float = 10.0
@@ -193,7 +193,7 @@ class FrameThread:
                 if self._paced and begin is not None:
                     moment = begin + frame.time
                     self._condition.wait_for(lambda: self._closed, max(0.0, moment - time.monotonic()))
-                full = self.live and len(self._waiting) == self.KEPT
+                full = self.live and bool(self._waiting) and (len(self._waiting) + 1) * frame.image.nbytes > self.KEPT
                 missed = 1 + self._waiting.pop().missed if full else 0
                 self._condition.wait_for(lambda: self.live or len(self._waiting) < self.AHEAD or self._closed)
                 self._last = Arrival(frame, time.monotonic(), missed, self._opening)
