@@ -29,8 +29,14 @@ CLICKED = 1.0  # px, standard deviation of a pixel that a person reads from a pi
 # drag as parts of themselves, roll of a camera that is held level by eye, rad, readout of a phone's sensor, s. Friction
 # and drag over an unknown mass are known by their order of magnitude; a wrong friction, above all that of the first
 # joint, would be taken for a readout: both delay the free end
-_OPEN = {"scale": 0.02, "roll": 0.03, "readout": 0.01}
-_OPEN |= {"friction": 1.0, "first_joint_friction": 1.0, "drag": 1.0}
+_OPEN = {
+    "scale": 0.02,
+    "roll": 0.03,
+    "readout": 0.01,
+    "friction": 1.0,
+    "first_joint_friction": 1.0,
+    "drag": 1.0,
+}
 
 QUESTIONS = (
     Question(
