@@ -11,7 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.look import CLICKED, Cover, RopeLook, at_parts, rope_along
-from hyperflex.vision.ridges import BLUR, Mixture, Path, Ridges
+from hyperflex.vision.ridges import BLUR, SHADOW, Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
@@ -150,7 +150,7 @@ def find_rope(
 def _check_end(seen: Cover, size: float, shortest: float | None, longest: float) -> None:
     """Refuse a rope, `size` px long, that is not seen as one until its end, or whose end may as well be elsewhere."""
     last = seen.end(longest)
-    off = ((seen.unlike > 0.65) & (seen.wider > 0.0))[: last + 1]
+    off = ((seen.unlike > SHADOW) & (seen.wider > 0.0))[: last + 1]
     if off.mean() > 0.1:
         raise NoRope(Reason.BLURRED, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
     blurred = seen.wider[last] > BLUR
@@ -182,6 +182,6 @@ def _check_alone(rope: Mixture, best: Path, other: Path, apart: float) -> None:
     if other.scores[-1] < max(0.5 * rest, LEAST_SCORE):
         return
     seen = [float(np.median(rope.share(each))) for each in (best.places, other.places[away])]
-    if seen[1] > 0.65 * seen[0]:  # a shadow is less
+    if seen[1] > SHADOW * seen[0]:
         got = np.round([best.places[-1], other.places[-1]]).tolist()
         raise NoRope(Reason.TWO, f"free ends at {got}", "one rope")

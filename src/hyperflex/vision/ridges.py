@@ -18,6 +18,7 @@ _STIFFNESS, _JERK = (
     0.3 / np.radians(10.0) ** 2,
 )  # score for a turn, and its change, squared
 _WALL = 0.5  # evidence of a step from which it counts for a rope, not for a wall
+SHADOW = 0.65  # most of a rope's contrast that its shadow has
 BLUR = 14  # px to both sides of a rope, which blur may reach
 
 
@@ -64,6 +65,10 @@ class Mixture:
         share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / self._size**2, 0.0, 1.2)
         self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / self._size
         self._share = cv2.dilate(share, np.ones((3, 3), np.uint8))
+        self._covers = []
+        while min(share.shape) >= 2 * _NEIGHBOURHOOD:
+            self._covers.append(cv2.GaussianBlur(share, (0, 0), np.sqrt(2.0 / 3.0)))  # 2^k px with that of level k
+            share = cv2.pyrDown(share)
         self._usual, self._contrast = 0.2, float(np.median(self._size))
         self.width, self._known = width, np.zeros(image.shape[:2], np.uint8)
 
@@ -87,12 +92,26 @@ class Mixture:
         """Return how much of the rope is seen at places (N, 2), px, (N,), 0 to 1.2."""
         return np.asarray(self._share[self._at(places)])
 
-    def weigh(self, places: Array, evidence: Array) -> Array:
-        """Return the evidence (N,) that a ridge at places (N, 2), px, is this rope, from that it is one.
+    def _cover(self, places: Array, widths: Array) -> Array:
+        """Return how much of a rope is seen across ridges (N,), as a part of what there is if blur makes it so wide."""
+        from scipy.special import erf
 
-        Another colour than a mixture's tells against it; so does nothing of its colour, unless the wall is like it.
+        level = np.clip(np.rint(np.log2(widths)).astype(int) - 1, 0, len(self._covers) - 1)
+        wide, result = np.maximum(2.0 ** (level + 1), self.width), np.zeros(len(places))
+        for k, cover in enumerate(self._covers):
+            own = level == k
+            u, v = (np.clip(np.rint(places[own, i] / 2.0**k).astype(int), 0, cover.shape[1 - i] - 1) for i in range(2))
+            result[own] = cover[v, u]
+        return result * wide / (self.width * erf(wide / (np.sqrt(8.0) * 2.0**level)))
+
+    def weigh(self, places: Array, widths: Array, evidence: Array) -> Array:
+        """Return the evidence (N,) that a ridge at places (N, 2), px, some px wide, is this rope, from that it is one.
+
+        Another colour than a mixture's tells against it; so does nothing of its colour, unless the wall is like it;
+        and so does less of it than of a rope that blur makes so wide: a shadow.
         """
         where = self._at(places)
+        evidence = evidence + 2.0 * np.log10(np.clip(self._cover(places, widths), 0.1, 1.0))
         doubt = np.clip(0.25 * ((self._residual[where] / self._usual) ** 2 - 2.0), 0.0, 3.0)
         evidence = np.where(self._share[where] < 0.1, np.minimum(evidence, -_WALL), evidence) - doubt
         alike = self._size[where] < 0.4 * self._contrast
@@ -152,7 +171,7 @@ class Ridges:
         """
         orientation = np.rint(directions / np.pi * ORIENTATIONS).astype(int) % ORIENTATIONS
         best, size, most = np.zeros((len(places), 3)), np.zeros(len(places), np.intp), np.zeros(len(places))
-        for k, (responses, texture) in enumerate(self._levels):
+        for k, (responses, texture, _) in enumerate(self._levels):
             u, v = np.rint(places.T / 2.0**k).astype(int)
             inside = (u >= 0) & (v >= 0) & (u < responses.shape[2]) & (v < responses.shape[1])
             if sizes is not None:
@@ -164,6 +183,18 @@ class Ridges:
             rows = np.flatnonzero(inside)[better]
             best[rows], most[rows], size[rows] = found[better], strength[better], k
         return best, size
+
+    def edges(self, places: Array, directions: Array, sizes: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+        """Return where ridges (N,), as of :meth:`at`, are only edges: a rope stands out from what is on both sides."""
+        normals, result = np.stack([-np.sin(directions), np.cos(directions)], axis=1), np.zeros(len(places), bool)
+        for k, (_, _, colours) in enumerate(self._levels):
+            own, last = sizes == k, np.array(colours.shape[1::-1]) - 1
+            lines = places[own] / 2.0**k + 3.0 * np.array([-1.0, 0.0, 1.0])[:, None, None] * normals[own]
+            u, v = np.clip(np.rint(lines), 0, last).astype(int).transpose(2, 0, 1)
+            left, middle, right = colours[v, u].astype(np.float64)
+            off = np.einsum("snc,nc->sn", middle - [left, right], 2.0 * middle - left - right)
+            result[own] = off.min(axis=0) < (1.0 - SHADOW) * off.max(axis=0)
+        return result
 
     @cached_property
     def _strong(self) -> float:
@@ -223,8 +254,11 @@ class Ridges:
             known = mean[:, :3].any(axis=1, keepdims=True)
             same = like**2 + self.OTHER**2 * np.maximum(power - like**2, 0.0)
             gained = self.evidence(np.where(known, same, power)) - _WALL
+            edge = self.edges(where.reshape(-1, 2), middle.ravel(), size).reshape(gained.shape)
+            gained = np.where(edge, np.minimum(gained, -0.2 * _WALL), gained)
             if rope is not None:
-                gained = rope.weigh((where / self.shrink).reshape(-1, 2), gained.ravel()).reshape(gained.shape)
+                places, widths = (where / self.shrink).reshape(-1, 2), 2.0 ** (size + 1) / self.shrink
+                gained = rope.weigh(places, widths, gained.ravel()).reshape(gained.shape)
             gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
             gained -= self.GROWTH * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
@@ -255,8 +289,13 @@ class Ridges:
         return [Path(line[:end], each[:end]) for line, each, end in zip(lines, scores, ends.tolist(), strict=True)]
 
 
-def _responses(level: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float16], npt.NDArray[np.float32]]:
-    """Return the whitened responses (ORIENTATIONS, h, w, 3) of a picture (h, w, 3), and how textured it is (h, w)."""
+def _responses(
+    level: npt.NDArray[np.float32],
+) -> tuple[npt.NDArray[np.float16], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return the whitened responses (ORIENTATIONS, h, w, 3) of a picture (h, w, 3), how textured it is (h, w), and it.
+
+    The picture is smoothed and whitened as the responses are.
+    """
     import cv2
 
     reaches, margin = (2, 4), 8  # px: a filter's places along the ridge are 2 and 6 px to both sides
@@ -285,7 +324,8 @@ def _responses(level: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float16],
         found[k] = one
         texture += np.sqrt(np.einsum("hwc,hwc->hw", one, one))
     texture = cv2.blur(texture, (_NEIGHBOURHOOD + 1, _NEIGHBOURHOOD + 1))
-    return found, np.maximum(texture, 0.5 * np.median(texture)) / ORIENTATIONS
+    colours = cv2.transform(cv2.GaussianBlur(level, (0, 0), 1.0), whiten)
+    return found, np.maximum(texture, 0.5 * np.median(texture)) / ORIENTATIONS, colours
 
 
 def _shifted(picture: npt.NDArray[np.float32], du: int, dv: int) -> npt.NDArray[np.float32]:
