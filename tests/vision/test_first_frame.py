@@ -9,7 +9,7 @@ from hyperflex import InvalidInput
 from hyperflex.vision import Camera, NoRope, Occluder, Reason, Renderer, RopeLook, RopeMotion, Scene, find_rope
 from hyperflex.vision.first_frame import _check_end
 from hyperflex.vision.look import Cover, rope_along
-from hyperflex.vision.ridges import _apart, _best_of_cells
+from hyperflex.vision.ridges import Mixture, Path, Ridges, _apart, _best_of_cells
 
 LINKS, LENGTH = 60, 1.0  # m
 CAMERA = Camera.facing((480, 360), pixels_per_metre=260.0, origin=(230.0, 40.0), exposure=0.004)
@@ -111,6 +111,49 @@ def test_the_places_on_a_wide_thing_do_not_crowd_out_a_thin_rope():
     assert 441 in _best_of_cells(ahead, np.zeros((442, 1)), size, total, 50)[0]
 
 
+def drawn(*bands):
+    """Return a picture of vertical bands: the column where each begins, its width, px, and its part of a contrast."""
+    image = np.random.default_rng(0).normal(180.0, 2.0, (256, 256, 3))
+    for column, width, share in bands:
+        image[:, column : column + width] -= 120.0 * share
+    return np.rint(image).astype(np.uint8)
+
+
+def test_the_edge_of_a_wide_thing_is_no_ridge():
+    """A rope 4 px wide, and the edge of a thing 60 px wide."""
+    places, down = np.array([[41.5, 128.0], [123.0, 128.0]]), np.full(2, 0.5 * np.pi)
+    assert Ridges(drawn((40, 4, 1.0), (120, 60, 1.0))).edges(places, down, np.ones(2, int)).tolist() == [False, True]
+
+
+def test_a_shadow_is_less_likely_the_rope_than_a_blurred_rope():
+    """Both have half the contrast; the blurred rope is twice as wide as the rope, 8 px, and the shadow is not."""
+    image = drawn((40, 8, 1.0), (100, 16, 0.5), (180, 8, 0.5))
+    rope = Mixture(image, np.full(3, 60.0), 8.0)
+    places = np.array([[43.5, 128.0], [107.5, 128.0], [183.5, 128.0]])
+    sharp, blurred, shadow = rope.weigh(places, np.array([8.0, 16.0, 8.0]), np.zeros(3, bool), np.ones(3))
+    assert min(sharp, blurred) > 0.8
+    assert shadow < 0.5
+
+
+def test_a_path_goes_straight_where_nothing_is_seen():
+    places = np.array([[0.0, 0.0], [4.0, 0.0], [7.0, 3.0], [11.0, 3.0], [14.0, 0.0], [18.0, 0.0]])
+    assert Path(places, np.array([0.0, 1.0, 0.9, 0.8, 0.7, 1.7])).seen.tolist() == places[[0, 1, 4, 5]].tolist()
+
+
+def test_a_rope_is_found_behind_thin_things_and_beside_a_wide_one():
+    """Three bars before it, and one of its own colour, ten times as wide, 8 px beside it."""
+    x, y = bent().places([0.0], [0.4])[0, 0, :2]
+    wide = Occluder((x + 0.07, y), (x + 0.5, y + 0.25), 0.09, (45.0, 45.0, 45.0))
+    image, truth = shown(bent(), occluders=(*bars(3, 0.04), wide))
+    assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
+
+
+def bars(count, width):
+    """Return bars of another colour before the bent rope, m wide."""
+    places = bent().places([0.0], np.linspace(0.2, 0.85, count))[0, :, :2]
+    return tuple(Occluder((x - 0.3, y - 0.1), (x + 0.3, y + 0.1), width, (90.0, 130.0, 90.0)) for x, y in places)
+
+
 def test_a_path_does_not_return_beside_itself():
     """It is 18 px beside itself, as along its shadow; nothing is refused that is 27 px beside."""
     there = 4.0 * np.arange(40) + 0j
@@ -153,6 +196,7 @@ def second(motion):
         (Reason.LENGTH, bent(), {}, 180.0),
         (Reason.LENGTH, bent(), {}, 100.0),
         (Reason.BLURRED, bent(rate=60.0), {}, 260.0),
+        (Reason.HIDDEN, bent(), {"occluders": bars(4, 0.06)}, None),
     ],
     ids=[
         "none",
@@ -164,6 +208,7 @@ def second(motion):
         "goes on",
         "goes on for long",
         "blurred",
+        "hidden",
     ],
 )
 def test_what_is_no_rope_is_refused_by_name(reason, motion, scene, length):

@@ -24,6 +24,7 @@ class Reason(StrEnum):
     TWO = "two ropes are seen, or one in two ways"
     OUTSIDE = "the rope leaves the view"
     BLURRED = "the rope is too blurred"
+    HIDDEN = "a part of the rope is hidden"
     END = "it is not clear where the rope ends"
     LENGTH = "the curve has another length than the rope"
 
@@ -33,6 +34,7 @@ _FIXES = {
     Reason.TWO: "Take the other rope away, or click the free end",
     Reason.OUTSIDE: "Move the camera back, until the whole rope is in view",
     Reason.BLURRED: "Take a frame in which the rope is slow, or a shorter exposure",
+    Reason.HIDDEN: "Take away what is before the rope, or looks like it behind it",
     Reason.END: "Take a frame in which the free end is slow and before a plain wall",
     Reason.LENGTH: "Check the length, the scale of the camera and the pivot; nothing may hide the free end",
 }
@@ -120,7 +122,7 @@ def find_rope(
     ridges = Ridges(image)
     try:
         if look is None:
-            early = _best(ridges.paths(start, radius, None, longest)).places
+            early = _best(ridges.paths(start, radius, None, longest)).seen
             early = early[: 2 + min(len(early) // 2, 40)]  # a rope is slowest at its pivot, and a path goes astray late
             curve, look, _ = rope_along(image, early, width, longest)
             rope = Mixture(image, look.bgr, look.width)
@@ -128,7 +130,7 @@ def find_rope(
         else:
             rope, width = Mixture(image, look.bgr, look.width), look.width
         path = _best(ridges.paths(start, radius, rope, longest))
-        curve, look, seen = rope_along(image, path.places, width, longest)
+        curve, look, seen = rope_along(image, path.seen, width, longest)
     except InvalidInput as error:
         if isinstance(error, NoRope):
             raise
@@ -150,9 +152,10 @@ def find_rope(
 def _check_end(seen: Cover, size: float, shortest: float | None, longest: float) -> None:
     """Refuse a rope, `size` px long, that is not seen as one until its end, or whose end may as well be elsewhere."""
     last = seen.end(longest)
-    off = ((seen.unlike > SHADOW) & (seen.wider > 0.0))[: last + 1]
+    off = (seen.unlike > SHADOW)[: last + 1]
     if off.mean() > 0.1:
-        raise NoRope(Reason.BLURRED, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
+        reason = Reason.BLURRED if seen.wider[: last + 1][~off].max() > BLUR else Reason.HIDDEN
+        raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
     blurred = seen.wider[last] > BLUR
     if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + 1.5):
         reason = Reason.BLURRED if blurred else Reason.LENGTH
@@ -160,10 +163,10 @@ def _check_end(seen: Cover, size: float, shortest: float | None, longest: float)
     ends = np.flatnonzero(seen.gained >= seen.gained[last] - 1.5)  # some three pixels of wall
     first, most, near = max(ends[0], shortest or 0.0), min(ends[-1], longest), max(12, round(0.04 * size))
     beyond = np.append(seen.unlike[last + 1 :], 0.0)[:near].mean()  # where nothing was looked at, the rope may go on
-    if max(most - last, last - first) > near or beyond < 0.5:
+    if max(most - last, last - first) > near or beyond < SHADOW:
         reason = Reason.BLURRED if blurred else Reason.END
         got = f"an end {first:.0f} to {most:.0f} px from the pivot, {beyond:.2f} of its contrast beyond"
-        raise NoRope(reason, got, "4 % of its length to both sides, and 0.5 or more")
+        raise NoRope(reason, got, f"4 % of its length to both sides, and {SHADOW} or more")
 
 
 def _best(paths: list[Path]) -> Path:

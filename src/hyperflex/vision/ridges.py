@@ -38,6 +38,12 @@ class Path:
     places: Array
     scores: Array
 
+    @property
+    def seen(self) -> Array:
+        """The places, without those between which nothing is seen: the path is taken to go straight there."""
+        gains = np.diff(self.scores) > 0.0
+        return self.places[np.append(True, gains) | np.append(gains, True)]
+
 
 class Mixture:
     """What mixtures of a rope and its wall look like.
@@ -63,13 +69,15 @@ class Mixture:
         off, contrast = cv2.GaussianBlur(image, (3, 3), 0) - wall, bgr.astype(np.float32) - wall
         self._size = np.maximum(np.linalg.norm(contrast, axis=2), 1.0)
         share = np.clip(np.einsum("hwc,hwc->hw", off, contrast) / self._size**2, 0.0, 1.2)
-        self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2) / self._size
+        self._residual = np.linalg.norm(off - share[:, :, None] * contrast, axis=2)
         self._share = cv2.dilate(share, np.ones((3, 3), np.uint8))
-        self._covers = []
+        self._covers = [share]
         while min(share.shape) >= 2 * _NEIGHBOURHOOD:
-            self._covers.append(cv2.GaussianBlur(share, (0, 0), np.sqrt(2.0 / 3.0)))  # 2^k px with that of level k
             share = cv2.pyrDown(share)
-        self._usual, self._contrast = 0.2, float(np.median(self._size))
+            self._covers.append(share)
+        self._covers = [cv2.GaussianBlur(each, (0, 0), np.sqrt(2.0 / 3.0)) for each in self._covers]  # level k: 2^k px
+        self._contrast = float(np.median(self._size))
+        self._usual = 0.2 * self._contrast
         self.width, self._known = width, np.zeros(image.shape[:2], np.uint8)
 
     def _at(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -79,8 +87,8 @@ class Mixture:
     def learn(self, curve: Array) -> None:
         """Learn from the middle of a rope (P, 2), px, how much its own texture deviates."""
         where = self._at(curve)
-        self._usual = max(0.1, float(np.median(self._residual[where])))
         self._contrast = float(np.median(self._size[where]))
+        self._usual = max(0.1 * self._contrast, float(np.median(self._residual[where])))
 
     def leave_out(self, curve: Array, apart: float) -> None:
         """Leave out a rope along a curve (P, 2), px, and `apart` px beside it: it tells nothing of another one."""
@@ -97,24 +105,24 @@ class Mixture:
         from scipy.special import erf
 
         level = np.clip(np.rint(np.log2(widths)).astype(int) - 1, 0, len(self._covers) - 1)
-        wide, result = np.maximum(2.0 ** (level + 1), self.width), np.zeros(len(places))
+        wide, result = np.maximum(widths, self.width), np.zeros(len(places))
         for k, cover in enumerate(self._covers):
             own = level == k
             u, v = (np.clip(np.rint(places[own, i] / 2.0**k).astype(int), 0, cover.shape[1 - i] - 1) for i in range(2))
             result[own] = cover[v, u]
         return result * wide / (self.width * erf(wide / (np.sqrt(8.0) * 2.0**level)))
 
-    def weigh(self, places: Array, widths: Array, evidence: Array) -> Array:
+    def weigh(self, places: Array, widths: Array, edges: npt.NDArray[np.bool_], evidence: Array) -> Array:
         """Return the evidence (N,) that a ridge at places (N, 2), px, some px wide, is this rope, from that it is one.
 
         Another colour than a mixture's tells against it; so does nothing of its colour, unless the wall is like it;
-        and so does less of it than of a rope that blur makes so wide: a shadow.
+        and so does less or more of it than of a rope that blur makes so wide: a shadow, a wide thing.
         """
         where = self._at(places)
-        evidence = evidence + 2.0 * np.log10(np.clip(self._cover(places, widths), 0.1, 1.0))
+        evidence = evidence - 2.0 * np.abs(np.log10(np.clip(self._cover(places, widths), 0.1, 10.0)))
         doubt = np.clip(0.25 * ((self._residual[where] / self._usual) ** 2 - 2.0), 0.0, 3.0)
         evidence = np.where(self._share[where] < 0.1, np.minimum(evidence, -_WALL), evidence) - doubt
-        alike = self._size[where] < 0.4 * self._contrast
+        alike = (self._size[where] < 0.4 * self._contrast) | (edges & (self._share[where] > SHADOW))
         return np.where(self._known[where] > 0, 0.0, np.where(alike, np.maximum(evidence, -0.2 * _WALL), evidence))
 
 
@@ -193,7 +201,8 @@ class Ridges:
             u, v = np.clip(np.rint(lines), 0, last).astype(int).transpose(2, 0, 1)
             left, middle, right = colours[v, u].astype(np.float64)
             off = np.einsum("snc,nc->sn", middle - [left, right], 2.0 * middle - left - right)
-            result[own] = off.min(axis=0) < (1.0 - SHADOW) * off.max(axis=0)
+            clear = off.max(axis=0) > 3.0**2  # else it may be the wall's texture
+            result[own] = clear & (off.min(axis=0) < (1.0 - SHADOW) * off.max(axis=0))
         return result
 
     @cached_property
@@ -254,13 +263,13 @@ class Ridges:
             known = mean[:, :3].any(axis=1, keepdims=True)
             same = like**2 + self.OTHER**2 * np.maximum(power - like**2, 0.0)
             gained = self.evidence(np.where(known, same, power)) - _WALL
-            edge = self.edges(where.reshape(-1, 2), middle.ravel(), size).reshape(gained.shape)
-            gained = np.where(edge, np.minimum(gained, -0.2 * _WALL), gained)
+            gained -= self.GROWTH * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
+            edges = self.edges(where.reshape(-1, 2), middle.ravel(), size)
+            gained = np.where(edges.reshape(gained.shape), np.minimum(gained, -0.2 * _WALL), gained)
             if rope is not None:
                 places, widths = (where / self.shrink).reshape(-1, 2), 2.0 ** (size + 1) / self.shrink
-                gained = rope.weigh(places, widths, gained.ravel()).reshape(gained.shape)
+                gained = rope.weigh(places, widths, edges, gained.ravel()).reshape(gained.shape)
             gained -= _STIFFNESS * _TURNS**2 + _JERK * (_TURNS - bend[:, None]) ** 2
-            gained -= self.GROWTH * (seen[:, :, 3] - mean[:, None, 3]) ** 2 * (step >= 5)
             total = score[:, None] + gained
             outside = ((ahead < 0.0) | (ahead > np.array(self.size) - 1.0)).any(axis=2)
             total[outside | (total < peak[:, None] - self.PATIENCE)] = -np.inf
@@ -294,7 +303,7 @@ def _responses(
 ) -> tuple[npt.NDArray[np.float16], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return the whitened responses (ORIENTATIONS, h, w, 3) of a picture (h, w, 3), how textured it is (h, w), and it.
 
-    The picture is smoothed and whitened as the responses are.
+    The picture is smoothed and whitened as the responses are; usual places 3 px apart differ by 1.
     """
     import cv2
 
@@ -325,6 +334,7 @@ def _responses(
         texture += np.sqrt(np.einsum("hwc,hwc->hw", one, one))
     texture = cv2.blur(texture, (_NEIGHBOURHOOD + 1, _NEIGHBOURHOOD + 1))
     colours = cv2.transform(cv2.GaussianBlur(level, (0, 0), 1.0), whiten)
+    colours /= np.median(np.linalg.norm(colours[::4, 3::4] - colours[::4, :-3:4], axis=2))
     return found, np.maximum(texture, 0.5 * np.median(texture)) / ORIENTATIONS, colours
 
 
