@@ -154,18 +154,19 @@ def _check_end(seen: Cover, size: float, shortest: float | None, longest: float)
     last = seen.end(longest)
     off = (seen.unlike > SHADOW)[: last + 1]
     if off.mean() > 0.1:
-        reason = Reason.BLURRED if seen.wider[: last + 1][~off].max() > BLUR else Reason.HIDDEN
+        most = np.quantile(seen.wider[: last + 1][~off], 0.9)
+        reason = Reason.BLURRED if most > BLUR else Reason.HIDDEN
         raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
     blurred = seen.wider[last] > BLUR
     if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + 1.5):
         reason = Reason.BLURRED if blurred else Reason.LENGTH
         raise NoRope(reason, f"{size:.0f} px", f"{shortest:.0f} to {longest:.0f} px")
     ends = np.flatnonzero(seen.gained >= seen.gained[last] - 1.5)  # some three pixels of wall
-    first, most, near = max(ends[0], shortest or 0.0), min(ends[-1], longest), max(12, round(0.04 * size))
+    first, final, near = max(ends[0], shortest or 0.0), min(ends[-1], longest), max(12, round(0.04 * size))
     beyond = np.append(seen.unlike[last + 1 :], 0.0)[:near].mean()  # where nothing was looked at, the rope may go on
-    if max(most - last, last - first) > near or beyond < SHADOW:
+    if max(final - last, last - first) > near or beyond < SHADOW:
         reason = Reason.BLURRED if blurred else Reason.END
-        got = f"an end {first:.0f} to {most:.0f} px from the pivot, {beyond:.2f} of its contrast beyond"
+        got = f"an end {first:.0f} to {final:.0f} px from the pivot, {beyond:.2f} of its contrast beyond"
         raise NoRope(reason, got, f"4 % of its length to both sides, and {SHADOW} or more")
 
 
