@@ -42,7 +42,7 @@ class Path:
     def seen(self) -> Array:
         """The places, without those between which nothing is seen: the path is taken to go straight there."""
         gains = np.diff(self.scores) > 0.0
-        return self.places[np.append(True, gains) | np.append(gains, True)]
+        return np.asarray(self.places[np.append(True, gains) | np.append(gains, True)])
 
 
 class Mixture:
@@ -110,7 +110,7 @@ class Mixture:
             own = level == k
             u, v = (np.clip(np.rint(places[own, i] / 2.0**k).astype(int), 0, cover.shape[1 - i] - 1) for i in range(2))
             result[own] = cover[v, u]
-        return result * wide / (self.width * erf(wide / (np.sqrt(8.0) * 2.0**level)))
+        return np.asarray(result * wide / (self.width * erf(wide / (np.sqrt(8.0) * 2.0**level))))
 
     def weigh(self, places: Array, widths: Array, edges: npt.NDArray[np.bool_], evidence: Array) -> Array:
         """Return the evidence (N,) that a ridge at places (N, 2), px, some px wide, is this rope, from that it is one.
