@@ -361,9 +361,8 @@ def page(rows: list[dict[str, Any]]) -> str:
             own = [row for row in some if row["tilt"] == tilt]
             left = len({row["name"] for row in flat} - {row["name"] for row in own} - lost(rows))
             wide = [sum(row["winds"] and row["furthest"] <= 0.5 * w for row in own) for w in WIDTHS]
-            text += [
-                f"| {tilt:g} | {len(flat)} | {left} | {sum(row['winds'] for row in own)} | {' | '.join(map(str, wide))} |"
-            ]
+            wound = sum(row["winds"] for row in own)
+            text += [f"| {tilt:g} | {len(flat)} | {left} | {wound} | {' | '.join(map(str, wide))} |"]
         never = sorted({f"{row['name']} ({row['tilt']:g})" for row in some if not row["winds"]})
         text += [
             "",
