@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex import winding
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core.batch import proximity
@@ -30,9 +31,8 @@ from hyperflex.planning.clearance import (
 )
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import FOLD, at_limits, limit_bend
-from hyperflex.simulation import Batch, check_outside, simulate_batch
+from hyperflex.simulation import Batch, check_outside, simulate, simulate_batch
 from hyperflex.trajectory import interpolated
-from hyperflex.winding import TOUCH, slid
 
 
 @dataclass(frozen=True)
@@ -359,24 +359,30 @@ class _Contact:
         usual = min(1.0, criteria.turns / 1.25)  # the limits below suit 1.25 turns, and those of more
         parts = [(min(sweep, check), usual * MODEL.sweep_turns)] if self.sweeping else []
         t, turns, q, qd = np.zeros(0), np.zeros(0), np.zeros((0, rope.n_links)), np.zeros((0, rope.n_links))
-        now, hope = self.batch, usual * MODEL.check_turns
+        hope, state = usual * MODEL.check_turns, None
+        setup = Setup(rope, self.motion, self.problem.arm, pegs=self.pegs, q0=self.batch.q[0], qd0=self.batch.qd[0])
+        setup = setup.replace(tol=MODEL.contact_tol, contact_step=MODEL.contact_step)
+        if not starts_outside(setup):
+            return NEVER, 0.0, math.inf
         for until, least in [*parts, (check, hope), (end, 0.0)]:
             since = float(t[-1]) if t.size else 0.0
             if since >= until - 1e-9:
                 continue
-            setup = Setup(rope, now.motions[0], self.problem.arm, pegs=self.pegs)
-            if not starts_outside(setup, 0.0, now.q[0]):  # too deep in the peg
-                return self._turns(t, turns, since)[0], 0.0, math.inf
-            now, *more = self._run(now, since, until)
+            polls: Array = np.arange(since, until + MODEL.step - 1e-9, MODEL.step)[1:]
+            part, limit = setup.replace(duration=polls[-1] - since + 1e-9), self.budget.limit(MODEL.longest)
+            run = simulate(part, t_eval=polls, state=state, throw=False, time_budget=limit)
+            state, more = run.state, (run.t, winding.turns(run, self.peg), run.q, run.qd)
             t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), more, strict=True))
-            self.most = max(self.most, float(np.nan_to_num(np.abs(turns)).max()))
+            self.most = max(self.most, float(np.abs(more[1]).max(initial=0.0)))
+            if not run.success:
+                return NEVER, 0.0, math.inf
             seen = turns if until < check - 1e-9 else turns[-1:]
-            if not float(np.abs(seen).max()) >= least:
+            if float(np.abs(seen).max()) < least:
                 return self._turns(t, turns, float(t[-1]))[0], 0.0, math.inf
         score, stay = self._turns(t, turns, end)
         settled, way = t >= check, math.inf
         if stay >= criteria.turns:
-            way = float(np.abs(slid(rope, self.peg, q[settled], self._joints(t, q)[settled])).max())
+            way = float(np.abs(winding.slid(rope, self.peg, q[settled], self._joints(t, q)[settled])).max())
             score -= way / (way + MODEL.slip) if math.isfinite(way) else 1.0
         faults = self._faults(t, q, qd)
         if faults > 0.0:
@@ -387,8 +393,6 @@ class _Contact:
 
     def _turns(self, t: Array, turns: Array, span: float) -> tuple[float, float]:
         """Score by the turns (T,) at times t (T,) up to a span, s, alone, and the least turns in its last part."""
-        if not (t.size and np.isfinite(turns).all()):
-            return NEVER, 0.0
         most = MODEL.max_turns + self.problem.criteria.turns
         ending = turns[t >= span - MODEL.last]
         stay = max(float((np.sign(ending.sum()) * ending).min()), 0.0)
@@ -411,29 +415,12 @@ class _Contact:
         if behind := problem.criteria.behind:
             some = t >= t[-1] - MODEL.last
             apart = float(way_gaps(rope, self.peg, behind, q[some], self._joints(t, q)[some]).max(initial=0.0))
-            if apart > TOUCH:
+            if apart > winding.TOUCH:
                 cost += MODEL.fault * (1.0 + (apart / (apart + 0.05) if math.isfinite(apart) else 1.0))
         return cost
 
     def _joints(self, t: Array, q: Array) -> Array:
         return self.rope.joints(q, self.problem.arm.tip(self.motion.angle(t)))
-
-    def _run(self, now: RolloutBatch, since: float, until: float) -> tuple[Any, Array, Array, Array, Array]:
-        """Simulate on; return the rollout from there, and times, turns, angles and rates of the samples."""
-        t: Array = MODEL.step * np.arange(1.0, math.ceil((until - since) / MODEL.step - 1e-9) + 1.0)
-        run = now.run(
-            self.problem.arm,
-            t,
-            tol=MODEL.contact_tol,
-            contact_step=MODEL.contact_step,
-            refine=False,
-            pegs=[self.pegs],
-            keep=("turns", "q", "qd"),
-            time_budget=self.budget.limit(MODEL.longest),
-            threads=1,
-        )
-        onward = replace(now, motions=[now.motions[0].shifted(-t[-1])], q=run.q[:, -1], qd=run.qd[:, -1])
-        return onward, since + t, run.values["turns"][0, :, 0], run.q[0], run.qd[0]
 
 
 def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget) -> WindingScores:

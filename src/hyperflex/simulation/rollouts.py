@@ -374,7 +374,8 @@ class Rollout:
     def fingerprint(self) -> float:
         """Return a fingerprint of what is integrated and how; equal for runs that can be resumed from each other."""
         digest = hashlib.sha256()
-        for part in (*self.chain, *self.drive, self.limits.tol, self.limits.fixed, self.setup.torque_driven):
+        acting = *self.chain, *self.drive, *self.setup.contacts()
+        for part in (*acting, self.limits.tol, self.limits.fixed, self.setup.torque_driven):
             digest.update(np.ascontiguousarray(part).tobytes())
         return float(struct.unpack("<Q", digest.digest()[:8])[0] >> 11)  # 53 bits: exact as a float
 

@@ -346,9 +346,8 @@ def simulate(
     event = NEVER if until is None else _checked(until, full).packed(full)
     kind = ContactRollout if full.touches and until is None else Rollout
     run = kind(full, times, limits=rollout_limits(full, full.chain(), end, event))
-    if state is not None:
-        run.resume(state)
-    if isinstance(run, ContactRollout):
+    goes_on = state is not None and run.resume(state) and run.fingerprint() in state.checkpoint.get("end", ())[:1]
+    if isinstance(run, ContactRollout) and not goes_on:  # where a run has ended a rope may be deeper in a peg
         run.check_start()
     code, applied = status.RUNNING, list[tuple[float, float]]()
     with stoppable() as stop, progress_bar(begin, end, checks.flag("progress", progress)) as bar:
