@@ -59,13 +59,15 @@ class Strike(Candidate):
     """A swing until it strikes at `t`, s: the states there of each chain, and the swing from which it was simulated.
 
     `follow` are the moves to try in contact, which agree with `moves` until the strike; empty: usual last moves, of
-    which so many were `tried`. A swing that misses has no states; its score is below 0.
+    which so many were `tried`. `winds`: whether the rope made the required turns with some, for however short a time. A
+    swing that misses has no states; its score is below 0.
     """
 
     swing: Swing | None = None
     states: tuple[State, ...] = ()
     follow: tuple[Moves, ...] = field(default=())
     tried: int = 0
+    winds: bool = False
 
 
 @dataclass(eq=False)
@@ -181,19 +183,23 @@ class SwingSearch:
         for _ in range(self.options.members if parents else 0):
             parent = parents[self.random.integers(len(parents))]
             swing = (parent.swing or self.begin[0]).ancestor(int(self.random.integers(self.options.back)))
-            made, k = swing.moves.ends.size, parent.moves.ends.size
-            size = self.options.spread * 10.0 ** -self.random.uniform(0.0, 1.5)
-            change = size * self.random.standard_normal((3, k)) * (np.arange(k) >= made)
-            moves = replace(
-                parent.moves,
-                ends=parent.moves.ends + math.pi * change[0],
-                rests=np.abs(parent.moves.rests + self.problem.period * change[1]),
-                speeds=(parent.moves.speeds + change[2]).clip(MIN_SPEED, 1.0),
-            )
+            moves = self.varied(parent.moves, swing.moves.ends.size)
             until = parent.t if math.isfinite(parent.t) else parent.moves.stops(self.problem.limits)
             whole = bool(parent.states)
             tries.append(_Try(swing, moves, until + self.options.watched * self.problem.period, whole))
         return self._strikes(tries, budget, onward=False)[0]
+
+    def varied(self, moves: Moves, made: int) -> Moves:
+        """Return moves of which all but the first `made` are varied, by little or by much."""
+        k = moves.ends.size
+        size = self.options.spread * 10.0 ** -self.random.uniform(0.0, 1.5)
+        change = size * self.random.standard_normal((3, k)) * (np.arange(k) >= made)
+        return replace(
+            moves,
+            ends=moves.ends + math.pi * change[0],
+            rests=np.abs(moves.rests + self.problem.period * change[1]),
+            speeds=(moves.speeds + change[2]).clip(MIN_SPEED, 1.0),
+        )
 
     def _strokes(self, swing: Swing, lane: _Lane) -> list[_Try]:
         """Return the strokes that are tried after a swing, within the time."""

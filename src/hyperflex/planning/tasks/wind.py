@@ -25,7 +25,7 @@ from hyperflex.planning.rollouts import (
     robust_values,
     simulate_contact,
 )
-from hyperflex.planning.swings import DELAY, State, Strike, Swing, SwingSearch
+from hyperflex.planning.swings import DELAY, MIN_SPEED, State, Strike, Swing, SwingSearch
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
@@ -122,7 +122,11 @@ class WindTask(Task):
                 self._samples += 1
                 best = _distinct(found[: 4 * self.options.parents], self.options.parents)
                 nearly = bool(best) and best[0].score > self.options.nearly * self.problem.criteria.turns
-                if self.options.members and self._samples % 2 == 0 and (best or self.search.passes):
+                wound = [one for one in found if isinstance(one, Strike) and one.winds]
+                if wound and self._samples % 3 == 0:
+                    wound = _distinct(wound[: 4 * self.options.parents], self.options.parents)
+                    new = [self._with_other_ends(wound[self.search.random.integers(len(wound))])]
+                elif self.options.members and self._samples % 2 == 0 and (best or self.search.passes):
                     new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
                     if nearly:  # else they wait for better swings
                         new = [replace(one, score=math.inf) for one in new]
@@ -149,12 +153,13 @@ class WindTask(Task):
         for one in swings:
             rows = [k for k, (other, _) in enumerate(pairs) if other is one]
             k = max(rows, key=lambda row: (wound.turns[row] >= required, wound.score[row]))
-            tried = replace(one, moves=pairs[k][1], score=float(wound.score[k]))
+            winds = bool(wound.most[rows].max() >= required)
+            tried = replace(one, moves=pairs[k][1], score=float(wound.score[k]), winds=winds)
             if wound.turns[k] >= required:
                 good.append(tried)
                 continue
             found.append(tried)
-            if not one.follow and wound.most[rows].max() >= required and one.tried + len(rows) < len(FINISHES):
+            if not one.follow and winds and one.tried + len(rows) < len(FINISHES):
                 self._again.append(replace(one, tried=one.tried + len(rows), score=math.inf))
         return found + self._confirmed(good, budget)
 
@@ -204,14 +209,29 @@ class WindTask(Task):
         """Return the moves of a swing with the next last moves: first the first of FINISHES, then some others."""
         order = [0, *self.order][strike.tried :][: self.options.finishes if strike.tried else 1]
         towards = 1.0 if self.peg.x >= self.problem.arm.pivot[0] else -1.0
-        limits, found = self.problem.limits, list[Moves]()
-        for more, end, rest in (FINISHES[k] for k in order):
-            moves = strike.moves
-            wait = max(0.0, strike.t - moves.stops(limits)) + 2.0 * MODEL.step
-            for _ in range(more):
-                moves, wait = pumped(self.problem, moves, wait), 0.0
-            found.append(moves.then(towards * end * math.pi, wait + rest * self.problem.period, 0.9))
-        return found
+        some = (FINISHES[k] for k in order)
+        return [self._ended(strike.moves, strike.t, more, towards * end * math.pi, rest) for more, end, rest in some]
+
+    def _ended(self, moves: Moves, t: float, more: int, end: float, rest: float, speed: float = 0.9) -> Moves:
+        """Return moves that strike at t, s, with more strokes, a rest, in periods, and a last move to `end`, rad."""
+        wait = max(0.0, t - moves.stops(self.problem.limits)) + 2.0 * MODEL.step
+        for _ in range(more):
+            moves, wait = pumped(self.problem, moves, wait), 0.0
+        return moves.then(end, wait + rest * self.problem.period, speed)
+
+    def _with_other_ends(self, one: Strike) -> Strike:
+        """Return a strike with last moves to try next: by turns near the best ones, and any."""
+        limits, random, follow = self.problem.limits, self.search.random, list[Moves]()
+        moves = one.moves.cut(one.t, limits)
+        for k in range(self.options.batch):
+            if k % 2:
+                follow.append(self.search.varied(one.moves, moves.ends.size))
+            else:
+                rest, speed = random.uniform(0.0, 2.0), random.uniform(MIN_SPEED, 1.0)
+                follow.append(
+                    self._ended(moves, one.t, random.integers(3), random.uniform(*limits.angles), rest, speed)
+                )
+        return replace(one, follow=tuple(follow), score=math.inf)
 
     def alike(self, one: Candidate, other: Candidate) -> bool:
         """Whether two candidates swing alike until the strike."""
