@@ -33,6 +33,10 @@ class State(NamedTuple):
     q: Array
     qd: Array
 
+    def cut(self, pieces: int) -> "State":
+        """Return the state of a chain with each link cut into pieces."""
+        return State(self.t, np.repeat(self.q, pieces), np.repeat(self.qd, pieces))
+
 
 @dataclass(frozen=True, eq=False)
 class Swing:

@@ -95,7 +95,7 @@ class WindTask(Task):
         chains = self.model, self.model.cut(pieces)
         made = list[Swing]()
         for moves, now in seen:
-            states = tuple(State(now.t, *(np.repeat(x, parts) for x in (now.q, now.qd))) for parts in (1, pieces))
+            states = tuple(State(now.t, now.q, now.qd).cut(parts) for parts in (1, pieces))
             made.append(Swing(moves, states, parent=made[-1] if made else None))
         self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options, made, anew)
         self.order = 1 + np.random.default_rng([options.seed, 1]).permutation(len(FINISHES) - 1)  # of the last moves
@@ -142,9 +142,7 @@ class WindTask(Task):
         """
         swings = [one for one in some if isinstance(one, Strike)]
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
-        states = [one.states[0] for one, _ in pairs]
-        cuts = self._cuts
-        states = [State(each.t, np.repeat(each.q, cuts), np.repeat(each.qd, cuts)) for each in states]
+        states = [one.states[0].cut(self._cuts) for one, _ in pairs]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
         reached = (wound.most >= required).astype(int) + np.isfinite(wound.slip) + (wound.turns >= required)
@@ -183,20 +181,27 @@ class WindTask(Task):
         for one, value, turns, slip in zip(
             good, *(each.tolist() for each in (seen.score, seen.turns, seen.slip)), strict=True
         ):
-            winds = turns >= criteria.turns and slip < criteria.max_slip
-            winds = winds and (self.model is self.problem or self._strikes_with_dry_friction(one, budget))
-            value = min(one.score, value)
+            winds, value = turns >= criteria.turns and slip < criteria.max_slip, min(one.score, value)
+            if winds and self.model is not self.problem:
+                one, winds, other = self._with_dry_friction(one, budget)
+                value = min(value, other)
             if winds and self.scenarios:
                 value = 3.0 * float(np.mean(self._values(one.moves, self.scenarios[:8], budget)))
             found.append(replace(one, score=value, good=winds))
         return found
 
-    def _strikes_with_dry_friction(self, one: Strike, budget: Budget) -> bool:
-        """Whether the rope itself strikes when the model does: 0.2 s spare a verification of 10 s."""
+    def _with_dry_friction(self, one: Strike, budget: Budget) -> tuple[Strike, bool, float]:
+        """Return a strike as the rope itself makes it, whether it winds then, and its score."""
         motion, until = one.moves.motion(self.problem.limits), one.t + 2.0 * DELAY
         batch = RolloutBatch.from_start(self.problem, [self.problem.rope], [self.peg], [motion])
         self.runs += 1
-        return bool(abs(fly_to_strikes(self.problem, self.peg, batch, budget, until).t[0] - one.t) <= DELAY)
+        real = fly_to_strikes(self.problem, self.peg, batch, budget, until)
+        if not abs(real.t[0] - one.t) <= DELAY:
+            return one, False, one.score
+        state = State(float(real.t[0]), real.q[0].copy(), real.qd[0].copy())
+        wound = self._wind(self.contact, [one.moves], [state.cut(self._cuts)], budget, sweeping=True)
+        winds = bool(wound.turns[0] >= self.problem.criteria.turns)
+        return replace(one, states=(state, *one.states[1:])), winds, float(wound.score[0])
 
     def _values(self, moves: Moves, scenarios: Sequence[Scenario], budget: Budget) -> Array:
         """Return the values of moves in scenarios; see :func:`robust_values`."""
@@ -224,13 +229,15 @@ class WindTask(Task):
         limits, random, follow = self.problem.limits, self.search.random, list[Moves]()
         moves = one.moves.cut(one.t, limits)
         for k in range(self.options.batch):
-            if k % 2:
+            if k % 2 and one.moves.ends.size > moves.ends.size:
                 follow.append(self.search.varied(one.moves, moves.ends.size))
             else:
-                rest, speed = random.uniform(0.0, 2.0), random.uniform(MIN_SPEED, 1.0)
-                follow.append(
-                    self._ended(moves, one.t, random.integers(3), random.uniform(*limits.angles), rest, speed)
+                more, end, rest = (
+                    random.integers(3),
+                    random.uniform(*limits.angles),
+                    max(0.0, random.uniform(-2.0, 2.0)),
                 )
+                follow.append(self._ended(moves, one.t, more, end, rest, random.uniform(MIN_SPEED, 1.0)))
         return replace(one, follow=tuple(follow), score=math.inf)
 
     def alike(self, one: Candidate, other: Candidate) -> bool:
