@@ -44,6 +44,17 @@ def test_a_start_that_touches_is_not(obstacle):
     assert depths(setup.contacts(), hf.simulate(ROPE, duration=1e-3).joints[0]).max() < SHALLOW
 
 
+def test_a_run_goes_on_from_where_one_has_ended_however_deep(monkeypatch):
+    """A coarse run may leave a rope some millimetres deep; the same rope and obstacles go on, others start."""
+    given = {"duration": 0.05, "pegs": [hf.Ground(0.0, -0.6 - RADIUS)], "refine": False}
+    run = hf.simulate(ROPE, **given)
+    monkeypatch.setattr("hyperflex.simulation.contact.SHALLOW", -1.0)
+    assert hf.simulate(ROPE, **given, state=run.state).success
+    for changed in ({"pegs": [hf.Ground(0.0, -0.59)]}, {"pegs": given["pegs"], "tol": 1e-4}):
+        with pytest.raises(InvalidInput, match="starts inside"):
+            hf.simulate(ROPE, **(given | changed), state=run.state)
+
+
 def test_an_arm_carries_the_rope_clear_of_a_peg():
     """Where the arm stands at the start counts; of a driven arm no link does, and links count from the rope's first."""
     peg = hf.Peg(0.0, -0.4, 0.03)

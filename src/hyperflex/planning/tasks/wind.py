@@ -122,10 +122,10 @@ class WindTask(Task):
                 self._samples += 1
                 best = _distinct(found[: 4 * self.options.parents], self.options.parents)
                 nearly = bool(best) and best[0].score > self.options.nearly * self.problem.criteria.turns
-                wound = [one for one in found if isinstance(one, Strike) and one.winds]
+                wound = [one for one in found if isinstance(one, Strike) and one.winds][: 4 * self.options.parents]
                 if wound and self._samples % 3 == 0:
-                    wound = _distinct(wound[: 4 * self.options.parents], self.options.parents)
-                    new = [self._with_other_ends(wound[self.search.random.integers(len(wound))])]
+                    some = [one for one in _distinct(wound, self.options.parents) if isinstance(one, Strike)]
+                    new = [self.other_ends(some[self.search.random.integers(len(some))])]
                 elif self.options.members and self._samples % 2 == 0 and (best or self.search.passes):
                     new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
                     if nearly:  # else they wait for better swings
@@ -224,7 +224,7 @@ class WindTask(Task):
             moves, wait = pumped(self.problem, moves, wait), 0.0
         return moves.then(end, wait + rest * self.problem.period, speed)
 
-    def _with_other_ends(self, one: Strike) -> Strike:
+    def other_ends(self, one: Strike) -> Strike:
         """Return a strike with last moves to try next: by turns near the best ones, and any."""
         limits, random, follow = self.problem.limits, self.search.random, list[Moves]()
         moves = one.moves.cut(one.t, limits)
@@ -232,12 +232,9 @@ class WindTask(Task):
             if k % 2 and one.moves.ends.size > moves.ends.size:
                 follow.append(self.search.varied(one.moves, moves.ends.size))
             else:
-                more, end, rest = (
-                    random.integers(3),
-                    random.uniform(*limits.angles),
-                    max(0.0, random.uniform(-2.0, 2.0)),
-                )
-                follow.append(self._ended(moves, one.t, more, end, rest, random.uniform(MIN_SPEED, 1.0)))
+                end, speed = random.uniform(*limits.angles), random.uniform(MIN_SPEED, 1.0)
+                rest = max(0.0, random.uniform(-2.0, 2.0))  # a tail that must pass the arm needs it to go at once
+                follow.append(self._ended(moves, one.t, int(random.integers(3)), end, rest, speed))
         return replace(one, follow=tuple(follow), score=math.inf)
 
     def alike(self, one: Candidate, other: Candidate) -> bool:
