@@ -49,7 +49,9 @@ class WindTask(Task):
     """Wind a rope round a target.
 
     Free flights, and the verification with shorter links, take viscous friction in place of dry friction
-    (:func:`viscous`). Runs in contact do not: there dry friction costs nothing, and holds a wound rope still.
+    (:func:`viscous`). Runs in contact do not: there dry friction costs nothing, and holds a wound rope still. A strike
+    that winds is flown with dry friction, too, and goes on from there: of six strikes of two random ropes none wound
+    then.
 
     Parameters
     ----------
