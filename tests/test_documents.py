@@ -90,7 +90,9 @@ def test_commands_of_a_page_have_options_that_exist(page):
 
 
 def test_equations_that_the_code_names_are_in_the_models_page():
-    known = set(re.findall(r"\\tag\{(M\.\d+)\}", (ROOT / "docs" / "models.md").read_text("utf-8")))
+    tags = re.findall(r"\\tag\{(M\.\d+)\}", (ROOT / "docs" / "models.md").read_text("utf-8"))
+    known = set(tags)
+    assert len(known) == len(tags)
     sources = "\n".join(path.read_text("utf-8") for path in (ROOT / "src").rglob("*.py"))
     named_there = set(re.findall(r"\(?(M\.\d+)\b", sources))
     assert named_there

@@ -16,7 +16,18 @@ from hyperflex.errors import InvalidInput
 from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter, curve_arc_lengths
 from hyperflex.estimate.observations import UNMEASURED
 from hyperflex.files import read_toml, write_toml
-from hyperflex.vision import Board, Camera, Renderer, RopeMotion, Scene, VideoReader, VideoWriter, read_camera
+from hyperflex.vision import (
+    Board,
+    Camera,
+    NoRope,
+    Reason,
+    Renderer,
+    RopeMotion,
+    Scene,
+    VideoReader,
+    VideoWriter,
+    read_camera,
+)
 from tests.estimate.runs import free_swing
 from tests.vision.test_video import TURNED, UPRIGHT
 
@@ -168,7 +179,6 @@ def test_answers_that_are_missing_are_named_and_nothing_hangs(hyperflex, folder,
         ({"--size": ("0,0,100,0,-1.0",)}, "--size"),
         ({"--size": ("0,0,100,0,1000",)}, "--size makes an impossible picture"),
         ({"--size": ("0,0,100,0,0.6",)}, "--size contradicts the rope's length: got '2.4"),
-        ({"--size": ("0,0,100,0,2.0",)}, "--size contradicts the rope's length"),
         ({"--tip": ("320,200",), "--size": ("0,0,100,0,0",)}, "--size"),
         ({"--mass": ("0",)}, "--mass"),
         ({"--length": ("-1",)}, "--length"),
@@ -263,6 +273,18 @@ def test_friction_of_the_first_joint_is_not_taken_for_a_readout():
     readout, std = follower.values["readout"]
     assert std < 0.4e-3
     assert abs(readout) < 2.0 * std
+
+
+def test_a_rope_that_is_seen_too_short_is_named():
+    """0.5 m is seen of 2 m."""
+
+    def find(u, v, length):
+        if length is not None:
+            raise NoRope(Reason.LENGTH, length, "")
+        return SimpleNamespace(curve=np.array([[u, v], [u, v + 50.0]]))
+
+    with pytest.raises(InvalidInput, match=r"--size contradicts the rope's length: got '0\.5 m in the picture'"):
+        scene(np.zeros((480, 640, 3), np.uint8), [0.0, 0.0, 100.0, 0.0, 1.0], find).check("size")
 
 
 def test_the_size_of_the_picture_is_known_by_points_a_sheet_or_a_board():

@@ -113,6 +113,7 @@ def test_a_rope_that_begins_elsewhere_is_an_error_after_a_second_of_frames(video
         [wrong.look(frame) for frame in frames[40:]]
 
 
+@pytest.mark.nightly  # eight frames of one: test_curve.py
 def test_a_tracker_on_a_moving_horizon(video):
     """In place of the filter: the markers seen, and where they must be in the blackout."""
     path, truth = video
@@ -126,6 +127,7 @@ def test_a_tracker_on_a_moving_horizon(video):
     assert np.linalg.norm(places - true, axis=1).max() < 0.01
 
 
+@pytest.mark.nightly  # the demo goes the same way
 def test_a_video_becomes_a_rope(video, tmp_path, capsys):
     """track, then identify: friction and inertia of the rope that was filmed, from a guess that is 30 % off."""
     path, truth = video

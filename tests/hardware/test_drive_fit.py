@@ -1,7 +1,7 @@
 """Identification of a drive, against a finer one: current loop, encoder steps, jitter, torque and speed limits."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from hyperflex.hardware import (
     Drive,
     DriveFit,
     DriveModel,
+    DriveRecord,
     DriveZero,
     Goal,
     SimulatedMotor,
@@ -23,8 +24,13 @@ from tests.hardware.twin import LIMITS, Truth, Twin, drawn, record_of
 
 
 @pytest.fixture(scope="module")
-def fit() -> DriveFit:
-    return identify_drive(record_of(Truth()))
+def record() -> DriveRecord:
+    return record_of(Truth())
+
+
+@pytest.fixture(scope="module")
+def fit(record) -> DriveFit:
+    return identify_drive(record)
 
 
 def truths(truth: Truth) -> dict[str, float]:
@@ -114,11 +120,12 @@ def test_the_model_moves_as_its_equations_say(limits, hold):
     assert np.sqrt(np.mean(missed**2)) < 0.02 * np.abs(effort).max()
 
 
-def test_without_reaching_it_the_rate_limit_is_not_told():
-    slow = MotorLimits(speed=3.0, acceleration=40.0, torque=5.0, angles=(-1.0, 1.0))
-    fit = identify_drive(record_of(Truth(), slow))
+def test_without_reaching_it_the_rate_limit_is_not_told(record):
+    """The first 7 s of the motion have the slower moves."""
+    columns = (getattr(record, each.name)[record.sent < 7.0] for each in fields(record))
+    fit = identify_drive(DriveRecord(*columns))
     assert "rate_limit" not in fit.values
-    assert fit.reached[0] == pytest.approx(0.95 * 3.0, rel=0.05)
+    assert fit.reached[0] == pytest.approx(1.15, rel=0.01)
     assert math.isinf(fit.model.rate_limit)
 
 
