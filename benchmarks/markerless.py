@@ -40,7 +40,18 @@ from hyperflex.checks import Array
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate import CurveMeasurement, RopeFilter, RopeTracker, curve_arc_lengths, track_video
-from hyperflex.vision import Camera, Frame, Occluder, Renderer, RopeMotion, Scene, VideoReader, VideoWriter, find_rope
+from hyperflex.vision import (
+    Camera,
+    Frame,
+    Occluder,
+    Renderer,
+    RopeMotion,
+    Scene,
+    VideoReader,
+    VideoWriter,
+    find_rope,
+    srgb_tone,
+)
 from tests.estimate.runs import ARM, FINE, LENGTH, RATE, SWINGS, free_swing, rope
 from tests.oracles.mujoco_eye import film
 
@@ -64,6 +75,7 @@ class Case:
     blackouts : when nothing is seen, s
     looks : whether the wall is textured, the rope throws a shadow on it, and an automatic exposure changes twice
     eye : whether MuJoCo renders the pictures
+    tone : whether the pictures have the tone curve of usual cameras, which the tracker is told; else none
     """
 
     cast: bool = False
@@ -74,6 +86,7 @@ class Case:
     blackouts: tuple[tuple[float, float], ...] = ()
     looks: bool = False
     eye: bool = False
+    tone: bool = False
 
     @property
     def duration(self) -> float:
@@ -94,6 +107,8 @@ CASES = {
     "cast, blackouts": Case(True, blackouts=((4.0, 4.3), (6.0, 6.3))),
     "swing, texture, shadow, steps": Case(looks=True),
     "cast, texture, shadow, steps": Case(True, looks=True),
+    "swing, tone curve": Case(tone=True),
+    "cast, tone curve": Case(True, tone=True),
     "swing, MuJoCo": Case(eye=True),
     "cast, MuJoCo": Case(True, eye=True),
     "swing, MuJoCo, texture, shadow, steps": Case(looks=True, eye=True),
@@ -135,6 +150,7 @@ def scene_of(case: Case, seed: int) -> Scene:
         **(looks if case.looks else {}),
         occluders=tuple(fronts),
         blackouts=case.blackouts,
+        tone=srgb_tone() if case.tone else None,
         seed=seed,
     )
 
@@ -168,7 +184,7 @@ def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Fra
         if tracker is None:
             pivot = camera.project(estimator.process.base(frame.time)[:1])[0]
             try:
-                look = find_rope(frame.image, pivot, width=WIDTH * SCALE).look
+                look = find_rope(frame.image, pivot, width=WIDTH * SCALE, tone=srgb_tone() if case.tone else None).look
             except InvalidInput as refusal:
                 print(f"{frame.time:.2f} s: {refusal}")
                 continue

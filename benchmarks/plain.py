@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.vision import Camera, Renderer, RopeMotion, Scene
+from hyperflex.vision import Camera, Renderer, RopeMotion, Scene, srgb_tone
 
 RESULTS = Path(__file__).parent / "results" / "plain.jsonl"
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def film(motion: RopeMotion, arcs: Array, seed: int, path: Path) -> Camera:
         roll=float(np.radians(rng.normal(0.0, 0.4))),
         exposure=0.002,
     )
-    scene = Scene(arcs, marker_diameter=0.03, rope_width=0.005, seed=seed)
+    scene = Scene(arcs, marker_diameter=0.03, rope_width=0.005, tone=srgb_tone(), seed=seed)
     Renderer(camera, motion, scene).write(path, np.arange(round(SECONDS * RATE)) / RATE, quality=20)
     return camera
 

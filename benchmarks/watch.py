@@ -25,7 +25,7 @@ from hyperflex import files
 from hyperflex.cli.plain import Plain
 from hyperflex.cli.track import Markers
 from hyperflex.estimate import FrameThread, LiveEstimate, TrackingTask, Watch
-from hyperflex.vision import Camera, Frame, Image, Renderer, RopeMotion, Scene
+from hyperflex.vision import Camera, Frame, Image, Renderer, RopeMotion, Scene, srgb_tone
 from tests.estimate.runs import free_swing
 
 RESULTS = Path(__file__).parent / "results" / "watch.md"
@@ -94,7 +94,7 @@ def main() -> None:
     out, about = parser.parse_args().out, machine.describe()
     motion = RopeMotion.from_trajectory(free_swing(SEED, BEGIN + SECONDS + 0.5))
     camera = Camera.facing(SIZE, pixels_per_metre=SIZE[0] / 4.5, origin=(640.0, 60.0), exposure=0.002)
-    renderer = Renderer(camera, motion, Scene([], rope_width=0.005, seed=SEED))
+    renderer = Renderer(camera, motion, Scene([], rope_width=0.005, tone=srgb_tone(), seed=SEED))
     images = [renderer.image(t) for t in BEGIN + np.arange(0.0, SECONDS, 1.0 / RATE)]
     with threadpool_limits(1), tempfile.TemporaryDirectory() as folder:
         plain = Plain(length=LENGTH, pivot=(640.0, 60.0), tip="found", size="rope", mass="unknown", exposure=0.002)

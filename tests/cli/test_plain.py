@@ -27,6 +27,7 @@ from hyperflex.vision import (
     VideoReader,
     VideoWriter,
     read_camera,
+    srgb_tone,
 )
 from tests.estimate.runs import free_swing
 from tests.vision.test_video import TURNED, UPRIGHT
@@ -38,7 +39,7 @@ COUNT = 12  # frames
 
 def film(path: Path, *markers: float) -> Path:
     """Film a free swing of a finer rope, with markers at some arc lengths, m."""
-    motion, scene = RopeMotion.from_trajectory(free_swing(0, 4.0)), Scene(markers, rope_width=0.012)
+    motion, scene = RopeMotion.from_trajectory(free_swing(0, 4.0)), Scene(markers, rope_width=0.012, tone=srgb_tone())
     Renderer(CAMERA, motion, scene).write(path, 0.05 + np.arange(COUNT) / 30.0)
     return path
 

@@ -119,9 +119,9 @@ class Plain:
 
         @cache
         def find(u: float, v: float, size: float | None) -> "FoundRope":
-            from hyperflex.vision import find_rope
+            from hyperflex.vision import find_rope, srgb_tone
 
-            return find_rope(image, (u, v), length=size)
+            return find_rope(image, (u, v), length=size, tone=srgb_tone())
 
         scene = partial(PlainScene, image, length, exposure, readout_direction, find)
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         random_occlusion,
     )
     from hyperflex.vision.stereo import stereo_recording
+    from hyperflex.vision.tone import linear_tone, srgb_tone
     from hyperflex.vision.video import (
         Frame,
         Image,

@@ -169,7 +169,7 @@ class CurveDetector:
         inner = reach + half_sweep(view.sweeps) + 0.5 * look.width + 3.0 * self.blur
         far = inner + profiles.MARGIN + 2.0
         seen = np.empty((len(reach), 2 * int(far.max() / self.STEP) + 1, 3))
-        profiles.sample_lines(image, view.points, view.normals, self.STEP, far, seen)
+        profiles.sample_lines(image, look.tone, view.points, view.normals, self.STEP, far, seen)
         across = self.STEP * (np.arange(seen.shape[1]) - 0.5 * (seen.shape[1] - 1))
         outside = (np.abs(across) > inner[:, None]) & np.isfinite(seen[:, :, 0])
         beyond = ~outside.any(axis=1)  # of the picture
@@ -216,7 +216,8 @@ class CurveDetector:
         side = float(half_sweep(view.sweeps[-1])) + 0.5 * look.width + 3.0 * self.blur
         along = view.end_tangent
         seen, found = np.empty((2 * int(half / self.STEP) + 1, 3)), np.empty(profiles.COLUMNS)
-        profiles.sum_across(image, view.end + offset * np.array([-along[1], along[0]]), along, self.STEP, side, seen)
+        beside = view.end + offset * np.array([-along[1], along[0]])
+        profiles.sum_across(image, look.tone, beside, along, self.STEP, side, seen)
         profiles.match_end(seen @ weights, view.end_sweep, self.blur, self.STEP, reach, found)
         noise, contrast = found[profiles.RESIDUAL] / self.STEP, found[profiles.AMPLITUDE] / look.width
         if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 4.0 * self.CONTRAST_STD):

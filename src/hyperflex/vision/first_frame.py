@@ -91,6 +91,7 @@ def find_rope(
     tolerance: float = 0.1,
     width: float | None = None,
     radius: float = CLICKED,
+    tone: Array | None = None,
 ) -> FoundRope:
     """Find the rope that begins at a pivot, an open curve, in one frame.
 
@@ -110,6 +111,8 @@ def find_rope(
     radius : float
         Of the disc about `pivot` in which the search begins, px. Along the rope the pivot is where the curve begins, if
         it is a click's error from what is seen.
+    tone : (256,) float64, optional
+        Of the camera, as of :class:`RopeLook`, if no `look` is given.
 
     Raises
     ------
@@ -124,13 +127,13 @@ def find_rope(
         if look is None:
             early = _best(ridges.paths(start, radius, None, longest)).seen
             early = early[: 2 + min(len(early) // 2, 40)]  # a rope is slowest at its pivot, and a path goes astray late
-            curve, look, _ = rope_along(image, early, width, longest)
-            rope = Mixture(image, look.bgr, look.width)
+            curve, look, _ = rope_along(image, early, width, longest, tone)
+            rope = Mixture(image, look.levels, look.width)
             rope.learn(curve)
         else:
-            rope, width = Mixture(image, look.bgr, look.width), look.width
+            rope, width = Mixture(image, look.levels, look.width), look.width
         path = _best(ridges.paths(start, radius, rope, longest))
-        curve, look, seen = rope_along(image, path.seen, width, longest)
+        curve, look, seen = rope_along(image, path.seen, width, longest, look.tone)
     except InvalidInput as error:
         if isinstance(error, NoRope):
             raise

@@ -1,6 +1,6 @@
 """The look of a rope without markers: its colour against what is behind it, its width, and the light as it changes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,9 +8,11 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core.image.profiles import sample_places
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.colour import NOISE
 from hyperflex.vision.ridges import BLUR, Ridges
+from hyperflex.vision.tone import linear_tone
 from hyperflex.vision.video import Image
 
 CLICKED = 6.0  # px that a click may be off
@@ -55,9 +57,11 @@ class RopeLook:
     Parameters
     ----------
     bgr : (3,) array_like
-        Mean colour over the rope's width, blue, green, red, 0 to 255.
+        Mean light over the rope's width, blue, green, red, 0 to 255.
     width : float
         Of the rope at rest, px.
+    tone : (256,) array_like, optional
+        Light of the levels of its pictures, 0 to 255, as of :func:`srgb_tone`; by default proportional to them.
     light : (h, w, 3) uint8, optional
         Some pixels of the picture whose light `bgr` has; see :meth:`in_light_of`.
     first : RopeLook, optional
@@ -65,23 +69,27 @@ class RopeLook:
 
     Notes
     -----
-    A pixel that the rope covers in part is a mixture of rope and wall. Colours are told apart, as by Fisher's linear
-    discriminant, by the covariance of the wall beside the rope. So one rule serves
-    bright ropes on dark walls, dark ones on bright walls, and coloured ones on textures: what varies over the wall
-    (grain, shadow, shade) counts little.
+    The light of a pixel that the rope covers in part is a mixture of rope and wall. Colours are told apart, as by
+    Fisher's linear discriminant, by the covariance of the wall beside the rope. So one rule serves bright ropes on dark
+    walls, dark ones on bright walls, and coloured ones on textures: what varies over the wall (grain, shadow, shade)
+    counts little.
     """
 
     bgr: Array
     width: float
+    tone: Array = field(default_factory=linear_tone)
     light: Image | None = None
     first: "RopeLook | None" = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bgr", checks.array("bgr", self.bgr, (3,), sign="nonnegative"))
         object.__setattr__(self, "width", checks.number("width", self.width, sign="positive", unit="px"))
+        object.__setattr__(self, "tone", checks.array("tone", self.tone, (256,), sign="nonnegative"))
 
     @classmethod
-    def from_curve(cls, image: Image, curve: npt.ArrayLike, width: float | None = None) -> "RopeLook":
+    def from_curve(
+        cls, image: Image, curve: npt.ArrayLike, width: float | None = None, tone: Array | None = None
+    ) -> "RopeLook":
         """Return the look of the rope that lies along a curve in a picture.
 
         Parameters
@@ -92,6 +100,8 @@ class RopeLook:
         width : float, optional
             If it is known, px; else it is found. A rope thinner than two pixels has about the same picture as a thinner
             one of more contrast, so there the calibrated width is better.
+        tone : (256,) float64, optional
+            As of the look.
 
         Raises
         ------
@@ -108,7 +118,8 @@ class RopeLook:
         reach = 8.0 + 3.0 * (6.0 if width is None else width)
         across = np.arange(-reach, reach + 0.25, 0.5)
         outside = np.broadcast_to(np.abs(across) > 0.5 * reach, (len(line), across.size))
-        samples = sample(image, places_across(line, across))
+        tone = linear_tone() if tone is None else tone
+        samples = sample(image, places_across(line, across), tone)
         inside = np.isfinite(samples).all(axis=(1, 2))
         if not inside.any():
             raise InvalidInput("the curve is not in the picture", got=line[[0, -1]].tolist(), allowed="a rope in sight")
@@ -135,10 +146,12 @@ class RopeLook:
                 allowed="at least 3",
                 fix="Take another wall or more light, or put markers on the rope",
             )
-        return cls(np.clip(bgr, 0.0, 255.0), float(found), light=_sparse(image))
+        return cls(np.clip(bgr, 0.0, 255.0), float(found), tone, _sparse(image))
 
     @classmethod
-    def from_click(cls, image: Image, place: npt.ArrayLike, width: float | None = None) -> "RopeLook":
+    def from_click(
+        cls, image: Image, place: npt.ArrayLike, width: float | None = None, tone: Array | None = None
+    ) -> "RopeLook":
         """Return the look of the rope at a place (2,), px, some pixels off, in a picture (height, width, 3), uint8.
 
         Raises
@@ -147,7 +160,7 @@ class RopeLook:
             If no rope is seen there.
         """
         click = checks.array("place", place, (2,), unit="px")
-        return rope_along(image, Ridges(image).paths(click, CLICKED)[0].places, width)[1]
+        return rope_along(image, Ridges(image).paths(click, CLICKED)[0].places, width, tone=tone)[1]
 
     def before_wall(
         self, image: Image, places: Array, outside: npt.NDArray[np.bool_], across: Array
@@ -171,17 +184,22 @@ class RopeLook:
         (K, 3, 3) float64
             Inverse covariance of the wall.
         """
-        samples, outside = sample(image, places), np.broadcast_to(outside, places.shape[:2])
+        samples, outside = sample(image, places, self.tone), np.broadcast_to(outside, places.shape[:2])
         wall = _wall(samples, outside, across)
         precision = np.asarray(np.linalg.inv(_covariance(samples - wall, outside)), np.float64)
         return samples - wall, self.bgr - wall, precision
+
+    @property
+    def levels(self) -> Array:
+        """Of its colour in a picture (3,), blue, green, red."""
+        return np.asarray(np.interp(self.bgr, self.tone, linear_tone()))
 
     def in_light_of(self, image: Image) -> "RopeLook":
         """Return this look in the light of another picture by the same camera: exposure, white balance, dusk."""
         now, first = _sparse(image), self.first or self
         if first.light is None or first.light.shape != now.shape:
             return replace(self, light=now, first=None)
-        gain = _gain_between(first.light, now)
+        gain = _gain_between(first.light, now, self.tone)
         return replace(self, bgr=np.clip(first.bgr * gain, 0.0, 255.0), light=now, first=first)
 
 
@@ -192,19 +210,16 @@ def places_across(curve: Array, across: Array) -> Array:
     return np.asarray(curve[:, None] + across[:, None] * normal[:, None])
 
 
-def sample(image: Image, places: Array) -> Array:
-    """Return the colours (K, M, 3) of a picture at places (K, M, 2), px, interpolated; NaN outside of it."""
-    import cv2
-
-    where = places.astype(np.float32)
-    seen = cv2.remap(image, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
-    last = np.array(image.shape[1::-1]) - 0.5
-    seen[((places < -0.5) | (places > last)).any(axis=2)] = np.nan
-    return np.asarray(seen)
+def sample(image: Image, places: Array, tone: Array) -> Array:
+    """Return the light (K, M, 3) of a picture at places (K, M, 2), px, interpolated; NaN outside of it."""
+    seen, last = np.empty((*places.shape[:2], 3)), np.array(image.shape[1::-1]) - 1.0
+    sample_places(image, tone, np.clip(places, 0.0, last), seen)
+    seen[((places < -0.5) | (places > last + 0.5)).any(axis=2)] = np.nan
+    return seen
 
 
 def rope_along(
-    image: Image, path: Array, width: float | None = None, longest: float = np.inf
+    image: Image, path: Array, width: float | None = None, longest: float = np.inf, tone: Array | None = None
 ) -> tuple[Array, RopeLook, Cover]:
     """Measure the rope along a path that is some pixels off.
 
@@ -217,6 +232,8 @@ def rope_along(
         Of the rope, px, if it is known.
     longest : float
         That the rope can be, px.
+    tone : (256,) float64, optional
+        As of the look.
 
     Returns
     -------
@@ -234,7 +251,7 @@ def rope_along(
     """
     curve, last, extend = equal_steps(path), 0, 0
     for _ in range(8):  # a path that ends too early is followed further
-        look = RopeLook.from_curve(image, curve, width)
+        look = RopeLook.from_curve(image, curve, width, tone)
         ahead = curve[-1] - curve[-min(12, len(curve))]
         ahead = np.arange(1.0, extend)[:, None] * ahead / max(float(np.hypot(*ahead)), 1e-9)
         curve = np.concatenate([curve, curve[-1] + ahead])
@@ -314,12 +331,12 @@ def _sparse(image: Image) -> Image:
     return image[::16, ::16].copy()
 
 
-def _gain_between(before: Image, after: Image) -> Array:
+def _gain_between(before: Image, after: Image, tone: Array) -> Array:
     """Return by which factors (3,) a picture became brighter, from some pixels of it."""
     exposed = ((before > 10) & (before < 240) & (after < 240)).all(axis=2)  # levels
     if not exposed.any():
         return np.ones(3)
-    return np.asarray(np.median(after[exposed] / before[exposed].astype(np.float64), axis=0))
+    return np.asarray(np.median(tone[after[exposed]] / tone[before[exposed]], axis=0))
 
 
 def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:

@@ -11,8 +11,8 @@ MARGIN = 4.0  # px of background on both sides of the rope, to which it is compa
 
 
 @kernel
-def add_colour(image, u, v, weight, out):  # type: ignore[no-untyped-def]
-    """Add the colour of a picture between its pixels, times a weight, to out (3,); NaN beyond its border."""
+def add_light(image, tone, u, v, weight, out):  # type: ignore[no-untyped-def]
+    """Add the light of a picture between its pixels, times a weight, to out (3,); NaN beyond its border."""
     height, width = image.shape[0], image.shape[1]
     if not (0.0 <= u <= width - 1.0 and 0.0 <= v <= height - 1.0):
         out[:] = np.nan
@@ -20,18 +20,29 @@ def add_colour(image, u, v, weight, out):  # type: ignore[no-untyped-def]
     i, j = min(int(v), height - 2), min(int(u), width - 2)
     down, right = v - i, u - j
     for c in range(3):
-        above = (1.0 - right) * image[i, j, c] + right * image[i, j + 1, c]
-        below = (1.0 - right) * image[i + 1, j, c] + right * image[i + 1, j + 1, c]
+        above = (1.0 - right) * tone[image[i, j, c]] + right * tone[image[i, j + 1, c]]
+        below = (1.0 - right) * tone[image[i + 1, j, c]] + right * tone[image[i + 1, j + 1, c]]
         out[c] += weight * ((1.0 - down) * above + down * below)
 
 
 @kernel
-def sample_lines(image, points, normals, step, reach, out):  # type: ignore[no-untyped-def]
-    """Average the colours along M lines across each of K pieces of a rope.
+def sample_places(image, tone, places, out):  # type: ignore[no-untyped-def]
+    """Set out (K, M, 3) to the light of a picture at places (K, M, 2), px; NaN beyond its border."""
+    out[:] = 0.0
+    for k in range(out.shape[0]):
+        for m in range(out.shape[1]):
+            add_light(image, tone, places[k, m, 0], places[k, m, 1], 1.0, out[k, m])
+
+
+@kernel
+def sample_lines(image, tone, points, normals, step, reach, out):  # type: ignore[no-untyped-def]
+    """Average the light along M lines across each of K pieces of a rope.
 
     Parameters
     ----------
     image : (height, width, 3) uint8
+    tone : (256,) float64
+        Light of its levels.
     points, normals : (K, M, 2) float64
         Middles of the lines, px, and their directions.
     step : float
@@ -49,7 +60,7 @@ def sample_lines(image, points, normals, step, reach, out):  # type: ignore[no-u
             if abs(x) <= reach[k]:
                 for m in range(lines):
                     u, v = points[k, m, 0] + x * normals[k, m, 0], points[k, m, 1] + x * normals[k, m, 1]
-                    add_colour(image, u, v, 1.0 / lines, out[k, j])
+                    add_light(image, tone, u, v, 1.0 / lines, out[k, j])
 
 
 @kernel
@@ -181,12 +192,14 @@ def without_line(values, squares):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def sum_across(image, point, along, step, side, out):  # type: ignore[no-untyped-def]
-    """Integrate the colours, less that beside, across each point of a line along a rope.
+def sum_across(image, tone, point, along, step, side, out):  # type: ignore[no-untyped-def]
+    """Integrate the light, less that beside, across each point of a line along a rope.
 
     Parameters
     ----------
     image : (height, width, 3) uint8
+    tone : (256,) float64
+        Light of its levels.
     point, along : (2,) float64
         Middle of the line, px, and its direction.
     step : float
@@ -204,7 +217,7 @@ def sum_across(image, point, along, step, side, out):  # type: ignore[no-untyped
             y = j * step
             u, v = point[0] + x * along[0] - y * along[1], point[1] + x * along[1] + y * along[0]
             weight = step if abs(j) <= inner else -step * (2 * inner + 1) / (2 * outer)
-            add_colour(image, u, v, weight, out[i])
+            add_light(image, tone, u, v, weight, out[i])
 
 
 @kernel

@@ -98,9 +98,9 @@ class TrackingTask:
         places = np.pad(drop, ((1, 0), (0, 0))) + tracker.estimator.process.base(0.0)[0]
         pixels = np.round(16.0 * self.camera.project(places)).astype(int)  # 1/16 px
         if self.look is not None:
-            image[:] = 128 + np.where(self.look.bgr < 128.0, 64, -64)
+            image[:] = 128 + np.where(self.look.levels < 128.0, 64, -64)
             thick = max(1, round(self.look.width))
-            cv2.polylines(image, [pixels.astype(np.int32)], False, self.look.bgr.tolist(), thick, cv2.LINE_AA, 4)
+            cv2.polylines(image, [pixels.astype(np.int32)], False, self.look.levels.tolist(), thick, cv2.LINE_AA, 4)
         if self.colours:
             radius = round(16.0 * (max(2.0, tracker.measurement.radius) - 0.5))  # OpenCV adds half a pixel
             for place in pixels[1:]:

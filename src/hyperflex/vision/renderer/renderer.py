@@ -14,6 +14,7 @@ from hyperflex.core.image.exposure import Capsules, RowTimes, expose
 from hyperflex.files import PathLike
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.renderer.motion import RopeMotion
+from hyperflex.vision.tone import linear_tone
 from hyperflex.vision.video import Image, VideoWriter
 
 Colour = tuple[float, float, float]  # blue, green, red, 0 to 255
@@ -100,6 +101,8 @@ class Scene:
         Of an automatic exposure: from which time on, s, the picture is by which factor brighter.
     noise : float
         Standard deviation of a channel, levels.
+    tone : (256,) array_like, optional
+        Light of the levels 0 to 255, 0 to 255, as of :func:`srgb_tone`; all colours are levels.
     occluders : tuple of Occluder
         Before everything.
     hidden : callable, optional
@@ -111,7 +114,7 @@ class Scene:
 
     Notes
     -----
-    Levels count as proportional to light; no gamma, no vignetting.
+    Levels count as proportional to light, unless `tone` is given; no vignetting.
     """
 
     arc_lengths: Array
@@ -130,6 +133,7 @@ class Scene:
     drift_period: float = 10.0
     exposure_steps: tuple[tuple[float, float], ...] = ()
     noise: float = 2.0
+    tone: Array | None = None
     occluders: tuple[Occluder, ...] = ()
     hidden: Hidden | None = None
     blackouts: tuple[tuple[float, float], ...] = ()
@@ -310,7 +314,7 @@ class Renderer:
     def __init__(self, camera: Camera, motion: RopeMotion, scene: Scene, sub_exposures: int = 8) -> None:
         self.camera, self.motion, self.scene = camera, motion, scene
         self.sub_exposures = checks.count("sub_exposures", sub_exposures)
-        self._wall = scene.wall(camera.image_size)
+        self._wall = self._light(scene.wall(camera.image_size))
         self._rng = np.random.default_rng((scene.seed, 2))
         width, height = (
             camera.image_size
@@ -324,6 +328,11 @@ class Renderer:
         other = copy(self)
         other.motion = motion
         return other
+
+    def _light(self, levels: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """Return the light of levels of the scene."""
+        tone = self.scene.tone
+        return np.asarray(levels if tone is None else np.interp(levels, linear_tone(), tone), np.float32)
 
     def image(self, stamp: float) -> Image:
         """Return the frame (height, width, 3) with a time stamp, s."""
@@ -340,6 +349,8 @@ class Renderer:
             levels[part] *= 1.0 - seen[:, :, 3:]
             levels[part] += seen[:, :, :3]
         levels *= self.scene.light(stamp).astype(np.float32)
+        if self.scene.tone is not None:
+            levels = np.interp(levels, self.scene.tone, linear_tone()).astype(np.float32)
         du, dv = self._rng.integers(0, 64, 2)
         levels += self._noise[dv : dv + height, du : du + width]
         return np.asarray(cv2.convertScaleAbs(np.maximum(levels, 0.0)), dtype=np.uint8)
@@ -491,7 +502,7 @@ class Renderer:
         samples = max(self.sub_exposures, int(fastest / 1.5)) if camera.exposure > 0.0 else 1
         times = RowTimes(first, -slope if backwards else slope, camera.exposure * step, samples)
         ends = np.ascontiguousarray(pixels.reshape(nodes, -1, 4))
-        return Capsules(ends, radii, np.repeat(np.arange(len(drawn)), sizes), colours.astype(np.float32)), times
+        return Capsules(ends, radii, np.repeat(np.arange(len(drawn)), sizes), self._light(colours)), times
 
 
 def frame_times(

@@ -1,0 +1,16 @@
+"""Tone curves of cameras: how much light the levels of a picture stand for. Blur mixes light, not levels."""
+
+import numpy as np
+
+from hyperflex.checks import Array
+
+
+def linear_tone() -> Array:
+    """Return the light (256,), 0 to 255, of the levels 0 to 255 of a picture that are proportional to it."""
+    return np.arange(256.0)
+
+
+def srgb_tone() -> Array:
+    """Return the light (256,), 0 to 255, of the levels 0 to 255 of usual cameras' pictures (sRGB, IEC 61966-2-1)."""
+    level = linear_tone() / 255.0
+    return 255.0 * np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
