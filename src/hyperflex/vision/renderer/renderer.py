@@ -329,7 +329,7 @@ class Renderer:
         other.motion = motion
         return other
 
-    def _light(self, levels: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    def _light(self, levels: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Return the light of levels of the scene."""
         tone = self.scene.tone
         return np.asarray(levels if tone is None else np.interp(levels, linear_tone(), tone), np.float32)
