@@ -1,5 +1,7 @@
 """A rope without markers, followed by a filter with fewer links than the rope has."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -58,7 +60,7 @@ def test_a_direction_that_is_not_measured_has_no_effect():
 def bare(kind=RopeFilter, **options):
     """A tracker of 24 links by the curve."""
     cable, arcs = rope(24), curve_arc_lengths(rope(24), 20)
-    return RopeTracker(kind(cable, arcs, camera=CAMERA, **options), CurveMeasurement(LOOK))
+    return RopeTracker(kind(cable, arcs, **{"camera": CAMERA} | options), CurveMeasurement(LOOK))
 
 
 def followed(tracker, frames=12, **scene):
@@ -151,6 +153,37 @@ def test_the_arc_length_of_the_free_end_moves_it_alone(colours):
         np.testing.assert_allclose(view.end, views[0].end + moved * view.end_tangent, atol=0.01)  # px, the last bend
     last = views[0].points[-1, -1]  # half a line's distance from the end, of 280 on 2 m
     assert np.linalg.norm(views[0].end - last) == pytest.approx(SCALE * 1.0 / 280.0, rel=1e-3)
+
+
+def test_an_estimated_readout_delays_lines_as_a_known_one():
+    views = []
+    for known, doubts in ((0.01, []), (0.0, [EstimatedParameter("readout", 0.01)])):
+        tracker = bare(camera=replace(CAMERA, readout=known), parameters=doubts)
+        tracker.measurement.detector = watched = Watched()
+        tracker.estimator.update(
+            Observations(0.05, CAMERA.project(np.linspace([0.0, -0.05], [0.5, -1.9], 21)), std=1.0)
+        )
+        tracker.estimator.x[24:48], tracker.estimator.x[48:] = 3.0, 0.01
+        tracker.measurement.measure(
+            np.full((480, 640, 3), 200, np.uint8), tracker, np.zeros(2), tracker.expect(0.05), ()
+        )
+        views.append(watched.view)
+    assert np.abs(np.diff(views[0].sweeps[:, 0])).max() > 0.1  # it moves
+    np.testing.assert_allclose(views[1].points, views[0].points, atol=1e-9)
+    np.testing.assert_allclose(views[1].sweeps, views[0].sweeps, atol=1e-9)
+
+
+def test_what_is_not_known_of_the_readout_is_no_error_of_detection():
+    """A model that estimates the readout has it. With it, pieces would count as measured along the rope, too."""
+    tracker = bare(parameters=[EstimatedParameter("readout", 0.03)])
+    motion, t = RopeMotion.from_trajectory(free_swing(3, 2.0)), 0.6
+    renderer, measure, found = Renderer(CAMERA, motion, Scene([], rope_width=WIDTH)), tracker.measurement.measure, []
+    tracker.measurement.measure = lambda *given: found.append(measure(*given)) or found[-1]
+    tracker.estimator.update(Observations(t, CAMERA.project(motion.places([t], tracker.arc_lengths)[0]), std=1.0))
+    for k in range(3):
+        tracked = tracker.look(Frame(t + (k + 1) / 60.0, renderer.image(t + (k + 1) / 60.0), k))
+        np.testing.assert_array_equal(tracked.covariances, found[k][1])
+    assert np.linalg.eigvalsh(tracked.movements)[:, 1].max() > 0.04  # px^2
 
 
 def test_doubt_of_the_free_end_does_not_blur_the_order_of_the_markers(monkeypatch):

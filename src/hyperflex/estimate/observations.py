@@ -155,7 +155,7 @@ class MarkerModel:
     readout : float
         Known time from the first row of a picture to the last, s.
     named : bool
-        Whether parameters ``"arc[k]"`` are of these markers; else they have no effect.
+        Whether parameters ``"arc[k]"`` and ``"readout"`` are of these markers; else they have no effect.
 
     Notes
     -----
@@ -179,6 +179,7 @@ class MarkerModel:
             raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
         check_increasing(arcs)
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
+        self._named = named
         self.link, self.arms = lever_arms(rope, arcs)
         arc_names = {f"arc[{marker}]": marker for marker in range(arcs.size)}
         arc_states = [k for k, name in enumerate(parameters.names) if name[:4] == "arc[" and named]
@@ -218,7 +219,7 @@ class MarkerModel:
         arms = self.arms * (1.0 + at("length", values)) if len(self.parameters) else self.arms
         for k, marker in self._arc_states.items():
             arms[marker, self.link[marker]] += values[k]
-        tau = rows * (self.readout + at("readout", values))  # (K,)
+        tau = rows * (self.readout + (at("readout", values) if self._named else 0.0))  # (K,)
         jacobian = np.zeros((len(arms), 2, x.size))
         slope = jacobian[:, :, :n]  # of the places by the angles
         np.multiply(arms, np.cos(q), out=slope[:, 0])

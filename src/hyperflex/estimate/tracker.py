@@ -86,7 +86,9 @@ class TrackedFrame:
     pixels : (K, 2) float64
         Where each marker was seen, px; NaN: not seen.
     covariances : (K, 2, 2) float64
-        Of these and of their movement between `t` and their own row, px^2.
+        Of these, px^2.
+    movements : (K, 2, 2) float64
+        Covariances of their movement between `t` and their own row, px^2.
     places : (K, 2) float64
         In the swing plane at `t`, m, by the estimates of its scale, roll and offset until then.
     predicted : (K, 2) float64
@@ -102,6 +104,7 @@ class TrackedFrame:
     t: float
     pixels: Array
     covariances: Array
+    movements: Array
     places: Array
     predicted: Array
     gates: Array
@@ -178,12 +181,11 @@ class RopeTracker:
         if expected is not None:
             predicted, gates = expected.pixels, each_covariance(expected.covariance)
             pixels[~estimator.used] = np.nan  # outside of its gate
-        moved, state = pixels, None
+        shift, movements, state = np.zeros_like(pixels), np.zeros_like(covariances), None
         if estimator.t is not None:
-            shift, wide = estimator.readout_shift(rows)
-            moved, covariances, state = pixels - shift, covariances + wide, estimator.state
-        places = self.adjusted_camera.locate(moved)
-        return TrackedFrame(t - self.delay, pixels, covariances, places, predicted, gates, state, estimator.changes)
+            (shift, movements), state = estimator.readout_shift(rows), estimator.state
+        places, t = self.adjusted_camera.locate(pixels - shift), t - self.delay
+        return TrackedFrame(t, pixels, covariances, movements, places, predicted, gates, state, estimator.changes)
 
     def expect(self, t: float) -> Prediction | None:
         """Predict to time t, s, and return where the points are expected, each in its row; None if that is unknown."""

@@ -93,6 +93,7 @@ class _Sighting(NamedTuple):
 
     seen: Observations  # px, at a time without an estimated delay
     still: Array  # (K, 2) px, where each marker would have been seen in the middle of the readout
+    movements: Array  # (K, 2, 2) px^2, covariances of the differences
     x: Array  # (N,) the state, with the parameters until then
     begun: bool  # whether the estimate started in this frame
     changes: tuple[Change, ...]
@@ -147,7 +148,8 @@ def track_video(
             still = tracker.adjusted_camera.project(tracked.places)
             pixels, covariances = tracked.pixels, tracked.covariances
             seen = Observations(tracked.t + tracker.delay, pixels, rows=tracker.rows(pixels), covariances=covariances)
-            found.append(_Sighting(seen, still, tracker.estimator.x.copy(), begun, tracked.changes))
+            x = tracker.estimator.x.copy()
+            found.append(_Sighting(seen, still, tracked.movements, x, begun, tracked.changes))
             begun = False
         return draw_frame(frame.image, tracker, tracked) if draw else None
 
@@ -278,7 +280,7 @@ def _marker_places(tracker: RopeTracker, found: list[_Sighting], errors: RunErro
         before, now = (readout + parameters.value("readout", values) for values in (frame.x[first:], final))
         shift = (frame.seen.places - frame.still) * (now / before if before else 1.0)
         camera = parameters.camera_at(tracker.camera, final)
-        places[k], wide = camera.locate_with_covariance(frame.seen.places - shift, wide)
+        places[k], wide = camera.locate_with_covariance(frame.seen.places - shift, wide + frame.movements)
         noise[k] = np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
     return arcs, places, noise
 
