@@ -38,7 +38,7 @@ def test_a_declared_centre_of_mass_that_would_move_far_contradicts_the_clock(fre
     assert first.kind is Kind.COM_OR_CLOCK
     assert not found.has(Kind.UNTESTED)  # which would contradict that
     assert first.values["clock"] == pytest.approx(1.25, rel=5e-3)  # quadratic drag, noise: 1.2497
-    assert "times are to be multiplied by 1.25" in found.report()
+    assert "times must be multiplied by 1.25" in found.report()
 
 
 def test_a_freed_length_far_from_the_declared_one_is_no_answer():

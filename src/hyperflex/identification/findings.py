@@ -158,7 +158,7 @@ class Kind(StrEnum):
     ANGLE_SCALE = (
         "scale of the angles",
         """The fit is better with angles multiplied by {factor:.3g}. | The sensor's scale is not as declared; ratios
-        move by {moved:most}. Check what an angle of the sensor is in radians.""",
+        move by {moved:most}. Check the sensor's scale in radians.""",
     )
     LINK_LATE = (
         "one link late",
@@ -271,14 +271,14 @@ class Kind(StrEnum):
     )
     LINKS_TOO_LONG = (
         "links too long",
-        """The residuals look like those of a rope of finer links (probability {probability:%}). | Values are off by up
-        to {moved:%} with so few links. Use more links.""",
+        """The residuals look like those of a rope with more, shorter links (probability {probability:%}). | Values are
+        off by up to {moved:%} with so few links. Use more links.""",
     )
     OUTLIERS = (
         "outliers",
         """{part:%} of the residuals are larger than {beyond:.0f} standard deviations of the others, and make
-        {squares:%} of the sum of squares. | A few wrong samples decide the fit. Fit again with
-        FitOptions(loss='cauchy') or 'huber', or take them out.""",
+        {squares:%} of the sum of squares. | A few wrong samples dominate the fit. Fit again with
+        FitOptions(loss='cauchy') or 'huber', or remove them.""",
     )
     # What the fit looks like
     HANGS_UPWARDS = (
@@ -298,33 +298,33 @@ class Kind(StrEnum):
     )
     POOR_FIT = (
         "poor fit",
-        """{what}: the fit errs by {rms:{unit}}, the motion within the windows is {motion:{unit}} (rms). | The model
-        does not describe this motion. Check units, zero and sense of the recording, link lengths, the motion of the
-        base, and the guess.""",
+        """{what}: the error of the fit is {rms:{unit}}, the motion within the windows is {motion:{unit}} (rms). | The
+        model does not describe this motion. Check units, zero and sense of the recording, link lengths, the motion of
+        the base, and the guess.""",
     )
     POOR_TORQUE = (
         "torque does not fit",
-        """Torque: the fit errs by {rms:.3g} N m, the torque varies by {motion:.3g} N m (rms). | Masses, inertias and
-        frictions mean nothing until it fits. Check its sign (positive turns the arm to larger angles) and its
-        unit, N m.""",
+        """Torque: the error of the fit is {rms:.3g} N m, the torque varies by {motion:.3g} N m (rms). | Masses,
+        inertias and frictions are meaningless until it fits. Check its sign (positive turns the arm to larger angles)
+        and its unit, N m.""",
     )
     MASS_FAR = (
         "mass far beyond its link",
         """Link {link} would have its mass {reach:.3g} times as far from its joint as it is long. | Inertia over first
-        moment is more than such a link can have: it is longer, or times are to be multiplied by {clock:.3g}. Check
+        moment is more than such a link can have: it is longer, or times must be multiplied by {clock:.3g}. Check
         times, frame rate, scale, lengths and the order of the links.""",
     )
     COM_OR_CLOCK = (
         "centre of mass or clock contradicts the guess",
         """Link {link} would have its centre of mass {reach:.3g} times as far from its joint as declared. | com or the
-        clock contradicts the guess: com is another, or times are to be multiplied by {clock:.3g}; J/p1 is off by
-        {moved:%} then. Check the frame rate, and measure com, or free 'com'.""",
+        clock contradicts the guess: com differs, or times must be multiplied by {clock:.3g}; J/p1 is then
+        {moved:%} off. Check the frame rate, and measure com, or free 'com'.""",
     )
     LENGTH_OR_CLOCK = (
         "lengths or clock contradict the guess",
-        """Links would be {factor:.3g} times as long as declared. | Gravity tells lengths and times together alone:
-        lengths are others, or times are to be multiplied by {clock:.3g}; J/p1 is off by {moved:%} then. Check the frame
-        rate, and measure one length; where it is hardly known, say so: FitOptions(length_std=0.2).""",
+        """Links would be {factor:.3g} times as long as declared. | Gravity determines only a combination of lengths
+        and times: lengths differ, or times must be multiplied by {clock:.3g}; J/p1 is then {moved:%} off. Check the
+        frame rate, and measure one length; if it is poorly known, declare it: FitOptions(length_std=0.2).""",
     )
     PREDICTION_FAILED = (
         "prediction failed",
@@ -333,26 +333,26 @@ class Kind(StrEnum):
     )
     PREDICTION_POOR = (
         "poor prediction",
-        """Predictions of the held-out part err by {part:%} of what a rope at rest would. | The model omits an effect,
-        or something is not as declared. """
+        """The error of predictions of the held-out part is {part:%} of that of a rope at rest. | The model omits an
+        effect, or something is not as declared. """
         + COMPARE,
     )
     PREDICTION_OUTSIDE = (
         "prediction outside its band",
-        """Only {part:%} of the held-out part lies where 95 % is expected: predictions err {factor:.2g} times as much as
-        stated. | The part of standard deviations and intervals that noise and model make is multiplied by that. The
+        """Only {part:%} of the held-out part is inside its 95 % band: prediction errors are {factor:.2g} times as
+        large as stated. | Standard deviations and intervals due to noise and model are multiplied by this factor. The
         model omits an effect, or something is not as declared{free:?: most is explained with }{free}{free:? free}. """
         + COMPARE,
     )
     WINDOWS_DISAGREE = (
         "windows disagree",
-        """{label} differs between windows {times:.2g} times as much as by noise (std {part:%}). | Something changes
+        """{label} differs between windows by {times:.2g} times the effect of noise (std {part:%}). | Something changes
         over the recording, or the model omits an effect. Fit parts of the recording separately.""",
     )
     RESISTANCE_CHANGES = (
         "resistance changes with time",
-        """{label} differs between windows {times:.2g} times as much as by noise (std {part:%}). | A resistance changes
-        over the recording, or is of another kind. Fit parts of the recording separately, or free another.""",
+        """{label} differs between windows by {times:.2g} times the effect of noise (std {part:%}). | A resistance
+        changes over the recording, or is of another kind. Fit parts of the recording separately, or free another.""",
     )
     NOTHING_KNOWN = (
         "no ratio known",
@@ -367,7 +367,7 @@ class Kind(StrEnum):
     POORLY_DETERMINED = (
         "poorly determined values",
         """Poorly determined: {parts:each (std %)}. | Their standard deviations are large; all other {others} are known
-        better. Record longer or larger swings, or hold what you know otherwise.""",
+        better. Record longer or larger swings, or fix what you know from elsewhere.""",
     )
     LONE_START = (
         "one start alone",
@@ -399,7 +399,7 @@ class Kind(StrEnum):
     )
     BETTER_OPTIMUM = (
         "better optimum nearby",
-        """Near {name} the squares fall {gain:.3g} residual variances below this fit. | It is not the best one. Fit
+        """Near {name} the sum of squares is {gain:.3g} residual variances smaller. | This fit is not the best one. Fit
         again with rope_guess=hyperflex.identification.profile(found, '{name}').better.""",
     )
     PROFILE_GIVEN_UP = (
@@ -438,7 +438,7 @@ class Kind(StrEnum):
     UNDETECTABLE = (
         "lengths and times tested together only",
         """Times and lengths are tested against each other only. | With a clock 1 % off and all lengths 2 % off a rope
-        moves exactly alike, and J/p1 is 2 % off. Check the frame rate, or one length.""",
+        moves in exactly the same way, and J/p1 is 2 % off. Check the frame rate, or one length.""",
     )
     FRICTION_MODEL = (
         "friction depends on the model",
@@ -455,23 +455,23 @@ class Kind(StrEnum):
     COMBINATION = (
         "unknown combination",
         """{count} combination(s) of {names:list} cannot be known. | They act alike in this motion; the values shown are
-        one choice of many. Ratios that are not known either: {lost:list}. Hold what you can measure otherwise, such as
+        one choice of many. Ratios that are not known either: {lost:list}. Fix what you can measure otherwise, such as
         'mass' and 'com', or record another motion.""",
     )
     NO_EFFECT = (
         "no effect in this motion",
-        """{names:list} cannot be known. | They have no effect in this motion; the values shown mean nothing. Hold them,
-        or record a motion in which they act.""",
+        """{names:list} cannot be known. | They have no effect in this motion; the values shown are meaningless. Fix
+        them, or record a motion in which they act.""",
     )
     AT_ZERO = (
         "went to zero",
-        """{names:list} went to 0, the least allowed. | The data show none of it. Hold it at 0, unless you know
+        """{names:list} went to 0, the least allowed. | The data show no sign of it. Fix it at 0, unless you know
         otherwise.""",
     )
     NOT_ESTIMATED = (
         "no standard deviations",
-        """The fit ended before standard deviations and intervals were computed. | How well the values are known is
-        open. Allow more time.""",
+        """The fit ended before standard deviations and intervals were computed. | Their accuracy is
+        unknown. Allow more time.""",
     )
     CHOSEN = (
         "free by default",
