@@ -183,7 +183,7 @@ def test_what_comes_after_the_fit_keeps_to_its_time():
             "it: drag (12 % of the residuals' squares). Name",
         ),
         (Kind.NOT_CONVERGED, {"ended": ""}, "The fit has not converged. Values"),
-        (Kind.COMBINATION, {"count": 1, "names": ["mass"], "lost": []}, "not known either: none. Hold"),
+        (Kind.COMBINATION, {"count": 1, "names": ["mass"], "lost": []}, "not known either: none. Fix"),
         (
             Kind.DRIFT,
             {"drift": 0.1, "moved": 0.1, "alike": {"'drag'": np.nan, "clock or lengths": 1.024}},
