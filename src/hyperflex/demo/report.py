@@ -44,32 +44,32 @@ from hyperflex.vision import VideoReader
 
 TARGET = Peg(x=0.62, y=-1.14, radius=0.05, mu=0.3)  # well within reach
 _LEAD = (
-    "From a video to an identified rope to a cast that winds it round a target. The video was made by simulating a "
-    f"rope of {twin.FINE} links and filming it with a synthetic camera. Its markers are tracked, and a chain of "
+    "From a video to an identified rope, and to a cast that winds it round a target. The video was made by simulating "
+    f"a rope of {twin.FINE} links and filming it with a synthetic camera. Its markers are tracked, and a chain of "
     f"{twin.COARSE} links is identified from them, with uncertainties. Nothing here was measured on a real rope."
 )
 _HELD_OUT = (
-    "Shaded: held out. There the state is fitted on half a second, and the next second is predicted without data."
+    "Shaded: held-out part. There the state is fitted on half a second, and the next second is predicted without data."
 )
 _MODEL = (
     f"The cast is planned for the rope as it was identified, {twin.COARSE} links (cut shorter near the target). The "
     "plan is simulated with the same model, and again with shorter links."
 )
 _TRACKED = (
-    "Ten markers in {frames} frames of an H.264 video, with clutter of their colour on the wall and light that drifts; "
+    "Ten markers in {frames} frames of an H.264 video, with clutter of their colour on the wall and drifting light; "
     "{seen:.1f} % of them were seen, the others were covered. The first guess of the rope, with three times its "
     "friction, is enough to track it. swing.mp4, camera.toml and guess.toml are the inputs, as for hyperflex track."
 )
 _MAPPED = (
     f"Without noise: what the same fit finds in the same swing without a camera, the best that {twin.COARSE} links can "
     f"do for a rope of {twin.FINE}. To move like it, coarse links need other inertia and friction than the rope simply "
-    "cut into as many pieces (plain cut); that bias is no error of the camera."
+    "cut into as many pieces (plain cut); this bias is not an error of the camera."
 )
 _CARRIED_OUT = (
     "The planned motion, streamed to an emulated moteus drive: a process that simulates motor, arm and the rope that "
     "made the recording in real time, behind the drive's own protocol. No real drive was used."
 )
-_SEEN = "Two frames as tracked, in part: crosses are markers seen, circles where each was expected, blue the rope."
+_SEEN = "Parts of two tracked frames: crosses are detected markers, circles their expected positions, blue is the rope."
 _FILES = {
     "tracked": "tracked.mp4",
     "video": "swing.mp4",
@@ -259,7 +259,7 @@ def _write(folder: Path, demo: Demo, progress: Progress) -> dict[str, str]:
     planned = {kind: path.name for kind, path in cast.write_plan(folder).items()}  # removes pictures of its names
     shown = cast.pictures()
     shown["seen"] = Picture(_frames(folder / _FILES["tracked"]), _SEEN, chart=False)
-    shown["prediction"] = Picture(png(fit_figure(view)), "Angles of a link in the middle and of the last one.")
+    shown["prediction"] = Picture(png(fit_figure(view)), "Angles of a middle link and of the last one.")
     if demo.run is not None:
         shown["carried-out"] = Picture(png(cast_run_figure(demo.run)), "Arm, torque and rope on the emulated drive.")
     pictures = write_pictures(folder, shown)
@@ -306,8 +306,8 @@ def _sections(demo: Demo, cast: CastReport, shown: dict[str, Picture | Film]) ->
 def _in_short(demo: Demo) -> Section:
     covered, rope, recording = sum(each.covered for each in demo.parameters), demo.identification.rope, demo.recording
     tiles = (
-        (f"{covered} of {len(demo.parameters)}", "95 % intervals contain what the fit finds without noise"),
-        (f"{1e3 * demo.held_out_rms:.1f} mrad", "prediction error 1 s ahead, on data that the fit has not seen"),
+        (f"{covered} of {len(demo.parameters)}", "95 % intervals contain the values of the fit without noise"),
+        (f"{1e3 * demo.held_out_rms:.1f} mrad", "prediction error 1 s ahead, on data that was not fitted"),
         (f"{1e3 * demo.angle_noise.mean():.1f} mrad", "noise of a measured angle, for comparison"),
     )
     setup = (

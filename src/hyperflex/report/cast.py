@@ -38,11 +38,11 @@ class CastReport(PlanReport[CastPlan]):
     name, noun, strobe, move, last_move, film_speed = "cast", "cast", "strike", "swing", True, 1.0
     captions: ClassVar = {
         "film": "The planned cast, simulated: arm, rope (ochre), path of the tip (green), target (red).",
-        "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
+        "strike": "The rope around the time of the strike, from dark (early) to bright (late); simulated.",
         "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
-        "sideways": "How far out of the plane the rope is, until it first touches, if it begins there by the angle "
-        "named: to first order, simulated; joint limits are not seen.",
-        "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
+        "sideways": "Distance of the rope from the plane until its first touch, if it begins with the angle named: to "
+        "first order, simulated; joint limits are ignored.",
+        "tug": "The simulated pull that gives the holding force: force, and slip of the rope on the target.",
     }
 
     def __init__(self, plan: CastPlan, held: HoldingForce | None = None) -> None:
@@ -122,7 +122,7 @@ def tug_figure(held: HoldingForce) -> "Figure":
     """Draw pull and slip of the wound rope over the distance that it was pulled."""
     run, tug = held.tug.run, held.tug
     way = 1e3 * np.hypot(*(run.joints[:, 0] - run.joints[0, 0]).T)
-    with new_figure(8.6, 4.0, "A tug at the wound rope, simulated") as figure:
+    with new_figure(8.6, 4.0, "A pull at the wound rope, simulated") as figure:
         pull, slip = figure.subplots(2, 1, sharex=True)
         tension, least = winding.rope_tension(run)[:, 0], "" if tug.slipped else "at least "
         capstan = f"tail weight x e^(mu angle) {held.capstan_force:.2f} N"

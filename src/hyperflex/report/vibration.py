@@ -31,8 +31,8 @@ def vibration_figure(found: VibrationMap, limits: MotorLimits | None = None) -> 
         if limits is not None and found.arm is not None:
             omega, reach = math.tau * found.frequency, 1e3 * found.arm.length
             for way, colour, name in (
-                (reach * limits.speed / omega, GREEN, "the motor's speed ends here"),
-                (reach * limits.acceleration / omega**2, RED, "the motor's acceleration ends here"),
+                (reach * limits.speed / omega, GREEN, "limit of the motor's speed"),
+                (reach * limits.acceleration / omega**2, RED, "limit of the motor's acceleration"),
             ):
                 axis.plot(way, found.frequency, color=colour, label=name)
         axis.set(xlim=ways[[0, -1]], ylim=found.frequency[[0, -1]])
