@@ -22,14 +22,14 @@ def true() -> tuple[np.ndarray, np.ndarray]:
     return swing.t[rows], np.array(places)
 
 
-def found(times: np.ndarray, places: np.ndarray) -> RunErrors:
-    """Return what a filter with 20 links and a smoother make of the places."""
+def found(times: np.ndarray, places: np.ndarray, alike: float = 1.0) -> RunErrors:
+    """Return what a filter with 20 links and a smoother make of places stated `alike` times as uncertain."""
     estimator = RopeFilter(rope(20), ARCS, parameters=ORIGIN)
-    seen, states = [Observations(t, each, std=DECLARED) for t, each in zip(times, places, strict=True)], []
+    seen, states = [Observations(t, each, std=DECLARED * alike**0.5) for t, each in zip(times, places, strict=True)], []
     for each in seen:
         estimator.update(each)
         states.append(estimator.x.copy())
-    return run_errors(estimator, seen, np.array(states))
+    return run_errors(estimator, seen, np.array(states), alike=alike)
 
 
 def inside(errors: RunErrors, off: np.ndarray) -> float:
@@ -47,6 +47,13 @@ def test_the_noise_of_the_markers_is_found(true, ratio):
     assert errors.level == pytest.approx(ratio, rel=0.12)
     assert errors.shift < 0.3 * ratio * DECLARED
     assert 0.92 < inside(errors, noise) < 0.98
+
+
+def test_errors_that_count_less_are_told_over_those_of_detection(true):
+    """States are less well determined where errors count less, which adds a seventh."""
+    times, places = true
+    errors = found(times, places + DECLARED * np.random.default_rng(1).normal(size=places.shape), alike=8.0)
+    assert errors.level == pytest.approx(1.0, rel=0.2)
 
 
 def test_each_marker_has_its_own_errors(true):

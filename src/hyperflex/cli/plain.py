@@ -322,6 +322,7 @@ class PlainScene:
             f"all rows are exposed at once: found {readout:+.1f} +- {late:.1f} ms from the first to the last",
             f"the first joint resists half as much as the others: found {first:+.0f} +- {free:.0f} %",
             "the swing plane is at a right angle to the view: 5 degrees make lengths across 0.4 % too small",
+            "levels stand for light as in sRGB: with another tone curve fast parts may count as hidden",
             "the lens does not distort: a phone's moves places by less than 1 % of their distance from the middle",
         ]
         if self.answers["mass"] == "unknown":

@@ -483,7 +483,7 @@ class _Record:
             "seen": counts["seen"] / max(counts["markers"], 1),
             "latency_s": {"median": median, "p99": p99},
             "warning": self.tracker.warning,
-            **_estimated(filter_.measurement_noise.value, filter_.values, self.changes),
+            **_estimated(self.tracker.level, filter_.values, self.changes),
         }
 
 

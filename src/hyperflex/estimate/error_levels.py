@@ -36,7 +36,7 @@ class RunErrors(NamedTuple):
         Of the places of the markers, in the unit of the observations squared, with what is not known of the picture's
         scale, roll and offset.
     level : float
-        Errors of the markers over those that the detector states, without the shift.
+        Errors of the markers over those of detection, without the shift.
     shift : float
         Standard deviation of a motion of all markers of a frame together: of the picture, same unit.
     density : (2,) float64
@@ -133,7 +133,8 @@ def run_errors(
     changes : sequence of Change
         Those that were noticed: there the state may jump.
     alike : float
-        Observations, of neighbours and of frames, whose errors are alike: they count as one.
+        Observations, of neighbours and of frames, whose errors are alike: they count as one, and the covariances of all
+        are stated so many times as large.
 
     Notes
     -----
@@ -172,7 +173,7 @@ def run_errors(
 
     return RunErrors(
         np.array(covariances),
-        float(mean([np.mean(each.levels.marker**2) for each in solved])),
+        float(np.sqrt(alike) * mean([np.mean(each.levels.marker**2) for each in solved])),
         float(mean([np.mean(each.levels.shift**2) for each in solved])),
         mean([each.levels.density**2 for each in solved]),
         float(mean([np.square(each.correlated) for each in solved])),

@@ -13,7 +13,7 @@ from hyperflex.estimate.doubts import doubts, explained
 from hyperflex.estimate.filter import RopeFilter, each_covariance, spread
 from hyperflex.estimate.observations import Observations
 from hyperflex.interfaces import RopeState
-from hyperflex.vision import Camera, Frame, Image
+from hyperflex.vision import Camera, CurveDetector, Frame, Image
 
 LEAST_STD = 0.2  # px, of a place: effect of compression and of tilted markers, in addition to a detector's noise
 
@@ -208,9 +208,18 @@ class RopeTracker:
         disturbance = self.estimator.process_noise
         known = float(disturbance.log_std[0]) < self.KNOWN
         density = disturbance.value if known else np.zeros(2)
-        level, end = self.estimator.measurement_noise.value, self.measurement.end_seen
-        plain = getattr(self.measurement, "look", None) is not None
-        return explained(doubts(self.estimator.process.rope, level, density, end=end), plain=plain)
+        found = doubts(self.estimator.process.rope, self.level, density, end=self.measurement.end_seen)
+        return explained(found, plain=self._plain)
+
+    @property
+    def level(self) -> float:
+        """Errors of the places over those of detection."""
+        stated = np.sqrt(CurveDetector.ALIKE) if self._plain else 1.0
+        return float(stated * self.estimator.measurement_noise.value)
+
+    @property
+    def _plain(self) -> bool:
+        return getattr(self.measurement, "look", None) is not None
 
     def shape(self, state: RopeState) -> tuple[Array, Array]:
         """Return the rope's joints in a state in the picture (n + 1, 2), px, and their covariances (n + 1, 2, 2)."""

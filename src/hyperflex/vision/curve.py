@@ -59,7 +59,8 @@ class CurveOffsets(NamedTuple):
     Attributes
     ----------
     offsets, variances : (K,) float64
-        Along the middle line of each piece, px and px^2; NaN: not seen.
+        Along the middle line of each piece, px and px^2; NaN: not seen. Variances are `CurveDetector.ALIKE` times those
+        of single errors: so many, of neighbours and of frames, are alike.
     end, end_variance : float
         Of the free end along its direction; NaN: not seen.
     """
