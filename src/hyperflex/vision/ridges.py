@@ -334,7 +334,8 @@ def _responses(
         texture += np.sqrt(np.einsum("hwc,hwc->hw", one, one))
     texture = cv2.blur(texture, (_NEIGHBOURHOOD + 1, _NEIGHBOURHOOD + 1))
     colours = cv2.transform(cv2.GaussianBlur(level, (0, 0), 1.0), whiten)
-    colours /= np.median(np.linalg.norm(colours[::4, 3::4] - colours[::4, :-3:4], axis=2))
+    usual = np.median(np.linalg.norm(colours[::4, 3::4] - colours[::4, :-3:4], axis=2))
+    colours /= np.maximum(usual, 1e-9)  # of a picture of one colour
     return found, np.maximum(texture, 0.5 * np.median(texture)) / ORIENTATIONS, colours
 
 
