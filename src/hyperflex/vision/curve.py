@@ -248,13 +248,14 @@ def marginals(offsets: Array, ratios: Array, variances: Array, prior: Array, hid
     Notes
     -----
     The first piece that is seen is expected where `prior` says, and each next one relative to the one before it: what
-    is common to all pieces counts once. Sums and products along a chain of pieces (forward-backward, Rabiner 1989,
-    Proceedings of the IEEE 77(2), 257).
+    is common to all pieces counts once. The likelihood of a candidate is a Gaussian of its own variance, so that the
+    wider the expectation, the less the best of many offsets tells. Sums and products along a chain of pieces
+    (forward-backward, Rabiner 1989, Proceedings of the IEEE 77(2), 257).
     """
     count, each = offsets.shape
     places, wide = np.nan_to_num(offsets), np.nan_to_num(variances, nan=1.0)
     along, total = np.diag(prior, 1)[:, None], np.diag(prior)[:, None] + wide
-    first = np.exp(-0.5 * places**2 / total)
+    first = np.sqrt(wide / total) * np.exp(-0.5 * places**2 / total)
     unary = np.exp(np.column_stack([ratios, np.full(count, hidden)]))
     pairs = np.full((count - 1, each + 1, each + 1), np.exp(-hidden))
     pairs[:, each, each] = 1.0
@@ -262,7 +263,7 @@ def marginals(offsets: Array, ratios: Array, variances: Array, prior: Array, hid
     share = along / total[:-1]  # of a piece's offset, expected of the next
     apart = places[1:, None, :] - (share * places[:-1])[:, :, None]
     spread = total[1:, None, :] - (share * along)[:, :, None]
-    pairs[:, :each, :each] = np.exp(-0.5 * apart**2 / spread)
+    pairs[:, :each, :each] = np.sqrt(wide[1:, None, :] / spread) * np.exp(-0.5 * apart**2 / spread)
     forward, backward = unary.copy(), np.ones_like(unary)
     forward[0, :each] *= first[0]
     forward[0] /= forward[0].sum()
