@@ -16,7 +16,8 @@ are processor time of a core, decoding left out. Camera, motion of the arm, leng
 and the wall is plain in rows that name no texture: what is unknown of them in a real video adds its error. With
 texture, shadow and steps, the wall has a grain of 8 levels, the rope's shadow on it lacks 30 % of the light (in MuJoCo
 all light of the lamp, on a wall 0.9 m behind), and the exposure changes by -20 % and then by +37 %. MuJoCo's pictures
-are means of instants at most 1.5 px apart. Seeds below 100 were used while the method was developed.
+are means of instants at most 1.5 px apart. Levels are proportional to light, except in rows that name a tone curve
+(sRGB). Seeds below 100 were used while the method was developed.
 """
 
 import argparse
