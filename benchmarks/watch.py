@@ -98,7 +98,7 @@ def main() -> None:
     images = [renderer.image(t) for t in BEGIN + np.arange(0.0, SECONDS, 1.0 / RATE)]
     with threadpool_limits(1), tempfile.TemporaryDirectory() as folder:
         plain = Plain(length=LENGTH, pivot=(640.0, 60.0), tip="found", size="rope", mass="unknown", exposure=0.002)
-        task = Markers().plain_task(plain.scene(images[0], Path(folder) / "camera-0"))
+        task = Markers().plain_task(plain.scene(lambda _: images[0], Path(folder) / "camera-0"))
         task.rehearse()
         rows = [row("are worked off", motion, *watched(task, images))]
         with patch.object(FrameThread, "catch_up", lambda _: 0):

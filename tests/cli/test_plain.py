@@ -3,7 +3,7 @@
 import json
 import shutil
 import struct
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,8 +12,17 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli.plain import Plain, PlainScene, answers_path
-from hyperflex.errors import InvalidInput
-from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter, curve_arc_lengths
+from hyperflex.cli.track import _tracked
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.estimate import (
+    DoubtKind,
+    EstimatedParameter,
+    Observations,
+    RopeFilter,
+    TrackingTask,
+    curve_arc_lengths,
+)
+from hyperflex.estimate.doubts import Doubt
 from hyperflex.estimate.observations import UNMEASURED
 from hyperflex.files import read_toml, write_toml
 from hyperflex.vision import (
@@ -63,7 +72,8 @@ def test_answers_are_kept_and_the_second_run_asks_nothing(hyperflex, hyperflex_j
     assert code == 0, first
     assert first["frames"] == COUNT
     assert first["doubts"] == []
-    kept = read_toml("phone.answers.toml")["answers"]
+    assert any(each.startswith("the exposure is 2 ms (--exposure)") for each in first["assumed"])
+    kept = read_toml("phone.mp4.answers.toml")["answers"]
     answers = {"pivot": [320.0, 20.0], "tip": "found", "size": "rope", "mass": [0.125]}
     assert kept == {"exposure": 0.002, "length": 2.0, **answers}
     code, out, err = hyperflex("watch", "phone.mp4", "--json")
@@ -79,9 +89,9 @@ def test_answers_are_kept_and_the_second_run_asks_nothing(hyperflex, hyperflex_j
     assert "--length is missing" in err
 
 
-def off_near_tip() -> np.ndarray:
-    """How far the last place of markers.nc is off in each frame, m."""
-    swing, found = free_swing(0, 4.0), hf.read_recording("markers.nc")
+def off_near_tip(track: str = "markers.nc") -> np.ndarray:
+    """How far the last place of a track is off in each frame, m."""
+    swing, found = free_swing(0, 4.0), hf.read_recording(track)
     near_tip = round(100 * 11.5 / 12)  # its joint
     truth = np.array([[np.interp(t, swing.t, swing.joints[:, near_tip, c]) for c in range(2)] for t in found.t])
     return np.hypot(*(found.data[:, -2:] - truth).T)
@@ -90,11 +100,16 @@ def off_near_tip() -> np.ndarray:
 def test_a_few_markers_on_a_plain_rope_are_used_too(hyperflex_json, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     film(tmp_path / "phone.mp4", 0.5, 1.0, 1.5)
-    code, found = hyperflex_json("track", "phone.mp4", "--length", "2.0", *ANSWERS, "--arc-lengths", "0.5,1.0,1.5")
+    marked = ("--length", "2.0", *ANSWERS, "--arc-lengths", "0.5,1.0,1.5", "--at", "0.1", "-o", "my track.nc")
+    code, found = hyperflex_json("track", "phone.mp4", *marked)
     assert code == 0, found
+    assert found["found_at_s"] >= 0.1
+    assert found["frames"] < COUNT
+    assert read_toml("phone.mp4.answers.toml")["answers"]["at"] == 0.1
+    assert "identify 'my track.nc' --rope 'my track-rope.toml'" in found["next"]
     assert found["doubts"] == []
     assert found["seen"] > 0.9
-    assert off_near_tip().max() < 0.03
+    assert off_near_tip("my track.nc").max() < 0.03
 
 
 def filmed_again(change):
@@ -141,6 +156,107 @@ def test_a_camera_that_moves_is_doubted(hyperflex_json, folder):
     assert code == 0, found
     (doubt,) = found["doubts"]
     assert doubt.startswith("the rope's first joint moves, by 0.06")
+    assert any("(--pivot)" in each for each in found["notes"])
+    assert "next" not in found
+
+
+def first_image(at: float | None) -> np.ndarray:
+    with VideoReader("phone.mp4") as reader:
+        return next(each.image for each in reader if at is None or each.time >= at)
+
+
+def test_a_known_rope_and_camera_replace_answers(refused, folder):
+    hf.Rope.uniform(2.0, 0.1, 20, friction=1e-3).to_toml("known.toml")
+    replace(CAMERA, readout=0.003).write("camera.toml")
+    known = {"rope": Path("known.toml"), "camera": Path("camera.toml")}
+    found = Plain(tip="found").scene(first_image, folder / "phone.mp4", **known)
+    assert found.doubts.keys() == {"offset_x", "offset_y"}
+    assert found.rope.n_links == 20
+    assert (found.camera.readout, found.camera.exposure) == (0.003, 0.002)
+    assert not found.by_rope
+    replace(CAMERA.adjusted(scale=0.8)).write("camera.toml")
+    with pytest.raises(InvalidInput, match="--camera contradicts the rope's length"):
+        Plain().scene(first_image, folder / "phone.mp4", **known)
+    given = ("track", "phone.mp4", "--rope", "known.toml", "--camera", "camera.toml", "--length")
+    assert "--length contradicts --rope: got 1.5. Allowed: 2" in refused(*given, "1.5")
+    assert "--size and --camera are both given" in refused(*given, "2.0", "--size", "rope")
+
+
+def test_the_time_of_the_answers_is_kept_and_another_one_makes_a_clicked_tip_void(folder):
+    asked = []
+
+    def picture(at):
+        asked.append(at)
+        return first_image(at)
+
+    plain = Plain(length=2.0, pivot=(320.0, 20.0), tip="found", size="rope", mass="unknown")
+    assert plain.scene(picture, folder / "phone.mp4", at=0.2).at == 0.2
+    assert Plain().scene(picture, folder / "phone.mp4").at == 0.2
+    assert asked == [None, 0.2, None, 0.2]
+    with pytest.raises(InvalidInput, match="answers about the video are missing: got \\['tip'\\]"):
+        Plain().scene(picture, folder / "phone.mp4", at=0.1)
+
+
+def test_answers_that_cannot_be_kept_are_said_as_options(folder, monkeypatch, capsys):
+    def write(path, content):
+        raise FileProblem("the folder is read-only.")
+
+    monkeypatch.setattr("hyperflex.files.write_toml", write)
+    plain = Plain(length=2.0, pivot=(320.0, 20.0), tip="found", size="rope", mass="0.1")
+    assert plain.scene(first_image, folder / "phone.mp4").length == 2.0
+    options = "--exposure 0.004 --length 2.0 --pivot 320.0 20.0 --tip found --size rope --mass 0.1"
+    assert f"the folder is read-only. Give these options next time: {options}" in capsys.readouterr().err
+
+
+SHORT_ROPE = hf.Rope.uniform(0.5, 0.03, 4, 0.004, friction=1e-4)
+
+
+def passes(monkeypatch, first: list[DoubtKind], second: BaseException | dict[str, tuple[float, float]]):
+    """Return what is kept of a first pass with doubts and a second one, whose length contradicts, and what is free."""
+    done = []
+
+    @dataclass
+    class Track:
+        doubts: tuple[Doubt, ...]
+        parameters: dict[str, tuple[float, float]]
+        recording: SimpleNamespace
+
+    def track(video, tracker, **follow):
+        done.append(tracker)
+        if len(done) == 2 and isinstance(second, BaseException):
+            raise second
+        kinds, found = (first, {}) if len(done) == 1 else (first or [DoubtKind.LENGTH], second)
+        return Track(tuple(Doubt(each, 0.3) for each in kinds), found, SimpleNamespace(duration=9.0))
+
+    monkeypatch.setattr("hyperflex.estimate.track_video", track)
+    monkeypatch.setattr(TrackingTask, "tracker", lambda self: [each.name for each in self.parameters])
+    parameters = [EstimatedParameter(name, std) for name, std in (("scale", 0.02), ("roll", 0.03), ("offset_x", 0.01))]
+    task = TrackingTask(SHORT_ROPE, np.array([0.5]), CAMERA, [], parameters=parameters, look=SimpleNamespace())
+    found, stopped = _tracked(Path("phone.mp4"), task, {"preview": None}, True)
+    return found, stopped, done
+
+
+def test_nothing_but_its_place_is_estimated_of_a_rope_that_hangs_still(monkeypatch):
+    found, _, free = passes(monkeypatch, [DoubtKind.STILL], {"offset_x": (0.1, 0.02)})
+    assert [each.kind for each in found.doubts] == [DoubtKind.STILL]
+    assert free == [["scale", "roll", "offset_x"], ["offset_x"]]
+    assert found.parameters.keys() == {"offset_x"}
+
+
+@pytest.mark.parametrize(("scale", "roll", "kept"), [(0.2, 0.05, 2), (-0.35, 0.0, 1), (0.0, 0.1, 1)])
+def test_another_length_is_kept_only_with_a_possible_camera(monkeypatch, scale, roll, kept):
+    estimates = {"scale": (scale, 0.02), "roll": (roll, 0.01)}
+    found, stopped, _ = passes(monkeypatch, [], estimates)
+    assert found.parameters == (estimates if kept == 2 else {})
+    assert [each.kind for each in found.doubts] == [DoubtKind.LENGTH]
+    assert not stopped
+
+
+@pytest.mark.parametrize(("problem", "stops"), [(KeyboardInterrupt(), True), (InvalidInput("it was not found"), False)])
+def test_a_second_pass_that_fails_leaves_the_first(monkeypatch, capsys, problem, stops):
+    found, stopped, free = passes(monkeypatch, [], problem)
+    assert (found.parameters, stopped, len(free)) == ({}, stops, 2)
+    assert ("pass over the frames failed: it was not found" in capsys.readouterr().err) is not stops
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
@@ -150,11 +266,13 @@ def test_the_rows_of_a_file_that_is_upside_down_follow_each_other_upwards(refuse
     turned = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
     Path("phone.mp4").write_bytes(content[:at] + turned + content[at + len(turned) :])
 
-    def scene(plain, image, beside, direction="down"):
-        raise InvalidInput(f"rows that follow each other {direction}")
+    def scene(plain, picture, beside, direction="down", **known):
+        raise InvalidInput(f"rows that follow each other {direction}, {known['rope']} and {known['camera']}")
 
     monkeypatch.setattr(Plain, "scene", scene)
-    assert "rows that follow each other up" in refused(command, "phone.mp4", "--length", "2.0")
+    files = ("--rope", "known.toml", "--camera", "camera.toml")
+    said = "rows that follow each other up, known.toml and camera.toml"
+    assert said in refused(command, "phone.mp4", "--length", "2.0", *files)
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
@@ -178,6 +296,8 @@ def test_answers_that_are_missing_are_named_and_nothing_hangs(hyperflex, folder,
         ),
         ({"--size": ("1,2,3,4",)}, "--size does not answer: What tells the size of the picture?"),
         ({"--size": ("0,0,100,0,-1.0",)}, "--size"),
+        ({"--size": ("5,5,5,5,1.0",)}, "--size: its two points are the same"),
+        ({"--tip": ("nan,nan",)}, "--tip is not in the picture"),
         ({"--size": ("0,0,100,0,1000",)}, "--size makes an impossible picture"),
         ({"--size": ("0,0,100,0,0.6",)}, "--size contradicts the rope's length: got '2.3"),
         ({"--tip": ("320,200",), "--size": ("0,0,100,0,0",)}, "--size"),
@@ -189,13 +309,13 @@ def test_an_impossible_answer_is_refused(refused, folder, changed, said):
     given = {"--length": ("2.0",), "--pivot": ("320", "20"), "--tip": ("found",), "--size": ("rope",)}
     words = [word for name, values in (given | {"--mass": ("1",)} | changed).items() for word in (name, *values)]
     assert said in refused("track", "phone.mp4", *words)
-    assert not Path("phone.answers.toml").exists()
+    assert not Path("phone.mp4.answers.toml").exists()
 
 
-def film_whole_swing():
-    """Film a rope of 0.5 m that swings for 1.6 s, longer than its period."""
+def film_whole_swing(first: float = 0.5, last: float = 0.9):
+    """Film a rope of 0.5 m that swings for 1.6 s, longer than its period, from angles of its links, rad."""
     short = hf.Rope.uniform(0.5, 0.03, 40, 0.004, friction=1e-4)
-    swing = hf.simulate(short, duration=1.7, q0=np.linspace(0.5, 0.9, 40), t_eval=np.arange(0.0, 1.7, 2e-3))
+    swing = hf.simulate(short, duration=1.7, q0=np.linspace(first, last, 40), t_eval=np.arange(0.0, 1.7, 2e-3))
     camera = Camera.facing((320, 240), pixels_per_metre=320.0, origin=(160.0, 30.0), exposure=0.002)
     stamps = np.arange(48) / 30.0
     Renderer(camera, RopeMotion.from_trajectory(swing), Scene([], rope_width=0.008)).write("phone.mp4", stamps)
@@ -229,8 +349,20 @@ def test_a_camera_that_pans_for_a_whole_swing_is_no_wrong_length(hyperflex_json,
     assert "length" not in found["doubts"][0]
 
 
+@pytest.mark.nightly
+def test_a_rope_that_hangs_still_is_said_to(hyperflex_json, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    film_whole_swing(0.0, 0.0)
+    code, found = hyperflex_json("track", "phone.mp4", "--length", "0.5", *SHORT)
+    assert code == 0, found
+    (doubt,) = found["doubts"]
+    assert doubt.startswith("the rope hangs still")
+    assert not found["estimated"].keys() & {"length", "scale", "roll"}
+    assert "next" not in found
+
+
 def test_a_file_that_holds_no_answers_is_refused(refused, folder):
-    write_toml("phone.answers.toml", {"answers": {}})
+    write_toml("phone.mp4.answers.toml", {"answers": {}})
     assert "contains no answers on a video" in refused("track", "phone.mp4", "--length", "2.0")
 
 
@@ -290,6 +422,9 @@ def test_a_rope_that_is_seen_too_short_is_named():
 
 def test_the_size_of_the_picture_is_known_by_points_a_sheet_or_a_board():
     image = np.full((480, 640, 3), 128, np.uint8)
+    near = scene(image, [100.0, 50.0, 100.0, 80.0, 0.15])
+    assert near.camera.pixels_per_metre == pytest.approx(200.0)
+    assert near.doubts["scale"] == pytest.approx(np.hypot(0.02, np.sqrt(2.0) / 30.0))  # each point is a pixel off
     assert scene(image, [100.0, 50.0, 100.0, 150.0, 0.5]).camera.pixels_per_metre == pytest.approx(200.0)
     corners = [100.0, 100.0, 142.0, 100.0, 100.0, 159.4, 142.0, 159.4]  # in reading order
     assert scene(image, corners).camera.pixels_per_metre == pytest.approx(200.0, rel=1e-3)

@@ -150,11 +150,12 @@ def test_the_correlation_time_is_that_of_an_autoregressive_series():
         ({"level": 5.0}, [DoubtKind.NOISE]),
         ({"level": 5.0, "alike": 0.6}, [DoubtKind.IMPOSSIBLE]),
         ({"shift": 2.0}, [DoubtKind.SHAKE]),
+        ({"swing": 0.5, "density": np.array([5.0, 0.1])}, [DoubtKind.STILL]),
         ({"density": np.array([5.0, 0.1])}, [DoubtKind.DISTURBED]),
         ({"base": np.full((9, 2), 0.1)}, [DoubtKind.BASE_ELSEWHERE]),
         ({"base": np.linspace(0.0, 0.4, 18).reshape(9, 2), "level": 9.0}, [DoubtKind.BASE_MOVES]),
     ],
-    ids=["none", "noise", "out of the plane", "shaking", "disturbed", "base elsewhere", "base moves"],
+    ids=["none", "noise", "out of the plane", "shaking", "still", "disturbed", "base elsewhere", "base moves"],
 )
 def test_what_is_doubted(numbers, kinds):
     given = {"level": 1.0, "density": np.array([0.05, 0.1]), **numbers}

@@ -1,9 +1,10 @@
 """A plain rope, without markers: questions about its video, a file of the answers, and what is made of them."""
 
 import hashlib
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.init import BENDING, Answers
 from hyperflex.cli.questions import Answer, Dialogue, Question, Way, ask, check_terminal
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import FileProblem, InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.estimate import VideoTrack
@@ -23,20 +24,14 @@ if TYPE_CHECKING:
 
 Pixel = tuple[float, float] | None
 FORMAT = "hyperflex answers 1"
-MEASURES = ("length", "exposure")  # in the file beside the answers to questions
+MEASURES = ("length", "exposure", "at")  # in the file beside the answers to questions
 CLICKED = 1.0  # px, standard deviation of a pixel that a person reads from a picture
-# Standard deviations of what the answers leave open, freed in the fit: scale, friction, that of the first joint, and
-# drag as parts of themselves, roll of a camera that is held level by eye, rad, readout of a phone's sensor, s. Friction
-# and drag over an unknown mass are known by their order of magnitude; a wrong friction, above all that of the first
-# joint, would be taken for a readout: both delay the free end
-_OPEN = {
-    "scale": 0.02,
-    "roll": 0.03,
-    "readout": 0.01,
-    "friction": 1.0,
-    "first_joint_friction": 1.0,
-    "drag": 1.0,
-}
+# Standard deviations of what the answers leave open, freed in the fit. Of a camera: its scale as a part of itself, roll
+# (held level by eye), rad, readout of a phone's sensor, s. Of a rope: friction, that of the first joint, and drag as
+# parts of themselves. Friction and drag over an unknown mass are known by their order of magnitude; a wrong friction,
+# above all that of the first joint, would be taken for a readout: both delay the free end
+_OPEN_CAMERA = {"scale": 0.02, "roll": 0.03, "readout": 0.01}
+_OPEN_ROPE = {"friction": 1.0, "first_joint_friction": 1.0, "drag": 1.0}
 
 QUESTIONS = (
     Question(
@@ -98,24 +93,32 @@ class Plain:
         """Return the answers that options give."""
         return {each.name: each.parse(given) for each in QUESTIONS if (given := getattr(self, each.name)) is not None}
 
-    def scene(self, image: "Image", beside: Path, readout_direction: str = "down") -> "PlainScene":
-        """Return the scene in the first picture of a source; asks for answers that neither options nor a file give.
+    def scene(
+        self,
+        picture: "Callable[[float | None], Image]",
+        beside: Path,
+        readout_direction: str = "down",
+        *,
+        at: float | None = None,
+        rope: Path | None = None,
+        camera: Path | None = None,
+    ) -> "PlainScene":
+        """Return the scene in a picture of a source; asks for answers that neither options nor files give.
 
-        `beside` is the video: the answers are kept in a file beside it, and used until the video or its size changes.
+        `picture` returns the source's picture `at` a time, s, the first one for None. `beside` is the video: the
+        answers are kept in a file beside it, and used until the video or its size changes. Files of a `rope` and of a
+        `camera`, whose origin is the pivot if no other one is given, replace answers.
         """
-        path = answers_path(beside)
-        head: dict[str, Any] = {"format": FORMAT, "image_size": [int(each) for each in image.shape[1::-1]]}
-        if beside.exists():
-            with beside.open("rb") as video:
-                head["video"] = hashlib.file_digest(video, "sha256").hexdigest()
+        line, lens = self._known(rope, camera)
+        path, image = answers_path(beside), picture(None)
+        head = _head(beside, image)
         kept = _read(path, head) if path.exists() else {}
         before = {name: kept.pop(name) for name in MEASURES if name in kept}
-        given = {name: value for name in MEASURES if (value := getattr(self, name)) is not None}
-        measures = {"exposure": 0.004} | before | given
-        if "length" not in measures:
-            raise InvalidInput("--length is missing", fix="Give the rope's length, m")
-        length = checks.number("--length", measures["length"], sign="positive", unit="m")
-        exposure = checks.number("--exposure", measures["exposure"], sign="nonnegative", unit="s")
+        measures = self._measures(before if line is None else before | {"length": line.total_length}, at)
+        if "at" in measures:
+            image = picture(measures["at"])
+        if measures.get("at") != before.get("at"):
+            kept.pop("tip", None)  # it was elsewhere
 
         @cache
         def find(u: float, v: float, size: float | None) -> "FoundRope":
@@ -123,7 +126,21 @@ class Plain:
 
             return find_rope(image, (u, v), length=size, tone=srgb_tone())
 
-        scene = partial(PlainScene, image, length, exposure, readout_direction, find)
+        def scene(answers: Mapping[str, Answer]) -> PlainScene:
+            return PlainScene(
+                image,
+                measures["length"],
+                measures["exposure"],
+                readout_direction,
+                find,
+                answers,
+                measures.get("at"),
+                line,
+                lens,
+            )
+
+        replaced = [name for name, each in (("size", lens), ("mass", line)) if each is not None]
+        questions = [each for each in QUESTIONS if each.name not in replaced]
 
         def prepare(question: Question, answers: Mapping[str, Answer]) -> Question:
             line = scene(answers).found.curve.round(1).tolist() if question.name in ("tip", "size") else ()
@@ -135,20 +152,72 @@ class Plain:
             if name == "pivot":  # where no rope hangs from it, another one may be clicked
                 _ = scene(answers).found
 
-        known = kept | self.answers()
-        check_terminal([each for each in QUESTIONS if each.name not in known])
+        origin = {} if lens is None else {"pivot": lens.project([[0.0, 0.0]])[0].tolist()}
+        known = {name: value for name, value in (kept | origin | self.answers()).items() if name not in replaced}
+        check_terminal([each for each in questions if each.name not in known])
         if "pivot" in known:  # else they are checked with its answer: against the rope that hangs from it
             for name in known:
                 scene(known).check(name)
-        answers = ask(Dialogue(QUESTIONS, known, prepare, check), image)
-        if (answers, measures) != (kept, before):
-            files.write_toml(path, head | {"answers": {**measures, **answers}})
-        return scene(answers)
+        found = ask(Dialogue(questions, known, prepare, check), image)
+        if (keep := {**measures, **kept, **found}) != {**before, **kept}:
+            _keep(path, head, keep)
+        return scene(found)
+
+    def _measures(self, known: Mapping[str, Any], at: float | None) -> dict[str, float]:
+        """Return length, m, exposure, s, and time of the picture, s, if it is not the first: by options, or `known`."""
+        options = {"length": self.length, "exposure": self.exposure, "at": at}
+        found = {"exposure": 0.004, **known} | {name: value for name, value in options.items() if value is not None}
+        if "length" not in found:
+            raise InvalidInput("--length is missing", fix="Give the rope's length, m")
+        kinds: dict[str, Any] = {
+            "length": {"sign": "positive", "unit": "m"},
+            "exposure": {"sign": "nonnegative", "unit": "s"},
+            "at": {"unit": "s"},
+        }
+        return {name: checks.number(f"--{name}", value, **kinds[name]) for name, value in found.items()}
+
+    def _known(self, rope: Path | None, camera: Path | None) -> "tuple[Rope | None, Camera | None]":
+        """Return what files of a rope and a camera tell in place of answers."""
+        from hyperflex.model import Rope
+        from hyperflex.vision import read_camera
+
+        for name, other, file in (("size", "camera", camera), ("mass", "rope", rope)):
+            if file is not None and getattr(self, name) is not None:
+                raise InvalidInput(f"--{name} and --{other} are both given", fix="Omit one of them")
+        line = None if rope is None else Rope.from_toml(rope)
+        if line is not None and self.length and not np.isclose(self.length, line.total_length, rtol=1e-3):  # as a tape
+            allowed = f"{line.total_length:g}"
+            raise InvalidInput("--length contradicts --rope", got=self.length, allowed=allowed, fix="Omit --length")
+        lens = None if camera is None else read_camera(camera)
+        if lens is not None and self.exposure is not None:
+            lens = replace(lens, exposure=self.exposure)
+        return line, lens
 
 
 def answers_path(video: Path) -> Path:
     """Return the file of the answers on a video: beside it."""
-    return video.with_suffix(".answers.toml")
+    return video.with_name(f"{video.name}.answers.toml")
+
+
+def _head(video: Path, image: "Image") -> dict[str, Any]:
+    """Return what tells the source of answers: the size of its pictures, and the content if it is a file."""
+    head: dict[str, Any] = {"format": FORMAT, "image_size": [int(each) for each in image.shape[1::-1]]}
+    if video.exists():
+        with video.open("rb") as content:
+            head["video"] = hashlib.file_digest(content, "sha256").hexdigest()
+    return head
+
+
+def _keep(path: Path, head: Mapping[str, Any], answers: Mapping[str, Any]) -> None:
+    """Write a file of answers; where that fails, say which options give them."""
+    try:
+        files.write_toml(path, {**head, "answers": answers})
+    except FileProblem as error:
+        options = list[str]()
+        for name, value in answers.items():
+            words = [value] if isinstance(value, str) else list(map(str, np.atleast_1d(value)))
+            options += [f"--{name}", *(words if name == "pivot" else [",".join(words)])]
+        output.note(f"the answers are not kept: {error} Give these options next time: {shlex.join(options)}")
 
 
 def _read(path: Path, head: Mapping[str, Any]) -> dict[str, Any]:
@@ -172,7 +241,8 @@ class PlainScene:
     """What the first picture and the answers tell: the rope's line and look, camera, rope and tracking task.
 
     length: m. exposure: s. find: returns the rope that hangs from a pixel u, v, and is so many px long, if that is not
-    None. answers: by the names of QUESTIONS; what needs one that is missing must not be used.
+    None. answers: by the names of QUESTIONS; what needs one that is missing must not be used. at: time of the picture,
+    s, if it is not the first one. known_rope, known_camera: in place of those of the answers.
     """
 
     image: "Image"
@@ -181,6 +251,14 @@ class PlainScene:
     readout_direction: str
     find: "Callable[..., FoundRope]"
     answers: Mapping[str, Answer]
+    at: float | None = None
+    known_rope: "Rope | None" = None
+    known_camera: "Camera | None" = None
+
+    @property
+    def by_rope(self) -> bool:
+        """Whether the rope's own length tells the size of the picture."""
+        return self.known_camera is None and self.answers.get("size", "rope") == "rope"
 
     @cached_property
     def found(self) -> "FoundRope":
@@ -188,7 +266,7 @@ class PlainScene:
         from hyperflex.vision import NoRope
 
         pivot, tip, size = self.answers["pivot"], self.answers.get("tip", "found"), None
-        if not isinstance(self.answers.get("size", "rope"), str):
+        if not self.by_rope:
             size = float(np.hypot(*np.diff(self.camera.project([[0.0, 0.0], [0.0, -self.length]]), axis=0)[0]))
         try:
             found = self.find(*pivot, size)
@@ -199,31 +277,34 @@ class PlainScene:
         if isinstance(tip, str):
             return found
         away = np.hypot(*(found.curve - tip).T)
-        if away.min() > found.look.width + 10.0 * CLICKED:
+        if not away.min() <= found.look.width + 10.0 * CLICKED:  # NaN, too
             allowed = f"a pixel of the rope that is seen, which ends at {found.curve[-1].round().tolist()}"
             raise InvalidInput("--tip is not on the rope", got=tip, allowed=allowed)
         return replace(found, curve=found.curve[: int(away.argmin()) + 1])
 
     @cached_property
     def camera(self) -> "Camera":
-        """The camera: level and at a right angle to the swing plane, unless a chessboard shows its pose."""
+        """The camera: level and at a right angle to the swing plane, unless it is known or a chessboard shows it."""
         from hyperflex.vision import Camera
 
+        if self.known_camera is not None:
+            return self.known_camera.with_origin(self.answers["pivot"])
         size, (height, width) = self.answers["size"], self.image.shape[:2]
         numbers = [] if isinstance(size, str) else size
         timing: dict[str, Any] = {"exposure": self.exposure, "readout_direction": self.readout_direction}
         if len(numbers) == 3:
             return self._on_board(Camera.pinhole((width, height), **timing), *numbers)
         if len(numbers) == 5:
-            scale = float(np.hypot(*np.subtract(numbers[:2], numbers[2:4])))
-            scale /= checks.number("--size", numbers[4], sign="positive")
+            if not (apart := self._clicked_apart) >= CLICKED:  # NaN, too
+                raise InvalidInput("--size: its two points are the same", got=numbers[:4], fix="Give two points")
+            scale = apart / checks.number("--size", numbers[4], sign="positive")
         elif len(numbers) == 8:
             corners = np.reshape(numbers, (4, 2))
             sheet = 0.210 * 0.297  # m^2, A4
             around = np.argsort(np.arctan2(*(corners - corners.mean(axis=0)).T))  # clicked in any order
             sides = np.linalg.norm(np.diff(corners[[*around, around[0]]], axis=0), axis=1)
             sides = 0.5 * (sides[:2] + sides[2:])
-            if abs(sides.max() / np.sqrt(2.0) / max(sides.min(), CLICKED) - 1.0) > 0.1:  # clicks and perspective
+            if not abs(sides.max() / np.sqrt(2.0) / max(sides.min(), CLICKED) - 1.0) <= 0.1:  # clicks and perspective
                 got = f"sides of {sides[0]:.0f} and {sides[1]:.0f} px"
                 allowed = "sides as 1.41 to 1, seen at a right angle"
                 raise InvalidInput("--size: these are not the corners of an A4 sheet", got=got, allowed=allowed)
@@ -231,6 +312,11 @@ class PlainScene:
         else:
             scale = self.found.length / self.length
         return Camera.facing((width, height), pixels_per_metre=scale, origin=self.answers["pivot"], **timing)
+
+    @property
+    def _clicked_apart(self) -> float:
+        """Distance of the first two points of the answer on the size, px."""
+        return float(np.hypot(*np.subtract(self.answers["size"][:2], self.answers["size"][2:4])))
 
     def _on_board(self, lens: "Camera", across: float, down: float, square: float) -> "Camera":
         from hyperflex.vision import Board
@@ -248,8 +334,8 @@ class PlainScene:
         numbers = self.answers[name] if not isinstance(self.answers[name], str) else []
         pixels = numbers[: {"mass": 0, "size": {5: 4, 8: 8}.get(len(numbers), 0)}.get(name, 2)]
         width, height = self.image.shape[1::-1]
-        outside = (np.reshape(pixels, (-1, 2)) < -0.5) | (np.reshape(pixels, (-1, 2)) > np.array([width, height]) - 0.5)
-        if outside.any():
+        places = np.reshape(pixels, (-1, 2))
+        if not ((places >= -0.5) & (places <= np.array([width, height]) - 0.5)).all():  # NaN, too
             raise InvalidInput(
                 f"--{name} is not in the picture", got=numbers, allowed=f"0 to {width - 1} and {height - 1}"
             )
@@ -257,75 +343,107 @@ class PlainScene:
             checks.number(f"--{name}", each, sign="positive")
         if name == "tip" and numbers:
             _ = self.found
-        if name == "size" and not self.length / 10.0 < height / self.camera.pixels_per_metre < 100.0 * self.length:
+        sizes = name == ("size" if self.known_camera is None else "tip")
+        option = "--size" if self.known_camera is None else "--camera"
+        if sizes and not self.length / 10.0 < height / self.camera.pixels_per_metre < 100.0 * self.length:
             got = f"a picture {height / self.camera.pixels_per_metre:.3g} m high, for a rope of {self.length:g} m"
-            raise InvalidInput("--size makes an impossible picture", got=got, fix="Give distances in metres")
-        if name == "size":
+            raise InvalidInput(f"{option} makes an impossible picture", got=got, fix="Give distances in metres")
+        if sizes:
             seen = float(np.hypot(*np.diff(self.camera.locate(self.found.curve), axis=0).T).sum())  # m
             if not 0.9 < seen / self.length < 1.1:
-                fix = "Correct --length or --size; it looks shorter if its end is hidden or it hangs out of the plane"
+                fix = (
+                    f"Correct --length or {option}; it looks shorter if its end is hidden or it hangs out of the plane"
+                )
                 got, allowed = f"{seen:.3g} m in the picture", f"its length, {self.length:g} m, within 10 %"
-                raise InvalidInput("--size contradicts the rope's length", got=got, allowed=allowed, fix=fix)
+                raise InvalidInput(f"{option} contradicts the rope's length", got=got, allowed=allowed, fix=fix)
 
     @cached_property
     def rope(self) -> "Rope":
         """The rope to track with: a cable of the paper's density, where its mass is not known, with air drag."""
         from hyperflex.model import Rope, divided, with_links
 
+        if self.known_rope is not None:
+            return self.known_rope
         usual, mass = Answers(), self.answers["mass"]
         density = usual.mass / usual.length if isinstance(mass, str) else mass[0] / self.length
         friction = BENDING * density / (usual.mass / usual.length) * usual.links / self.length
-        radius = 0.5 * self.found.look.width / self.camera.pixels_per_metre
         wind = 1.2  # drag coefficient of a cylinder across the wind
-        how: dict[str, Any] = {"radius": radius, "friction": friction, "drag_coefficient": wind}
+        how: dict[str, Any] = {"radius": self.radius, "friction": friction, "drag_coefficient": wind}
         # shorter links, which the curve shows: of longer ones friction would be taken for a readout; above all that of
         # the first joint, which bends the rope over some centimetres
         line = with_links(Rope.uniform(self.length, density * self.length, usual.links, **how), 2 * usual.links)
         return divided(line, [4, *[1] * (line.n_links - 1)])
 
     @property
+    def radius(self) -> float:
+        """Half of the rope's thickness, m, as it looks."""
+        return float(0.5 * self.found.look.width / self.camera.pixels_per_metre)
+
+    @property
     def doubts(self) -> dict[str, float]:
         """Standard deviations of what the answers leave open, to be estimated with the motion."""
         clicked = CLICKED / self.camera.pixels_per_metre
-        return _OPEN | {"offset_x": clicked, "offset_y": clicked}
+        found = {"offset_x": clicked, "offset_y": clicked}
+        if self.known_camera is None:
+            size = self.answers["size"]
+            apart = self.found.length if self.by_rope else self._clicked_apart if len(size) > 3 else np.inf
+            found |= _OPEN_CAMERA | {"scale": float(np.hypot(_OPEN_CAMERA["scale"], np.sqrt(2.0) * CLICKED / apart))}
+        return found if self.known_rope else found | _OPEN_ROPE
 
     def write(self, found: "VideoTrack", out: Path) -> dict[str, Any]:
         """Write rope and camera as a track found them beside its file; return what a result tells of them.
 
-        The rope has some half of the links of the tracked one: `identify` takes a fifth of the time.
+        A rope that is not known has some half of the links of the tracked one: `identify` takes a fifth of the time.
         """
         from hyperflex.model import with_links
 
         rope, camera = (out.with_name(f"{out.stem}-{name}.toml") for name in ("rope", "camera"))
         values = {name: value for name, (value, _) in found.parameters.items()}
         shift = (values["offset_x"], values["offset_y"])
-        seen = self.camera.adjusted(1.0 + values["scale"], values["roll"], shift)
-        files.rescued(replace(seen, readout=max(values["readout"], 0.0)).write, camera)
-        length = self.length * (1.0 + values.get("length", 0.0))
-        line = replace(self, length=length, find=lambda *_: self.found).rope
-        damping = {name: getattr(line, name) * (1.0 + values[name]) for name in ("friction", "drag")}
-        coarse = with_links(line.replace(**damping), Answers().links)
-        files.rescued(coarse.replace(friction=coarse.friction[-1]).to_toml, rope)
+        seen = self.camera.adjusted(1.0 + values.get("scale", 0.0), values.get("roll", 0.0), shift)
+        readout = max(seen.readout + values.get("readout", 0.0), 0.0)
+        files.rescued(replace(seen, readout=readout).write, camera)
+        line = self.known_rope
+        if line is None:
+            length = self.length * (1.0 + values.get("length", 0.0))
+            line = replace(self, length=length, find=lambda *_: self.found).rope
+            damping = {name: getattr(line, name) * (1.0 + values.get(name, 0.0)) for name in ("friction", "drag")}
+            line = with_links(line.replace(**damping), Answers().links)
+            line = line.replace(friction=line.friction[-1])
+        files.rescued(line.to_toml, rope)
+        told = {"rope": rope, "camera": camera, "assumed": self._assumed(found.parameters)}
+        if found.doubts:
+            return told
         free = "friction:shared,inertia:shared,drag:shared,gravity_angle"
-        following = f"hyperflex identify {out} --rope {rope} --free {free} -o identified"
-        return {"rope": rope, "camera": camera, "assumed": self._assumed(found.parameters), "next": following}
+        words = ["hyperflex", "identify", out, "--rope", rope, "--free", free, "-o", "identified"]
+        return told | {"next": shlex.join(map(str, words))}
 
     def _assumed(self, found: Mapping[str, tuple[float, float]]) -> list[str]:
         """Return what was assumed, with what the fit found of it or what it costs."""
-        roll, wide = np.degrees(found["roll"])
-        scale, std = (100.0 * each for each in found["scale"])
-        readout, late = (1e3 * each for each in found["readout"])
-        first, free = (100.0 * each for each in found["first_joint_friction"])
+        texts = {
+            "roll": (np.degrees(1.0), "the camera is level: found {:+.2f} +- {:.2f} degrees"),
+            "scale": (100.0, "the scale is as answered: found {:+.2f} +- {:.2f} %"),
+            "readout": (1e3, "all rows are exposed at once: found {:+.1f} +- {:.1f} ms from the first to the last"),
+            "first_joint_friction": (
+                100.0,
+                "the first joint resists half as much as the others: found {:+.0f} +- {:.0f} %",
+            ),
+        }
+        free = self.doubts.keys() & found.keys()  # of a rope that hangs still only its place
         said = [
-            f"the camera is level: found {roll:+.2f} +- {wide:.2f} degrees",
-            f"the scale is as answered: found {scale:+.2f} +- {std:.2f} %",
-            f"all rows are exposed at once: found {readout:+.1f} +- {late:.1f} ms from the first to the last",
-            f"the first joint resists half as much as the others: found {first:+.0f} +- {free:.0f} %",
-            "the swing plane is at a right angle to the view: 5 degrees make lengths across 0.4 % too small",
-            "levels stand for light as in sRGB: with another tone curve fast parts may count as hidden",
-            "the lens does not distort: a phone's moves places by less than 1 % of their distance from the middle",
+            text.format(*(unit * each for each in found[name])) for name, (unit, text) in texts.items() if name in free
         ]
-        if self.answers["mass"] == "unknown":
+        exposed = 1e3 * self.camera.exposure
+        said += [
+            f"the exposure is {exposed:.3g} ms (--exposure): if it is longer, fast parts are seen less often",
+            "levels stand for light as in sRGB: with another tone curve fast parts may count as hidden",
+        ]
+        if self.known_camera is None:
+            said += [
+                "the swing plane is at a right angle to the view: 5 degrees make lengths across 0.4 % too small",
+                "the lens does not distort: a phone's moves places by less than 1 % of their distance from the middle",
+            ]
+        if self.known_rope is None and self.answers["mass"] == "unknown":
             mass = self.rope.total_mass
             said.append(f"the rope weighs {mass:.3g} kg: friction and inertia are true in proportion to its mass")
         return said

@@ -20,7 +20,7 @@ from hyperflex.checks import Array
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
 from hyperflex.cli.plain import CLICKED, Plain, PlainScene, answers_path
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.interruption import stoppable
 
 if TYPE_CHECKING:
@@ -81,12 +81,16 @@ class Markers:
             check_destination(each, suffix, [source, self.rope, self.camera])
         options = {"--rope": self.rope, "--camera": self.camera, "--arc-lengths": self.arc_lengths}
         if needed and (missing := [name for name, value in options.items() if not value]):
-            fix = "Give them; for a rope without markers --length alone; for a pendulum of bars --bar and --pivot"
+            fix = "Give them; for a rope without markers --length; for a pendulum of bars --bar and --pivot"
             raise InvalidInput("a rope with markers needs more options", got="no " + ", ".join(missing), fix=fix)
 
     def plain(self, plain: Plain, source: Path) -> bool:
-        """Return whether the rope has no markers: its length is given, or answers on its video are kept."""
-        return self.rope is None and (plain.length is not None or answers_path(source).exists())
+        """Return whether the rope is seen without markers: its length is given, or answers on its video are kept.
+
+        These are not used if all is given that a rope with markers needs.
+        """
+        marked = self.rope and self.camera and self.arc_lengths
+        return plain.length is not None or (not marked and answers_path(source).exists())
 
     def task(self, images: "Iterable[Image]", *, origin_doubt: float = 0.0) -> "TrackingTask":
         """Return what is tracked; the markers' colour is that of `images`.
@@ -113,7 +117,7 @@ class Markers:
             end = int(np.flatnonzero(~marked_arc_lengths(scene.rope, arcs)[1])[-1])
         tests = self._tests() if self.changes else None  # friction and mass are not known
         task = TrackingTask(scene.rope, arcs, scene.camera, colours, look=scene.found.look, tests=tests)
-        return self._estimating(task, scene.doubts | {f"arc[{end}]": scene.rope.radius})  # an end is cut or round
+        return self._estimating(task, scene.doubts | {f"arc[{end}]": scene.radius})  # an end is cut or round
 
     @property
     def _arcs(self) -> Array:
@@ -178,7 +182,10 @@ def track(
     ] = None,
     at: Annotated[
         float | None,
-        typer.Option(help="Time of the frame of the pixels of --bar or --click, s. [default: the first frame]"),
+        typer.Option(
+            help="Time of the frame of the pixels of --bar or --click, s; a plain rope is tracked from it on. "
+            "[default: the first frame]"
+        ),
     ] = None,
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the positions or angles.")] = Path(
         "markers.nc"
@@ -191,7 +198,8 @@ def track(
 
     For a plain rope give only its --length: the command asks for the rest, in the terminal and in a page of the
     browser, and saves the answers in a file next to the video, so that a second run asks nothing. It also writes the
-    rope and the camera, for hyperflex identify and watch. With --arc-lengths it also uses a few markers on the rope.
+    rope and the camera, for hyperflex identify and watch. A known --rope or --camera replaces answers. With
+    --arc-lengths the command also uses a few markers on the rope.
 
     A rope with markers hangs from the origin of the swing plane. Its markers are found and ordered in the first frames;
     from then on each is searched where the rope's motion predicts it. `hyperflex identify` continues from the file.
@@ -203,26 +211,33 @@ def track(
     """
     from hyperflex.vision import track_bars
 
-    since, preview = -math.inf if at is None else checks.number("--at", at, unit="s") - _SAME, markers.preview
+    preview = markers.preview
+    if at is not None:
+        checks.number("--at", at, unit="s")
     if bar and plain.pivot is None:
         raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
     without = not bar and markers.plain(plain, video)
     markers.check(out, video, needed=not bar and not without)
-    scene = plain.scene(_first_image(video, since), video, _readout_direction(video)) if without else None
+    scene = None
+    if without:
+        known: dict[str, Any] = {"at": at, "rope": markers.rope, "camera": markers.camera}
+        scene = plain.scene(partial(_first_image, video), video, _readout_direction(video), **known)
     found: Any
     with output.spinner() as said:
         follow: dict[str, Any] = {"preview": preview, "progress": lambda count: said(f"frame {count}")}
         if bar:
-            detector = _bar_detector(video, [_pixel("--bar", each) for each in bar], since)
+            detector = _bar_detector(video, [_pixel("--bar", each) for each in bar], at)
             found, stopped = output.run(lambda: track_bars(video, detector, plain.pivot or (), **follow))
+        elif scene is None:
+            task = markers.task(_images_since(video, at), origin_doubt=CLICKED)
+            found, stopped = _tracked(video, task, follow, False)
         else:
-            images = _images_since(video, since)
-            task = markers.task(images, origin_doubt=CLICKED) if scene is None else markers.plain_task(scene)
-            found, stopped = _tracked(video, task, follow, scene is not None and scene.answers["size"] == "rope")
+            follow["since"] = _since(scene.at)
+            found, stopped = _tracked(video, markers.plain_task(scene), follow, scene.by_rope)
     kept = output.partial_path(out) if stopped else out
     result = {
         "output": kept,
-        "preview": None if stopped else preview,
+        "preview": None if found.interrupted else preview,
         "frames": found.frames,
         "duration_s": found.recording.duration,
         "seen": found.seen,
@@ -252,8 +267,10 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
 
     If the rope begins elsewhere than at the camera's origin, or moves as if disturbed all along, its first joint is
     estimated as one that moves; that is kept if it does. The length of a plain rope is tested in a video of a whole
-    swing: with a length that is estimated too, which is kept if it contradicts the given one. The scale is then as
-    unknown as the length if it is by the rope's own length (`by_rope`).
+    swing: with a length that is estimated too, which is kept if it contradicts the given one, with a scale and roll
+    within three of their standard deviations. The scale is then as unknown as the length if it is by the rope's own
+    length (`by_rope`). A plain rope that hangs still shows no more than its place: it is tracked with the scale, roll
+    and so on as they are given. An error or Ctrl-C in a further pass leaves the track of the first.
     """
     from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
     from hyperflex.model import swing_rate
@@ -263,31 +280,53 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     kept = [each for each in task.parameters if each.name not in wide]
     tenth = [EstimatedParameter(name, 0.1) for name in wide]  # by which a tape may be wrong
     longer = replace(task, parameters=[*kept, *tenth], tests=None)
+    place = replace(task, parameters=[each for each in task.parameters if each.name.startswith(("offset_", "arc["))])
     try:
         found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
     except BaseElsewhere:
         return output.run(lambda: track_video(video, moving.tracker(), **follow))
     period = math.tau / swing_rate(task.rope)
     doubted, others = {each.kind for each in found.doubts}, []
-    if task.look is not None and found.recording.duration > period:
+    if DoubtKind.STILL in doubted:
+        others.append((place, DoubtKind.STILL))
+    elif task.look is not None and found.recording.duration > period:
         others.append((longer, DoubtKind.LENGTH))
     if DoubtKind.DISTURBED in doubted:
         others.append((moving, DoubtKind.BASE_MOVES))
     preview = follow["preview"]
     spare = preview and preview.with_stem(f"{preview.stem}-other")  # of a track that may not be kept
-    for each, kind in others:
+    for each, kind in others if not stopped else ():
+        other, stopped = _further(video, each, follow | {"preview": spare})
         if stopped:
             break
-        other, stopped = output.run(partial(track_video, video, each.tracker(), **follow | {"preview": spare}))
-        kinds = {each.kind for each in other.doubts}
+        kinds = set() if other is None else {each.kind for each in other.doubts}
         # a camera that pans looks like a wrong length, too: but then what the first track was doubted for remains
-        if not stopped and kind in kinds and not kinds & doubted & {DoubtKind.DISTURBED, DoubtKind.SHAKE}:
-            if preview:
-                spare.replace(preview)
-            return other, False
+        if other is None or kind not in kinds or kinds & doubted & {DoubtKind.DISTURBED, DoubtKind.SHAKE}:
+            continue
+        prior = {each.name: each.std for each in each.parameters if each.name in ("scale", "roll")}
+        if kind is DoubtKind.LENGTH and any(abs(other.parameters[name][0]) > 3.0 * prior[name] for name in prior):
+            said = (each for each in other.doubts if each.kind is kind)
+            found = replace(found, doubts=(*found.doubts, *said))
+            continue
+        if preview:
+            spare.replace(preview)
+        return other, False
     if preview:
         spare.unlink(missing_ok=True)
     return found, stopped
+
+
+def _further(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tuple[VideoTrack | None, bool]":
+    """Return the track of a further pass, None if it failed, and whether it was interrupted."""
+    from hyperflex.estimate import track_video
+
+    try:
+        return output.run(lambda: track_video(video, task.tracker(), **follow))
+    except KeyboardInterrupt:
+        return None, True
+    except HyperflexError as error:
+        output.note(f"a further pass over the frames failed: {error}")
+        return None, False
 
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
@@ -296,13 +335,18 @@ def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "I
     return {"noise_level": noise, "estimated": named, "changes": [asdict(change) for change in changes]}
 
 
-def _images_since(video: Path, since: float) -> "Iterator[Image]":
+def _since(at: float | None) -> float:
+    """Return the time of the first frame, s, that is not before a given one."""
+    return -math.inf if at is None else at - _SAME
+
+
+def _images_since(video: Path, at: float | None) -> "Iterator[Image]":
     """Yield the pictures of a video from a time on."""
     from hyperflex.vision import VideoReader
 
     with VideoReader(video) as reader:
         for frame in reader:
-            if frame.time >= since:
+            if frame.time >= _since(at):
                 yield frame.image
 
 
@@ -313,17 +357,17 @@ def _pixel(option: str, text: str) -> list[float]:
     return pixel
 
 
-def _bar_detector(video: Path, clicks: list[list[float]], since: float) -> "BarDetector":
+def _bar_detector(video: Path, clicks: list[list[float]], at: float | None) -> "BarDetector":
     """Return a detector of the bars at pixels in the first frame at or after a time."""
     from hyperflex.vision import BarDetector
 
-    return BarDetector.from_clicks(_first_image(video, since), clicks)
+    return BarDetector.from_clicks(_first_image(video, at), clicks)
 
 
-def _first_image(video: Path, since: float) -> "Image":
+def _first_image(video: Path, at: float | None) -> "Image":
     """Return the first picture of a video from a time on."""
-    if (image := next(_images_since(video, since), None)) is None:
-        raise InvalidInput("--at is after the end of the video", got=since + _SAME, fix="Give an earlier time")
+    if (image := next(_images_since(video, at), None)) is None:
+        raise InvalidInput("--at is after the end of the video", got=at, fix="Give an earlier time")
     return image
 
 
@@ -376,8 +420,12 @@ def watch(
         if without:
             if (image := next(images, None)) is None:
                 raise InvalidInput("no frame was received", fix="Check the source")
-            turned = _readout_direction(beside) if beside.exists() else "down"
-            task = markers.plain_task(plain.scene(image, beside, turned))
+            known: dict[str, Any] = {"rope": markers.rope, "camera": markers.camera}
+            if beside.exists():
+                scene = plain.scene(partial(_first_image, beside), beside, _readout_direction(beside), **known)
+            else:
+                scene = plain.scene(lambda _: image, beside, **known)
+            task = markers.plain_task(scene)
         else:
             lens = read_camera(markers.camera or "")
             if not frames.live and frames.image_size != lens.image_size:

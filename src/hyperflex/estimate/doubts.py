@@ -1,5 +1,6 @@
 """Reasons to doubt a track: how its measurements and the possible motions of its rope disagree."""
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
@@ -14,6 +15,7 @@ DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope fro
 SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: three times a detection error
 ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
 MOVED = 0.02  # of the rope's length, rms, from which a first joint moves
+SWING = 2.0  # px, rms, from which a rope swings: ten detection errors, which tell its period to about 1 %
 LONGER = 0.03  # of the rope's length, from which an estimated one contradicts it: a tape errs by a tenth of that
 
 
@@ -33,6 +35,7 @@ class DoubtKind(StrEnum):
     BASE_MOVES = "the rope's first joint moves, by {:.2g} m rms, and its motion is not declared: errors are overstated"
     END = "the rope's free end is seen in {:.0%} of the frames: the rope may be longer or shorter than given"
     BASE_ELSEWHERE = "the rope's first joint is {:.2g} m from the camera's origin"
+    STILL = "the rope hangs still (it moves by {:.1f} px rms): only its place is known"
     LENGTH = "the rope swings as one whose length differs from the given one by {:+.1%}"
 
 
@@ -56,6 +59,7 @@ ADVICE = {
     DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point, give the arm's motion (in Python "
     "RopeFilter(motion=, arm=)), or check the camera's scale: a wrong one has the same effect",
     DoubtKind.END: "check the rope's length, and that nothing hides its end",
+    DoubtKind.STILL: "film a swing: pull the rope to the side, and release it",
     DoubtKind.LENGTH: "measure the rope's length again, and check the time stamps (slow motion stored at a usual rate)",
     DoubtKind.BASE_ELSEWHERE: "calibrate with the hook's pixel (--origin-pixel)",
 }
@@ -65,8 +69,8 @@ PLAIN_SET_UP = (
 )
 PLAIN_ADVICE = ADVICE | {
     DoubtKind.NOISE: "take more light, a wall that differs more from the rope, or less compression",
-    DoubtKind.BASE_MOVES: "film a rope that hangs from a fixed point with a fixed camera, or check what "
-    "tells the size of the picture (--size): a wrong one has the same effect",
+    DoubtKind.BASE_MOVES: "check the pixel that the rope hangs from (--pivot) and what tells the size of the "
+    "picture (--size), or film a rope that hangs from a fixed point with a fixed camera",
     DoubtKind.BASE_ELSEWHERE: "give the pixel that the rope hangs from (--pivot)",
 }
 
@@ -81,6 +85,7 @@ def doubts(
     base: Array | None = None,
     end: float = 1.0,
     longer: tuple[float, float] = (0.0, 0.0),
+    swing: float = math.inf,
 ) -> list[Doubt]:
     """Return why a track is doubted.
 
@@ -101,6 +106,8 @@ def doubts(
         Part of the frames in which the free end of a rope without markers is seen.
     longer : (float, float)
         By which part of itself the rope's length was found longer than given, and its standard deviation.
+    swing : float
+        Of the rope's places about their means, px, rms.
     """
     rate, found = swing_rate(rope), []
     if base is not None:
@@ -110,13 +117,15 @@ def doubts(
         found.append(Doubt(DoubtKind.BASE_ELSEWHERE, float(np.linalg.norm(base.mean(axis=0)))))
     if end < 0.3:  # of the frames: else it may be elsewhere
         found.append(Doubt(DoubtKind.END, end))
+    if swing < SWING:
+        found.append(Doubt(DoubtKind.STILL, swing))
     if abs(longer[0]) - 3.0 * longer[1] >= LONGER:  # three standard deviations are left to chance
         found.append(Doubt(DoubtKind.LENGTH, longer[0]))
     if shift >= SHAKING:
         found.append(Doubt(DoubtKind.SHAKE, shift))
     if level >= LARGE:
         found.append(Doubt(DoubtKind.IMPOSSIBLE if alike * rate >= ALIKE else DoubtKind.NOISE, level))
-    if rate > 0.0 and float(density[0]) >= DISTURBED * rate**1.5:
+    if rate > 0.0 and swing >= SWING and float(density[0]) >= DISTURBED * rate**1.5:
         found.append(Doubt(DoubtKind.DISTURBED, float(density[0])))
     return found
 

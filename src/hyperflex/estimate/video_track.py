@@ -1,5 +1,6 @@
 """Tracks a rope through a whole video: from a file to a Recording of its markers."""
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -42,7 +43,7 @@ class VideoTrack:
     arc_lengths : (K,) float64
         Of its markers, m, with the final estimates of lengths and arc lengths.
     frames : int
-        Frames of the video.
+        Frames of the video, from `since` on.
     found_at : float
         Time of the first frame in the recording, s.
     seen : float
@@ -104,6 +105,7 @@ def track_video(
     video: PathLike,
     tracker: RopeTracker,
     *,
+    since: float = -math.inf,
     preview: PathLike | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> VideoTrack:
@@ -115,6 +117,8 @@ def track_video(
         Any file that FFmpeg reads.
     tracker : RopeTracker
         A new one.
+    since : float
+        Time of the first frame that is used, s.
     preview : path-like, optional
         MP4 file that shows expected and seen markers.
     progress : callable, optional
@@ -141,6 +145,8 @@ def track_video(
 
     def look(frame: Frame, draw: bool) -> Image | None:
         nonlocal count, begun
+        if frame.time < since:
+            return None
         tracked = tracker.look(frame)
         count += 1
         begun = begun or bool(np.isnan(tracked.predicted).all())
@@ -213,6 +219,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         base=base if BASE_KINDS.keys() & set(parameters.names) else None,
         end=end,
         longer=estimates["length"] if prior.get("length") else (0.0, 0.0),
+        swing=tracker.camera.pixels_per_metre * _swing(places[:, kept]) if curve else math.inf,
     )
     named = defaultdict(list)
     for name in PICTURE_KINDS:
@@ -268,6 +275,11 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         tuple(notes),
         changes,
     )
+
+
+def _swing(places: Array) -> float:
+    """Return by how much places (T, K, 2), NaN if not seen, are off their means, m, rms."""
+    return float(np.sqrt(np.nanvar(places, axis=0).sum(axis=1).mean()))
 
 
 def _marker_places(tracker: RopeTracker, found: list[_Sighting], errors: RunErrors) -> tuple[Array, Array, Array]:
