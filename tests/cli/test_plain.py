@@ -28,9 +28,11 @@ from hyperflex.files import read_toml, write_toml
 from hyperflex.vision import (
     Board,
     Camera,
+    FoundRope,
     NoRope,
     Reason,
     Renderer,
+    RopeLook,
     RopeMotion,
     Scene,
     VideoReader,
@@ -160,29 +162,38 @@ def test_a_camera_that_moves_is_doubted(hyperflex_json, folder):
     assert "next" not in found
 
 
+@pytest.fixture
+def hanging(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder, with a rope of 2 m that is found straight below the pivot in any picture."""
+    curve = np.stack([np.full(401, 320.0), 20.0 + np.arange(401.0)], axis=1)
+    found = FoundRope(curve, RopeLook(np.zeros(3), 2.0))
+    monkeypatch.setattr("hyperflex.vision.find_rope", lambda *_, **__: found)
+    return folder
+
+
 def first_image(at: float | None) -> np.ndarray:
     with VideoReader("phone.mp4") as reader:
         return next(each.image for each in reader if at is None or each.time >= at)
 
 
-def test_a_known_rope_and_camera_replace_answers(refused, folder):
+def test_a_known_rope_and_camera_replace_answers(refused, hanging):
     hf.Rope.uniform(2.0, 0.1, 20, friction=1e-3).to_toml("known.toml")
     replace(CAMERA, readout=0.003).write("camera.toml")
     known = {"rope": Path("known.toml"), "camera": Path("camera.toml")}
-    found = Plain(tip="found").scene(first_image, folder / "phone.mp4", **known)
+    found = Plain(tip="found").scene(first_image, hanging / "phone.mp4", **known)
     assert found.doubts.keys() == {"offset_x", "offset_y"}
     assert found.rope.n_links == 20
     assert (found.camera.readout, found.camera.exposure) == (0.003, 0.002)
     assert not found.by_rope
     replace(CAMERA.adjusted(scale=0.8)).write("camera.toml")
     with pytest.raises(InvalidInput, match="--camera contradicts the rope's length"):
-        Plain().scene(first_image, folder / "phone.mp4", **known)
+        Plain().scene(first_image, hanging / "phone.mp4", **known)
     given = ("track", "phone.mp4", "--rope", "known.toml", "--camera", "camera.toml", "--length")
     assert "--length contradicts --rope: got 1.5. Allowed: 2" in refused(*given, "1.5")
     assert "--size and --camera are both given" in refused(*given, "2.0", "--size", "rope")
 
 
-def test_the_time_of_the_answers_is_kept_and_another_one_makes_a_clicked_tip_void(folder):
+def test_the_time_of_the_answers_is_kept_and_another_one_makes_a_clicked_tip_void(hanging):
     asked = []
 
     def picture(at):
@@ -190,20 +201,20 @@ def test_the_time_of_the_answers_is_kept_and_another_one_makes_a_clicked_tip_voi
         return first_image(at)
 
     plain = Plain(length=2.0, pivot=(320.0, 20.0), tip="found", size="rope", mass="unknown")
-    assert plain.scene(picture, folder / "phone.mp4", at=0.2).at == 0.2
-    assert Plain().scene(picture, folder / "phone.mp4").at == 0.2
+    assert plain.scene(picture, hanging / "phone.mp4", at=0.2).at == 0.2
+    assert Plain().scene(picture, hanging / "phone.mp4").at == 0.2
     assert asked == [None, 0.2, None, 0.2]
     with pytest.raises(InvalidInput, match="answers about the video are missing: got \\['tip'\\]"):
-        Plain().scene(picture, folder / "phone.mp4", at=0.1)
+        Plain().scene(picture, hanging / "phone.mp4", at=0.1)
 
 
-def test_answers_that_cannot_be_kept_are_said_as_options(folder, monkeypatch, capsys):
+def test_answers_that_cannot_be_kept_are_said_as_options(hanging, monkeypatch, capsys):
     def write(path, content):
         raise FileProblem("the folder is read-only.")
 
     monkeypatch.setattr("hyperflex.files.write_toml", write)
     plain = Plain(length=2.0, pivot=(320.0, 20.0), tip="found", size="rope", mass="0.1")
-    assert plain.scene(first_image, folder / "phone.mp4").length == 2.0
+    assert plain.scene(first_image, hanging / "phone.mp4").length == 2.0
     options = "--exposure 0.004 --length 2.0 --pivot 320.0 20.0 --tip found --size rope --mass 0.1"
     assert f"the folder is read-only. Give these options next time: {options}" in capsys.readouterr().err
 
@@ -358,6 +369,7 @@ def test_a_rope_that_hangs_still_is_said_to(hyperflex_json, tmp_path, monkeypatc
     (doubt,) = found["doubts"]
     assert doubt.startswith("the rope hangs still")
     assert not found["estimated"].keys() & {"length", "scale", "roll"}
+    assert found["assumed"][:2] == ["the camera is level", "the scale is as answered"]
     assert "next" not in found
 
 

@@ -421,17 +421,19 @@ class PlainScene:
     def _assumed(self, found: Mapping[str, tuple[float, float]]) -> list[str]:
         """Return what was assumed, with what the fit found of it or what it costs."""
         texts = {
-            "roll": (np.degrees(1.0), "the camera is level: found {:+.2f} +- {:.2f} degrees"),
-            "scale": (100.0, "the scale is as answered: found {:+.2f} +- {:.2f} %"),
-            "readout": (1e3, "all rows are exposed at once: found {:+.1f} +- {:.1f} ms from the first to the last"),
+            "roll": ("the camera is level", np.degrees(1.0), ": found {:+.2f} +- {:.2f} degrees"),
+            "scale": ("the scale is as answered", 100.0, ": found {:+.2f} +- {:.2f} %"),
+            "readout": ("all rows are exposed at once", 1e3, ": found {:+.1f} +- {:.1f} ms from the first to the last"),
             "first_joint_friction": (
+                "the first joint resists half as much as the others",
                 100.0,
-                "the first joint resists half as much as the others: found {:+.0f} +- {:.0f} %",
+                ": found {:+.0f} +- {:.0f} %",
             ),
         }
-        free = self.doubts.keys() & found.keys()  # of a rope that hangs still only its place
-        said = [
-            text.format(*(unit * each for each in found[name])) for name, (unit, text) in texts.items() if name in free
+        said = [  # of a rope that hangs still nothing is found
+            text + (numbers.format(*(unit * each for each in found[name])) if name in found else "")
+            for name, (text, unit, numbers) in texts.items()
+            if name in self.doubts
         ]
         exposed = 1e3 * self.camera.exposure
         said += [
