@@ -8,13 +8,16 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+LONG = "05_environment", "06_insert", "07_switch"  # tests/envs and tests/planning have their parts in the gate
 
 
 def test_there_are_examples():
     assert len(EXAMPLES) >= 5
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [pytest.param(each, id=each.stem, marks=[pytest.mark.nightly] * (each.stem in LONG)) for each in EXAMPLES]
+)
 def test_example_runs_and_checks_itself(path, tmp_path, monkeypatch):
     assert any(isinstance(node, ast.Assert) for node in ast.parse(path.read_text()).body)
     monkeypatch.chdir(tmp_path)
