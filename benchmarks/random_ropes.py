@@ -113,11 +113,11 @@ def page(seed: int, ropes: int, rows: list[dict[str, Any]], about: dict[str, str
     some = [each for number in range(ropes) for each in drawn(seed, number, *rope_and_arm(seed, number), 200)]
     share = np.mean([feasible for _, feasible in some])
     text = (
-        f"# Casts with ropes drawn at random: seed {seed}\n\nOf {len(rows)} targets called in reach, the first of each "
-        f"rope first, {planned} are planned in {rows[0]['limit']:g} s of processor time and {good} of these are held "
-        "in an independent run; asked for are 90 %. Median of all targets, those not held as infinite: "
-        f"{np.median(seconds):.1f} s. Of {len(some)} targets drawn for these ropes the feasibility check calls "
-        f"{100 * share:.0f} % in reach. All simulated.\n\n"
+        f"# Casts with ropes drawn at random: seed {seed}\n\nTargets called in reach, the first of each rope first: "
+        f"{len(rows)}. Planned in {rows[0]['limit']:g} s of processor time: {planned}. Held in an independent run, too: "
+        f"{good}; asked for are 90 %. Median time, with no limit for those not held: {np.median(seconds):.1f} s. "
+        f"Of {len(some)} targets drawn for these ropes the feasibility check calls {100 * share:.0f} % in reach. "
+        "All simulated.\n\n"
         "| rope | length, m | mass, g | arm, mm | target | x, m | y, m | radius, mm | planned | held | s | why not |\n"
     )
     text += "|---" * 12 + "|\n"
