@@ -114,7 +114,7 @@ def page(seed: int, ropes: int, rows: list[dict[str, Any]], about: dict[str, str
     share = np.mean([feasible for _, feasible in some])
     text = (
         f"# Casts with ropes drawn at random: seed {seed}\n\nTargets called in reach, the first of each rope first: "
-        f"{len(rows)}. Planned in {rows[0]['limit']:g} s of processor time: {planned}. Held in an independent run, too: "
+        f"{len(rows)}. Planned in {rows[0]['limit']:g} s of processor time: {planned}. Held in an independent run: "
         f"{good}; asked for are 90 %. Median time, with no limit for those not held: {np.median(seconds):.1f} s. "
         f"Of {len(some)} targets drawn for these ropes the feasibility check calls {100 * share:.0f} % in reach. "
         "All simulated.\n\n"
