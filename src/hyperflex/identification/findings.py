@@ -470,8 +470,8 @@ class Kind(StrEnum):
     )
     NOT_ESTIMATED = (
         "no standard deviations",
-        """The fit ended before standard deviations and intervals were computed. | Their accuracy is
-        unknown. Allow more time.""",
+        """The fit ended before standard deviations and intervals were computed. | The
+        accuracy of the values is unknown. Allow more time.""",
     )
     CHOSEN = (
         "free by default",

@@ -193,17 +193,15 @@ class SwingSearch:
             tries.append(_Try(swing, moves, until + self.options.watched * self.problem.period, whole))
         return self._strikes(tries, budget, onward=False)[0]
 
-    def varied(self, moves: Moves, made: int) -> Moves:
-        """Return moves of which all but the first `made` are varied, by little or by much."""
+    def varied(self, moves: Moves, made: int, wait: float = 0.0) -> Moves:
+        """Return moves of which all but the first `made` are varied, by little or much, after a rest of `wait`, s."""
         k = moves.ends.size
         size = self.options.spread * 10.0 ** -self.random.uniform(0.0, 1.5)
         change = size * self.random.standard_normal((3, k)) * (np.arange(k) >= made)
-        return replace(
-            moves,
-            ends=moves.ends + math.pi * change[0],
-            rests=np.abs(moves.rests + self.problem.period * change[1]),
-            speeds=(moves.speeds + change[2]).clip(MIN_SPEED, 1.0),
-        )
+        rests = np.abs(moves.rests + self.problem.period * change[1])
+        rests[made : made + 1] = np.maximum(rests[made : made + 1], wait)
+        ends, speeds = moves.ends + math.pi * change[0], (moves.speeds + change[2]).clip(MIN_SPEED, 1.0)
+        return replace(moves, ends=ends, rests=rests, speeds=speeds)
 
     def _strokes(self, swing: Swing, lane: _Lane) -> list[_Try]:
         """Return the strokes that are tried after a swing, within the time."""

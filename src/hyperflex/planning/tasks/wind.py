@@ -221,18 +221,23 @@ class WindTask(Task):
 
     def _ended(self, moves: Moves, t: float, more: int, end: float, rest: float, speed: float = 0.9) -> Moves:
         """Return moves that strike at t, s, with more strokes, a rest, in periods, and a last move to `end`, rad."""
-        wait = max(0.0, t - moves.stops(self.problem.limits)) + 2.0 * MODEL.step
+        wait = self._wait(moves, t)
         for _ in range(more):
             moves, wait = pumped(self.problem, moves, wait), 0.0
         return moves.then(end, wait + rest * self.problem.period, speed)
+
+    def _wait(self, moves: Moves, t: float) -> float:
+        """Return how long the arm rests at least after moves that strike at t, s."""
+        return max(0.0, t - moves.stops(self.problem.limits)) + 2.0 * MODEL.step
 
     def other_ends(self, one: Strike) -> Strike:
         """Return a strike with last moves to try next: by turns near the best ones, and any."""
         limits, random, follow = self.problem.limits, self.search.random, list[Moves]()
         moves = one.moves.cut(one.t, limits)
+        made = moves.ends.size
         for k in range(self.options.batch):
-            if k % 2 and one.moves.ends.size > moves.ends.size:
-                follow.append(self.search.varied(one.moves, moves.ends.size))
+            if k % 2 and one.moves.ends.size > made:
+                follow.append(self.search.varied(one.moves, made, self._wait(moves, one.t)))
             else:
                 end, speed = random.uniform(*limits.angles), random.uniform(MIN_SPEED, 1.0)
                 rest = max(0.0, random.uniform(-2.0, 2.0))  # a tail that must pass the arm needs it to go at once
