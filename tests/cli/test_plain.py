@@ -188,6 +188,9 @@ def test_a_known_rope_and_camera_replace_answers(refused, hanging):
     replace(CAMERA.adjusted(scale=0.8)).write("camera.toml")
     with pytest.raises(InvalidInput, match="--camera contradicts the rope's length"):
         Plain().scene(first_image, hanging / "phone.mp4", **known)
+    Camera.facing((1280, 960), pixels_per_metre=200.0).write("camera.toml")
+    with pytest.raises(InvalidInput, match="another size than the camera's: got '640x480'. Allowed: 1280x960"):
+        Plain().scene(first_image, hanging / "phone.mp4", **known)
     given = ("track", "phone.mp4", "--rope", "known.toml", "--camera", "camera.toml", "--length")
     assert "--length contradicts --rope: got 1.5. Allowed: 2" in refused(*given, "1.5")
     assert "--size and --camera are both given" in refused(*given, "2.0", "--size", "rope")
@@ -208,6 +211,34 @@ def test_the_time_of_the_answers_is_kept_and_another_one_makes_a_clicked_tip_voi
         Plain().scene(picture, hanging / "phone.mp4", at=0.1)
 
 
+def test_answers_outweigh_a_camera_and_what_only_the_camera_tells_is_not_kept(hanging):
+    CAMERA.write("camera.toml")
+
+    def scene(**options):
+        return Plain(**options).scene(first_image, hanging / "phone.mp4", camera=Path("camera.toml"))
+
+    first = scene(length=2.0, tip="found", mass="unknown")
+    assert (first.answers["pivot"], first.camera.exposure) == (pytest.approx([320.0, 20.0]), 0.002)
+    kept = {"length": 2.0, "tip": "found", "mass": "unknown"}
+    assert read_toml("phone.mp4.answers.toml")["answers"] == kept
+    scene(pivot=(330.0, 25.0), exposure=0.001)
+    again = scene()
+    assert (again.answers["pivot"], again.camera.exposure) == ([330.0, 25.0], 0.001)
+    assert read_toml("phone.mp4.answers.toml")["answers"] == kept | {"pivot": [330.0, 25.0], "exposure": 0.001}
+
+
+def test_a_video_is_watched_from_the_time_of_its_answers_on(refused, hanging, monkeypatch):
+    def watch(frames, *_, **__):
+        raise InvalidInput(f"the first frame is at {frames.peek(9.0).time:.1f} s")
+
+    monkeypatch.setattr("hyperflex.estimate.Watch", watch)
+    monkeypatch.setattr(TrackingTask, "rehearse", lambda self: None)
+    monkeypatch.setattr(TrackingTask, "tracker", lambda self: None)
+    plain = Plain(length=2.0, pivot=(320.0, 20.0), tip="found", size="rope", mass="unknown")
+    plain.scene(first_image, hanging / "phone.mp4", at=0.3)
+    assert "the first frame is at 0.3 s" in refused("watch", "phone.mp4")
+
+
 def test_answers_that_cannot_be_kept_are_said_as_options(hanging, monkeypatch, capsys):
     def write(path, content):
         raise FileProblem("the folder is read-only.")
@@ -215,7 +246,7 @@ def test_answers_that_cannot_be_kept_are_said_as_options(hanging, monkeypatch, c
     monkeypatch.setattr("hyperflex.files.write_toml", write)
     plain = Plain(length=2.0, pivot=(320.0, 20.0), tip="found", size="rope", mass="0.1")
     assert plain.scene(first_image, hanging / "phone.mp4").length == 2.0
-    options = "--exposure 0.004 --length 2.0 --pivot 320.0 20.0 --tip found --size rope --mass 0.1"
+    options = "--length 2.0 --pivot 320.0 20.0 --tip found --size rope --mass 0.1"
     assert f"the folder is read-only. Give these options next time: {options}" in capsys.readouterr().err
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -16,6 +17,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli import output
+from hyperflex.estimate import VideoTrack
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import VideoReader, VideoWriter
 from tests.estimate.filmed import ARCS, COUNT, facing, film_swing
@@ -341,6 +343,16 @@ def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, pend
     assert len(hf.read_recording("angles-interrupted.nc").t) == 8
     assert read_netcdf("angles-interrupted.nc").attributes["interrupted"] == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["angles-interrupted.nc", "pendulum.mp4"]
+
+
+def test_ctrl_c_in_a_second_pass_leaves_the_first_under_its_name(hyperflex_json, folder, tmp_path, monkeypatch):
+    whole = hf.Recording([0.0, 0.1], np.zeros((2, 4)), kind="markers")
+    found = VideoTrack(whole, np.array([0.5, 1.0]), 2, 0.0, 1.0, {}, SimpleNamespace(level=1.0), (), ())
+    monkeypatch.setattr("hyperflex.cli.track._tracked", lambda *_: (found, True))
+    code, told = hyperflex_json(*words("track", folder / "swing.mp4", folder, tmp_path / "markers.nc"))
+    assert (code, told["output"]) == (130, str(tmp_path / "markers.nc"))
+    assert told["message"].startswith("A further pass over the frames was interrupted; the track of the first one is in")
+    assert [each.name for each in tmp_path.iterdir()] == ["markers.nc"]
 
 
 @pytest.mark.parametrize(

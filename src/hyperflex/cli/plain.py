@@ -117,6 +117,9 @@ class Plain:
         measures = self._measures(before if line is None else before | {"length": line.total_length}, at)
         if "at" in measures:
             image = picture(measures["at"])
+        if lens is not None:
+            check_size(image.shape[1::-1], lens)
+            lens = replace(lens, exposure=measures.get("exposure", lens.exposure))
         if measures.get("at") != before.get("at"):
             kept.pop("tip", None)  # it was elsewhere
 
@@ -130,7 +133,7 @@ class Plain:
             return PlainScene(
                 image,
                 measures["length"],
-                measures["exposure"],
+                measures.get("exposure", 0.004),
                 readout_direction,
                 find,
                 answers,
@@ -153,20 +156,24 @@ class Plain:
                 _ = scene(answers).found
 
         origin = {} if lens is None else {"pivot": lens.project([[0.0, 0.0]])[0].tolist()}
-        known = {name: value for name, value in (kept | origin | self.answers()).items() if name not in replaced}
+        given = kept | self.answers()
+        known = {name: value for name, value in (origin | given).items() if name not in replaced}
         check_terminal([each for each in questions if each.name not in known])
         if "pivot" in known:  # else they are checked with its answer: against the rope that hangs from it
             for name in known:
                 scene(known).check(name)
         found = ask(Dialogue(questions, known, prepare, check), image)
-        if (keep := {**measures, **kept, **found}) != {**before, **kept}:
+        keep: dict[str, Any] = {**measures, **kept, **found}
+        if origin and "pivot" not in given:  # it is the camera's
+            del keep["pivot"]
+        if keep != {**before, **kept}:
             _keep(path, head, keep)
         return scene(found)
 
     def _measures(self, known: Mapping[str, Any], at: float | None) -> dict[str, float]:
-        """Return length, m, exposure, s, and time of the picture, s, if it is not the first: by options, or `known`."""
+        """Return length, m, and, where given, exposure, s, and time of the picture, s: by options, or `known`."""
         options = {"length": self.length, "exposure": self.exposure, "at": at}
-        found = {"exposure": 0.004, **known} | {name: value for name, value in options.items() if value is not None}
+        found = dict(known) | {name: value for name, value in options.items() if value is not None}
         if "length" not in found:
             raise InvalidInput("--length is missing", fix="Give the rope's length, m")
         kinds: dict[str, Any] = {
@@ -188,10 +195,14 @@ class Plain:
         if line is not None and self.length and not np.isclose(self.length, line.total_length, rtol=1e-3):  # as a tape
             allowed = f"{line.total_length:g}"
             raise InvalidInput("--length contradicts --rope", got=self.length, allowed=allowed, fix="Omit --length")
-        lens = None if camera is None else read_camera(camera)
-        if lens is not None and self.exposure is not None:
-            lens = replace(lens, exposure=self.exposure)
-        return line, lens
+        return line, None if camera is None else read_camera(camera)
+
+
+def check_size(size: tuple[int, ...], lens: "Camera") -> None:
+    """Refuse pictures of another size, px, than a camera's."""
+    if size != lens.image_size:
+        got, allowed = ("x".join(map(str, each)) for each in (size, lens.image_size))
+        raise InvalidInput("the picture has another size than the camera's", got=got, allowed=allowed)
 
 
 def answers_path(video: Path) -> Path:

@@ -19,7 +19,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
-from hyperflex.cli.plain import CLICKED, Plain, PlainScene, answers_path
+from hyperflex.cli.plain import CLICKED, Plain, PlainScene, answers_path, check_size
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.interruption import stoppable
 
@@ -234,7 +234,7 @@ def track(
         else:
             follow["since"] = _since(scene.at)
             found, stopped = _tracked(video, markers.plain_task(scene), follow, scene.by_rope)
-    kept = output.partial_path(out) if stopped else out
+    kept = output.partial_path(out) if found.interrupted else out
     result = {
         "output": kept,
         "preview": None if found.interrupted else preview,
@@ -258,6 +258,8 @@ def track(
     more = [("change", str(each)) for each in (() if bar else found.changes)]
     title = f"Tracked {video}" + (f", with doubts: {'; '.join(doubted)}" if doubted else "")
     text = f"Interrupted after {found.frames} frames; the part that was tracked is in {kept}."
+    if stopped and not found.interrupted:
+        text = f"A further pass over the frames was interrupted; the track of the first one is in {kept}."
     rows = output.rows(title, result, *more)
     output.show({**result, "doubts": doubted}, rows, interrupted=text if stopped else "")
 
@@ -396,7 +398,7 @@ def watch(
     """Follow a rope live by its dynamics, with markers or without.
 
     For a plain rope give only its --length; see `hyperflex track`. Answers about a camera are saved in
-    camera-N.answers.toml in the working folder.
+    camera-N.answers.toml in the working folder. A video is followed from the time of its answers on (--at of track).
 
     At every frame, and while none arrives, the command reports the rope's position, the age and uncertainty of this
     estimate, and detected changes, such as a mass at the tip or a touch. It ends with the source or by Ctrl-C, and then
@@ -412,25 +414,27 @@ def watch(
     without = markers.plain(plain, beside)
     markers.check(out, Path(source), needed=not without)
     until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
+    known: dict[str, Any] = {"rope": markers.rope, "camera": markers.camera}
+    scene = None
+    if without and beside.exists():
+        scene = plain.scene(partial(_first_image, beside), beside, _readout_direction(beside), **known)
+    since = _since(None if scene is None else scene.at)
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
         pictures = None if page is None else stack.enter_context(PicturePage(page))
-        frames = stack.enter_context(open_frames(source, paced=page is not None, reconnect_timeout=reconnect_timeout))
+        opened = open_frames(source, paced=page is not None, since=since, reconnect_timeout=reconnect_timeout)
+        frames = stack.enter_context(opened)
         images = newest_images(frames, reconnect_timeout)
-        if without:
+        if without and scene is None:
             if (image := next(images, None)) is None:
                 raise InvalidInput("no frame was received", fix="Check the source")
-            known: dict[str, Any] = {"rope": markers.rope, "camera": markers.camera}
-            if beside.exists():
-                scene = plain.scene(partial(_first_image, beside), beside, _readout_direction(beside), **known)
-            else:
-                scene = plain.scene(lambda _: image, beside, **known)
+            scene = plain.scene(lambda _: image, beside, **known)
+        if scene is not None:
             task = markers.plain_task(scene)
         else:
             lens = read_camera(markers.camera or "")
-            if not frames.live and frames.image_size != lens.image_size:
-                got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
-                raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
+            if not frames.live:
+                check_size(frames.image_size, lens)
             task = markers.task(images)
         task.rehearse()
         tracker = task.tracker()

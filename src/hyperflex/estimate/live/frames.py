@@ -1,11 +1,12 @@
 """Frames of a camera, stream or file, read in a separate thread, so that a source that stalls blocks nobody."""
 
+import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 from hyperflex import checks
 from hyperflex.errors import HyperflexError
@@ -59,6 +60,8 @@ class FrameThread:
         Give the newest frame, and open the source again if it breaks off; else give all frames, and end.
     paced : bool
         Give the frames at the intervals of their time stamps, from when the first one is taken.
+    since : float
+        Time of the first frame that is given, s.
     reconnect_timeout : float
         How long a source that broke off is tried again, s.
 
@@ -75,9 +78,15 @@ class FrameThread:
     KEPT = 2**28  # bytes of a camera's frames that wait to be taken, at most; then the newest replaces the last one
 
     def __init__(
-        self, open_source: Callable[[], Source], *, live: bool, paced: bool = False, reconnect_timeout: float = 10.0
+        self,
+        open_source: Callable[[], Source],
+        *,
+        live: bool,
+        paced: bool = False,
+        since: float = -math.inf,
+        reconnect_timeout: float = 10.0,
     ) -> None:
-        self._open, self.live, self._paced = open_source, live, paced
+        self._open, self.live, self._paced, self._since = open_source, live, paced, since
         self.reconnect_timeout = checks.number("reconnect_timeout", reconnect_timeout, sign="nonnegative", unit="s")
         source = open_source()
         self.image_size = source.image_size
@@ -186,6 +195,8 @@ class FrameThread:
         begin: float | None = None
         count, shift, last = 0, 0.0, self._last
         for index, each in enumerate(source):
+            if each.time < self._since:
+                continue
             if last is not None and not index:
                 shift = last.frame.time - each.time + max(time.monotonic() - last.at, _CLOSEST)
             frame = Frame(each.time + shift, each.image, each.index)
@@ -213,7 +224,9 @@ class FrameThread:
             self._notes += notes
 
 
-def open_frames(source: int | str | Source, *, paced: bool = False, reconnect_timeout: float = 10.0) -> FrameThread:
+def open_frames(
+    source: int | str | Source, *, paced: bool = False, since: float = -math.inf, reconnect_timeout: float = 10.0
+) -> FrameThread:
     """Open a camera by its number, a stream by its address (``rtsp://...``), or a file in place of one.
 
     Parameters
@@ -222,6 +235,8 @@ def open_frames(source: int | str | Source, *, paced: bool = False, reconnect_ti
         A number in digits is a camera's. A source that is open already counts as a camera.
     paced : bool
         Play a file at its own speed; else as fast as its frames are taken.
+    since : float
+        Time of the first frame of a file that is given, s.
     reconnect_timeout : float
         How long a camera or stream that broke off is tried again, s.
 
@@ -236,4 +251,5 @@ def open_frames(source: int | str | Source, *, paced: bool = False, reconnect_ti
     if words.isdecimal() or "://" in words:
         address = int(words) if words.isdecimal() else words
         return FrameThread(lambda: LiveCamera(address), live=True, reconnect_timeout=reconnect_timeout)
-    return FrameThread(lambda: VideoReader(Path(words)), live=False, paced=paced, reconnect_timeout=reconnect_timeout)
+    how: dict[str, Any] = {"paced": paced, "since": since, "reconnect_timeout": reconnect_timeout}
+    return FrameThread(lambda: VideoReader(Path(words)), live=False, **how)
