@@ -351,7 +351,7 @@ def test_ctrl_c_in_a_second_pass_leaves_the_first_under_its_name(hyperflex_json,
     monkeypatch.setattr("hyperflex.cli.track._tracked", lambda *_: (found, True))
     code, told = hyperflex_json(*words("track", folder / "swing.mp4", folder, tmp_path / "markers.nc"))
     assert (code, told["output"]) == (130, str(tmp_path / "markers.nc"))
-    assert told["message"].startswith("A further pass over the frames was interrupted; the track of the first one is in")
+    assert told["message"].startswith("A further pass over the frames was interrupted; the track of the first one")
     assert [each.name for each in tmp_path.iterdir()] == ["markers.nc"]
 
 

@@ -115,8 +115,7 @@ class Plain:
         kept = _read(path, head) if path.exists() else {}
         before = {name: kept.pop(name) for name in MEASURES if name in kept}
         measures = self._measures(before if line is None else before | {"length": line.total_length}, at)
-        if "at" in measures:
-            image = picture(measures["at"])
+        image = picture(measures["at"]) if "at" in measures else image
         if lens is not None:
             check_size(image.shape[1::-1], lens)
             lens = replace(lens, exposure=measures.get("exposure", lens.exposure))
@@ -163,10 +162,8 @@ class Plain:
             for name in known:
                 scene(known).check(name)
         found = ask(Dialogue(questions, known, prepare, check), image)
-        keep: dict[str, Any] = {**measures, **kept, **found}
-        if origin and "pivot" not in given:  # it is the camera's
-            del keep["pivot"]
-        if keep != {**before, **kept}:
+        own = {name: value for name, value in found.items() if name in given or name not in origin}
+        if (keep := {**measures, **kept, **own}) != {**before, **kept}:
             _keep(path, head, keep)
         return scene(found)
 
