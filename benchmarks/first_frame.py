@@ -7,8 +7,9 @@ python -m benchmarks.first_frame --seed 1 --count 40 --others 0 --pictures FOLDE
 Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. Thickness, colour, wall, texture, shadow, shine,
 clutter, noise, exposure and compression are drawn for each frame. The pivot is clicked 2 px (rms) off; width and colour
 of the rope are not given, nor its length, but in rows that say "length known": to 2 % (rms), as two clicked points tell
-it. A curve is right if its rms distance from the true one in the middle of the exposure is at most
-1 % of the rope's length, and the free end at most 3 % off.
+it. Levels are proportional to light, in the pictures and in the search, but in rows that say "tone curve": sRGB in
+both. A curve is right if its rms distance from the true one in the middle of the exposure is at most 1 % of the rope's
+length, and the free end at most 3 % off.
 """
 
 import argparse
@@ -28,7 +29,18 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.vision import Camera, Image, NoRope, Occluder, Reason, Renderer, RopeMotion, Scene, find_rope
+from hyperflex.vision import (
+    Camera,
+    Image,
+    NoRope,
+    Occluder,
+    Reason,
+    Renderer,
+    RopeMotion,
+    Scene,
+    find_rope,
+    srgb_tone,
+)
 
 RESULTS = Path(__file__).parent / "results" / "first-frame.jsonl"
 LINKS, POSES = 120, 10  # of the truth; frames of one motion
@@ -71,8 +83,10 @@ def motion(seed: int, number: int) -> tuple[hf.Rope, RopeMotion]:
     return rope, RopeMotion.from_trajectory(hf.simulate(rope, swings, arm=arm, q0=q0, duration=4.0, t_eval=t))
 
 
-def shot(seed: int, index: int, absent: Reason | None = None, by_mujoco: bool = False) -> Shot:
-    """Draw a frame; by choice one that shows no rope to be found, or one by MuJoCo's renderer."""
+def shot(
+    seed: int, index: int, absent: Reason | None = None, by_mujoco: bool = False, tone: Array | None = None
+) -> Shot:
+    """Draw a frame; by choice one that shows no rope to be found, by MuJoCo's renderer, or with a tone curve."""
     rope, moves = motion(seed, index // POSES)
     rng, length = np.random.default_rng((seed, index, 1)), rope.total_length
     stamp, look = float(rng.uniform(0.05, 3.9)), LOOKS[index % 3]
@@ -104,6 +118,7 @@ def shot(seed: int, index: int, absent: Reason | None = None, by_mujoco: bool = 
         wall_texture=float(rng.uniform(0.0, 15.0 if look == "coloured on textured" else 6.0)),
         clutter=int(rng.integers(0, 12)),
         noise=float(rng.uniform(1.0, 4.0)),
+        tone=tone,
         occluders=_before(moves, stamp, width / scale, colour, absent, motion(seed, index // POSES + 1)[1]),
         seed=int(rng.integers(1 << 30)),
     )
@@ -151,16 +166,18 @@ def _by_mujoco(camera: Camera, moves: RopeMotion, scene: Scene, stamp: float) ->
     return np.asarray(image, np.uint8)
 
 
-def measure(seed: int, index: int, kind: str, known: bool, pictures: Path | None) -> dict[str, Any]:
-    """Find the rope in a frame; is its length known?"""
+def measure(seed: int, index: int, kind: str, known: bool, toned: bool, pictures: Path | None) -> dict[str, Any]:
+    """Find the rope in a frame; is its length known, and has the picture a tone curve?"""
     absent = Reason(kind) if kind in set(ABSENT) else None
-    each, found = shot(seed, index, absent, kind == "MuJoCo"), None
+    tone = srgb_tone() if toned else None
+    each, found = shot(seed, index, absent, kind == "MuJoCo", tone), None
     size = float(np.hypot(*np.diff(each.curve, axis=0).T).sum())
     row: dict[str, Any] = {"kind": kind, "index": index, "seed": seed, "length": known, "kernels": SOURCE_HASH}
+    row |= {"tone": True} if toned else {}
     row |= {"look": each.look, "width": round(each.width, 1), "blur": round(each.blur, 1)}
     begin = time.process_time()
     try:
-        found = find_rope(each.image, each.pivot, length=each.length if known else None)
+        found = find_rope(each.image, each.pivot, length=each.length if known else None, tone=tone)
     except NoRope as error:
         row["result"] = error.reason.value
     row["seconds"] = round(time.process_time() - begin, 2)
@@ -186,9 +203,10 @@ def page(rows: list[dict[str, Any]]) -> str:
     text = "# The rope in a first frame\n\n" + (__doc__ or "").split("\n\n", 2)[2] + "\n"
     text += "| frames | number | right | refused by name | wrong | curve, median, % | worst | end, median, % | s |\n"
     text += "|---|---|---|---|---|---|---|---|---|\n"
-    for kind, known in product(("rope", "MuJoCo"), (False, True)):
+    for kind, known, toned in product(("rope", "MuJoCo"), (False, True), (False, True)):
         for look in LOOKS:
-            own = [row for row in rows if (row["kind"], row["length"], row["look"]) == (kind, known, look)]
+            wanted = {"kind": kind, "length": known, "look": look, "tone": toned}
+            own = [row for row in rows if wanted.items() <= ({"tone": False} | row).items()]
             if own:
                 counts = Counter(row["result"] for row in own)
                 right, wrong = counts.pop("right", 0), counts.pop("wrong", 0)
@@ -199,6 +217,7 @@ def page(rows: list[dict[str, Any]]) -> str:
                 figures = f"{np.median(off[:, 0]):.2f} | {off[:, 0].max():.2f} | {np.median(off[:, 1]):.2f}"
                 spent = np.median([row["seconds"] for row in own])
                 name = look + (", by MuJoCo" if kind == "MuJoCo" else "") + (", length known" if known else "")
+                name += ", tone curve" if toned else ""
                 text += f"| {name} | {len(own)} | {right} | {refused} | {wrong} | {figures} | {spent:.1f} |\n"
     text += "\n| to be refused | frames | by this name | by another | taken for a rope |\n|---|---|---|---|---|\n"
     for kind in ABSENT:
@@ -216,6 +235,7 @@ def main() -> None:
     parser.add_argument("--others", type=int, default=30, help="by MuJoCo, and that are to be refused (30 each)")
     parser.add_argument("--first", type=int, default=0, help="frame to begin with (0)")
     parser.add_argument("--length", action="store_true", help="the rope's length is known")
+    parser.add_argument("--tone", action="store_true", help="the pictures, but MuJoCo's, have a tone curve, sRGB")
     parser.add_argument("--pictures", type=Path, help="folder for the frames with the true (green) and the found curve")
     parser.add_argument("--out", type=Path, default=RESULTS, help="rows, beside which the page is written")
     options = parser.parse_args()
@@ -225,9 +245,9 @@ def main() -> None:
     marks = [("rope", index) for index in indices] + [("MuJoCo", index) for index in range(options.others)]
     marks += [(ABSENT[index % 3].value, index) for index in range(options.others)]
     for kind, index in marks:
-        mark = {"kind": kind, "index": index, "seed": options.seed, "length": options.length}
-        if not any(mark.items() <= each.items() for each in before):
-            row = measure(options.seed, index, kind, options.length, options.pictures)
+        mark = {"kind": kind, "index": index, "seed": options.seed, "length": options.length, "tone": options.tone}
+        if not any(mark.items() <= ({"tone": False} | each).items() for each in before):
+            row = measure(options.seed, index, kind, options.length, options.tone, options.pictures)
             print(json.dumps(row), flush=True)
             log.append(options.out, row)
     rows = [row for row in log.read(options.out) if row["seed"] == options.seed]

@@ -35,7 +35,7 @@ from hyperflex.estimate import (
     open_frames,
 )
 from hyperflex.estimate.live.page import PicturePage
-from hyperflex.estimate.live.state_source import StampClock
+from hyperflex.estimate.live.state_source import Packet, StampClock
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
     Camera,
@@ -275,6 +275,20 @@ def test_frames_that_wait_are_worked_off_unless_as_many_come(pictures, monkeypat
     assert [(each.frame.index, each.missed) for each in taken] == [(0, 0), (1, 0), (2, 0), (8, 5), (12, 3), (13, 0)]
 
 
+def test_a_second_search_while_frames_are_worked_off_keeps_no_more(pictures):
+    """Of 8 frames that wait, the fourth is searched, while 6 come, and the last one: the newest follows."""
+    source = Stepped(*pictures[:18])
+    with source.opening() as frames:
+        source.give(8)
+        taken, behind = [], [frames.catch_up()]
+        for k in range(9):
+            taken.append(frames.take(30.0))
+            source.give({3: 6, 8: 3}.get(k, 0))
+            behind += [frames.catch_up()] * (k in (3, 7, 8))
+    assert behind == [8, 0, 0, 3]
+    assert [(each.frame.index, each.missed) for each in taken] == [*((k, 0) for k in range(8)), (13, 5)]
+
+
 def test_a_plain_rope_that_moves_is_followed_from_its_first_picture_on(monkeypatch):
     """12 frames come during the search, then one for each three that are looked at. The free end moves at 4 m/s."""
     camera, motion = facing((320, 240), 100.0, exposure=0.002), RopeMotion.from_trajectory(free_swing(3, 2.0))
@@ -450,6 +464,19 @@ def test_a_stopped_estimator_is_told(source):
         source.state(source.now, hf.hold_arm(0.0))
     source.restart()
     source.wait_until_found(30.0)
+
+
+def test_a_search_may_take_longer_than_a_stall(video, monkeypatch):
+    """Five seconds ago the process wrote that the rope was not found, or was: only the second one is a stall."""
+    source = CameraStateSource(str(video[0]), task(video))
+    monkeypatch.setattr(type(source._child), "pid", 1)
+    nothing = np.zeros(0)
+    source._packet = Packet(time.monotonic() - 5.0, 0.0, 0.0, False, 1, nothing, nothing, nothing, (), 0, nothing)
+    with pytest.raises(EstimatorLost, match="not found within 0.01 s"):
+        source.wait_until_found(0.01)
+    source._packet = source._packet._replace(found=True)
+    with pytest.raises(EstimatorLost, match="no sign of life"):
+        source.wait_until_found(0.01)
 
 
 def test_a_video_that_ends_is_told(video):

@@ -109,14 +109,21 @@ def test_a_line_beside_the_rope_is_not_taken_for_a_piece_of_it():
     assert (np.abs(found.offsets - true) < 1.0)[there].all()
 
 
-def lines(*columns, contrast=1.0):
+def lines(*columns, contrast=1.0, wall=180.0, look=RopeLook(DARK, 1.0)):
     """Return what is found where a rope is expected at column 100 to 3 px, of 20 pieces, and there are these lines."""
-    image = np.full((200, 200, 3), 180.0)
-    image[:, list(columns)] -= contrast * (180.0 - DARK)
+    image = np.full((200, 200, 3), wall)
+    image[:, list(columns)] -= contrast * (wall - look.levels)
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + np.random.default_rng(1).normal(0.0, 1.0, image.shape)
     moving = np.tile(np.stack([np.full(141, 100.0), np.append(np.arange(20.0, 160.0), 180.0)], axis=1), (3, 1, 1))
     view = view_curve(moving, 20, 9.0 * np.kron(np.ones((21, 21)), np.eye(2)), 4.0, 50)
-    return CurveDetector().find(image.astype(np.uint8), RopeLook(DARK, 1.0), view)
+    return CurveDetector().find(image.astype(np.uint8), look, view)
+
+
+def test_a_dim_rope_is_seen_by_its_light():
+    """Five levels differ by less than a unit of light there."""
+    tone = srgb_tone()
+    found = lines(97, wall=6.0, look=RopeLook(np.full(3, tone[11]), 1.0, tone))
+    assert np.abs(np.abs(found.offsets) - 3.0).max() < 0.5
 
 
 @pytest.mark.parametrize("part", [0.04, 0.3, 0.5])

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from hyperflex import InvalidInput
-from hyperflex.vision import Camera, NoRope, Occluder, Reason, Renderer, RopeLook, RopeMotion, Scene, find_rope
+from hyperflex.vision import (
+    Camera,
+    NoRope,
+    Occluder,
+    Reason,
+    Renderer,
+    RopeLook,
+    RopeMotion,
+    Scene,
+    find_rope,
+    srgb_tone,
+)
 from hyperflex.vision.first_frame import _check_end
 from hyperflex.vision.look import Cover, rope_along
 from hyperflex.vision.ridges import Mixture, Path, Ridges, _apart, _best_of_cells
@@ -100,6 +111,21 @@ def test_an_end_is_not_clear_if_the_rope_may_go_on_beyond_it(beyond):
     with pytest.raises(NoRope) as refused:
         _check_end(Cover(unlike, 0.0 * unlike, 0.0 * unlike), 80.0, None, np.inf)
     assert refused.value.reason is Reason.END
+
+
+def test_a_curve_that_shows_no_rope_at_all_is_refused():
+    with pytest.raises(NoRope) as refused:
+        _check_end(Cover(np.full(40, 0.9), np.zeros(40), np.zeros(40)), 40.0, None, np.inf)
+    assert refused.value.reason is Reason.HIDDEN
+
+
+@pytest.mark.parametrize(("rope", "wall"), [(25.0, 10.0), (15.0, 30.0)], ids=["bright", "dark"])
+def test_a_dim_rope_is_found_by_its_light(rope, wall):
+    """Ten levels are a hundredth of the light there."""
+    tone = srgb_tone()
+    colours = {"rope_colour": np.full(3, rope), "background": np.full(3, wall)}
+    image, truth = shown(bent(), noise=1.5, tone=tone, **colours)
+    assert max(off(find_rope(image, truth[0], tone=tone).curve, truth)) < 2.0
 
 
 def test_the_places_on_a_wide_thing_do_not_crowd_out_a_thin_rope():

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.core.image import profiles
 from hyperflex.vision.look import RopeLook
+from hyperflex.vision.tone import light_per_level
 from hyperflex.vision.video import Image
 
 
@@ -177,7 +178,8 @@ class CurveDetector:
         seen[beyond], outside[beyond] = 0.0, True
         walls = np.nanmedian(np.where(outside[:, :, None], seen, np.nan), axis=1, keepdims=True)
         contrast = look.bgr - walls[:, 0]
-        weights = contrast / np.maximum((contrast**2).sum(axis=1, keepdims=True), 1.0)
+        least = (light_per_level(walls[:, 0], look.tone) ** 2).mean(axis=1, keepdims=True)
+        weights = contrast / np.maximum((contrast**2).sum(axis=1, keepdims=True), least)
         shares = np.einsum("kxc,kc->kx", seen - walls, weights)
         found = np.empty((len(reach), self.CANDIDATES, profiles.COLUMNS))
         widths = np.full(len(reach), look.width)

@@ -157,8 +157,8 @@ def _check_end(seen: Cover, size: float, shortest: float | None, longest: float)
     last = seen.end(longest)
     off = (seen.unlike > SHADOW)[: last + 1]
     if off.mean() > 0.1:
-        most = np.quantile(seen.wider[: last + 1][~off], 0.9)
-        reason = Reason.BLURRED if most > BLUR else Reason.HIDDEN
+        wide = seen.wider[: last + 1] > BLUR
+        reason = Reason.BLURRED if (wide & ~off).sum() > 0.1 * (~off).sum() else Reason.HIDDEN
         raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
     blurred = seen.wider[last] > BLUR
     if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + 1.5):

@@ -12,7 +12,7 @@ from hyperflex.core.image.profiles import sample_places
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.colour import NOISE
 from hyperflex.vision.ridges import BLUR, Ridges
-from hyperflex.vision.tone import linear_tone
+from hyperflex.vision.tone import light_per_level, linear_tone
 from hyperflex.vision.video import Image
 
 CLICKED = 6.0  # px that a click may be off
@@ -127,7 +127,7 @@ class RopeLook:
         wall = _wall(samples, outside, across)
         sharp = _sharpest(samples - wall, across)
         samples, wall, outside = samples[sharp], wall[sharp], outside[sharp]
-        off = _covariance(samples - wall, outside)
+        off = _covariance(samples - wall, outside, wall, tone)
         fits = []
         for each in np.geomspace(1.0, reach, 40) if width is None else (width,):
             share = profile(across, each)[:, None]
@@ -186,8 +186,9 @@ class RopeLook:
         """
         samples, outside = sample(image, places, self.tone), np.broadcast_to(outside, places.shape[:2])
         wall = _wall(samples, outside, across)
-        precision = np.asarray(np.linalg.inv(_covariance(samples - wall, outside)), np.float64)
-        return samples - wall, self.bgr - wall, precision
+        off = samples - wall
+        precision = np.asarray(np.linalg.inv(_covariance(off, outside, wall, self.tone)), np.float64)
+        return off, self.bgr - wall, precision
 
     @property
     def levels(self) -> Array:
@@ -317,13 +318,14 @@ def _median(samples: Array, used: npt.NDArray[np.bool_]) -> Array:
     return np.where(used.sum(axis=1, keepdims=True) > 0, found, np.nan)
 
 
-def _covariance(off: Array, outside: npt.NDArray[np.bool_]) -> Array:
-    """Return the covariances (K, 3, 3) of samples (K, M, 3) less the wall, without the few that are no wall."""
+def _covariance(off: Array, outside: npt.NDArray[np.bool_], wall: Array, tone: Array) -> Array:
+    """Return the covariances (K, 3, 3) of samples (K, M, 3) less the wall's, without the few that are no wall."""
     size = np.where(outside, np.abs(off).sum(axis=2), np.nan)[:, :, None]
     used = size <= 4.0 * _median(size, outside)[:, None]
     off = np.where(used, off, 0.0)
     total = np.einsum("kmi,kmj->kij", off, off) / np.maximum(used.sum(axis=1), 1)[:, :, None]
-    return np.asarray(total + NOISE**2 * np.eye(3))
+    noise = NOISE * light_per_level(np.nan_to_num(wall.mean(axis=1)), tone)
+    return np.asarray(total + noise[:, :, None] ** 2 * np.eye(3))
 
 
 def _sparse(image: Image) -> Image:

@@ -10,6 +10,11 @@ def linear_tone() -> Array:
     return np.arange(256.0)
 
 
+def light_per_level(light: Array, tone: Array) -> Array:
+    """Return by how much light a level differs from the next where there is so much light (...)."""
+    return np.asarray(np.interp(light, tone, np.gradient(tone)))
+
+
 def srgb_tone() -> Array:
     """Return the light (256,), 0 to 255, of the levels 0 to 255 of usual cameras' pictures (sRGB, IEC 61966-2-1).
 

@@ -118,22 +118,24 @@ class FrameThread:
             self._condition.wait_for(lambda: self._waiting or self.ended is not None, timeout)
             if not self._waiting:
                 return None
+            if not self._left:  # then those that came meanwhile, if they are half as many or less
+                self._behind = self._left = len(self._waiting) if 2 * len(self._waiting) <= self._behind else 0
             skipped = 0 if self._left or not self.live else len(self._waiting) - 1
             passed = [self._waiting.popleft() for _ in range(skipped + 1)]
             found = passed[-1]._replace(missed=skipped + sum(each.missed for each in passed))
             self._left -= self._left > 0
-            if not self._left:  # then those that came meanwhile, if they are half as many or less
-                self._behind = self._left = len(self._waiting) if 2 * len(self._waiting) <= self._behind else 0
             self._condition.notify_all()
             played, self._played = self.live or (self._paced and self._played), True
             return found if played else found._replace(at=time.monotonic())
 
     def catch_up(self) -> int:
-        """Give the frames of a camera that wait one by one, and return how many these are.
+        """Give the frames of a camera that wait one by one, and return how many these are; 0 while it does so already.
 
         So too those that come meanwhile, if they are half as many or less: else nobody takes them fast enough.
         """
         with self._condition:
+            if self._behind:
+                return 0
             self._behind = self._left = len(self._waiting) * self.live
             return self._behind
 

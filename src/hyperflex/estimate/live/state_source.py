@@ -249,7 +249,8 @@ class CameraStateSource:
     longest : float
         How long after a marker was last seen a state is returned, s.
     stalled : float
-        Time without a packet after which the process counts as stalled, s.
+        Time without a packet after which the process counts as stalled, s. Until the rope is found that may be longer,
+        for a search of the whole picture takes seconds.
     start_timeout : float
         How long the process may take to start, s; compiling kernels takes a minute or more.
 
@@ -424,7 +425,7 @@ class CameraStateSource:
         if self._ended is not None:
             raise EstimatorLost(f"{self._ended} Call restart().")
         quiet = 0.0 if self._packet is None else time.monotonic() - self._packet.written
-        if quiet > self.stalled:
+        if quiet > self.stalled and self._packet is not None and self._packet.found:
             raise EstimatorLost(
                 f"The estimator's process has given no sign of life for {quiet:.2f} s (allowed: {self.stalled:g} s). "
                 "Call restart()."
