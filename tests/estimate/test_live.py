@@ -277,7 +277,7 @@ def test_frames_that_wait_are_worked_off_unless_as_many_come(pictures, monkeypat
 
 def test_a_second_search_while_frames_are_worked_off_keeps_no_more(pictures):
     """Of 8 frames that wait, the fourth is searched, while 6 come, and the last one: the newest follows."""
-    source = Stepped(*pictures[:18])
+    source = Stepped(*pictures[:17])
     with source.opening() as frames:
         source.give(8)
         taken, behind = [], [frames.catch_up()]
@@ -472,7 +472,7 @@ def test_a_search_may_take_longer_than_a_stall(video, monkeypatch):
     monkeypatch.setattr(type(source._child), "pid", 1)
     nothing = np.zeros(0)
     source._packet = Packet(time.monotonic() - 5.0, 0.0, 0.0, False, 1, nothing, nothing, nothing, (), 0, nothing)
-    with pytest.raises(EstimatorLost, match="not found within 0.01 s"):
+    with pytest.raises(EstimatorLost, match="was not found within"):
         source.wait_until_found(0.01)
     source._packet = source._packet._replace(found=True)
     with pytest.raises(EstimatorLost, match="no sign of life"):

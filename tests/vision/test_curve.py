@@ -109,9 +109,9 @@ def test_a_line_beside_the_rope_is_not_taken_for_a_piece_of_it():
     assert (np.abs(found.offsets - true) < 1.0)[there].all()
 
 
-def lines(*columns, contrast=1.0, wall=180.0, look=RopeLook(DARK, 1.0)):
+def lines(*columns, contrast=1.0, wall=180.0, look=None):
     """Return what is found where a rope is expected at column 100 to 3 px, of 20 pieces, and there are these lines."""
-    image = np.full((200, 200, 3), wall)
+    image, look = np.full((200, 200, 3), wall), look or RopeLook(DARK, 1.0)
     image[:, list(columns)] -= contrast * (wall - look.levels)
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + np.random.default_rng(1).normal(0.0, 1.0, image.shape)
     moving = np.tile(np.stack([np.full(141, 100.0), np.append(np.arange(20.0, 160.0), 180.0)], axis=1), (3, 1, 1))

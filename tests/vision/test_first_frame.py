@@ -105,25 +105,38 @@ def test_a_shadow_beside_the_free_end_is_no_rope(width, shine, shadow):
     assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
 
 
+def cover(unlike):
+    """Return what is seen of a sharp rope before a plain wall."""
+    return Cover(unlike, 0.0 * unlike, 0.0 * unlike, np.full((unlike.size, 3), -100.0))
+
+
 @pytest.mark.parametrize("beyond", [[], [0.45] * 20], ids=["nothing was looked at", "it is nearer to the rope"])
 def test_an_end_is_not_clear_if_the_rope_may_go_on_beyond_it(beyond):
     unlike = np.append(np.zeros(80), beyond)
     with pytest.raises(NoRope) as refused:
-        _check_end(Cover(unlike, 0.0 * unlike, 0.0 * unlike), 80.0, None, np.inf)
+        _check_end(cover(unlike), 80.0, None, np.inf)
     assert refused.value.reason is Reason.END
 
 
 def test_a_curve_that_shows_no_rope_at_all_is_refused():
     with pytest.raises(NoRope) as refused:
-        _check_end(Cover(np.full(40, 0.9), np.zeros(40), np.zeros(40)), 40.0, None, np.inf)
+        _check_end(cover(np.full(40, 0.9)), 40.0, None, np.inf)
     assert refused.value.reason is Reason.HIDDEN
 
 
-@pytest.mark.parametrize(("rope", "wall"), [(25.0, 10.0), (15.0, 30.0)], ids=["bright", "dark"])
-def test_a_dim_rope_is_found_by_its_light(rope, wall):
-    """Ten levels are a hundredth of the light there."""
-    tone = srgb_tone()
-    colours = {"rope_colour": np.full(3, rope), "background": np.full(3, wall)}
+def test_where_a_wide_thing_begins_the_rope_may_go_on_behind_it():
+    """It hides 15 % of the rope. If the look is known, what is seen of it is found."""
+    y, x = bent().places([0.0], [0.93])[0, 0, 1::-1]
+    image, truth = shown(bent(), occluders=(Occluder((x - 0.2, y), (x + 0.2, y), 0.14, (120.0, 120.0, 120.0)),))
+    with pytest.raises(NoRope, match="the wall changes there") as refused:
+        find_rope(image, truth[0])
+    assert refused.value.reason is Reason.END
+    assert off(find_rope(image, truth[0], look=RopeLook(np.full(3, 45.0), 2.6)).curve, truth[:170])[0] < 1.0
+
+
+def test_a_dim_rope_is_found_by_its_light():
+    """15 levels are 0.7 % of the light there."""
+    tone, colours = srgb_tone(), {"rope_colour": np.full(3, 25.0), "background": np.full(3, 10.0)}
     image, truth = shown(bent(), noise=1.5, tone=tone, **colours)
     assert max(off(find_rope(image, truth[0], tone=tone).curve, truth)) < 2.0
 

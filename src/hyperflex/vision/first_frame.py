@@ -120,6 +120,7 @@ def find_rope(
         With its reason: no rope, two, one that leaves the view, is too blurred, or has another length.
     """
     start = checks.array("pivot", pivot, (2,), unit="px")
+    told = look is not None or length is not None
     length = None if length is None else checks.number("length", length, sign="positive", unit="px")
     longest = np.inf if length is None else (1.0 + tolerance) * length
     ridges = Ridges(image)
@@ -149,6 +150,8 @@ def find_rope(
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
     _check_end(seen, found.length, length and (1.0 - tolerance) * length, longest)
+    if not told:
+        _check_beyond(seen)
     return found
 
 
@@ -171,6 +174,15 @@ def _check_end(seen: Cover, size: float, shortest: float | None, longest: float)
         reason = Reason.BLURRED if blurred else Reason.END
         got = f"an end {first:.0f} to {final:.0f} px from the pivot, {beyond:.2f} of its contrast beyond"
         raise NoRope(reason, got, f"4 % of its length to both sides, and {SHADOW} or more")
+
+
+def _check_beyond(seen: Cover) -> None:
+    """Refuse a rope beyond whose end the wall changes: something may hide the rest."""
+    at, near = seen.end() + 1, 20  # px
+    before, after = (each.mean(axis=0) for each in (seen.contrast[:at][-near:], seen.contrast[at:][:near]))
+    other = float(np.linalg.norm(after - before) / np.linalg.norm(before))
+    if other > 0.3:
+        raise NoRope(Reason.END, f"the wall changes there by {other:.2f} of the rope's contrast", "at most 0.3")
 
 
 def _best(paths: list[Path]) -> Path:

@@ -30,11 +30,14 @@ class Cover(NamedTuple):
         Where its middle is, px.
     wider : (K,) float64
         By how much it is wider than at rest, px.
+    contrast : (K, 3) float64
+        Light of the rope less that of the wall beside it; 0 outside of the picture.
     """
 
     unlike: Array
     aside: Array
     wider: Array
+    contrast: Array
 
     @property
     def gained(self) -> Array:
@@ -348,7 +351,7 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
     """
     from scipy.ndimage import uniform_filter1d
 
-    found = []
+    found, contrasts = [], []
     for wider in (0.0, 4.0, 9.0, 18.0, 2.0 * BLUR + 2.0):
         width = look.width + wider
         across = np.arange(-0.5 * width - 6.0, 0.5 * width + 6.1, 0.5)
@@ -370,9 +373,10 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
         fit = power * (1.0 - 2.0 * np.minimum(unlike, 1.0))
         fit = uniform_filter1d(fit, 61, origin=20)  # blur varies slowly, and is none beyond the end
         found.append((fit, unlike, aside, np.full(len(curve), wider)))
+        contrasts.append(contrast.mean(axis=1))
     columns = np.array(found)
-    best = columns[:, 0].argmax(axis=0)
-    return Cover(*columns[best, 1:, np.arange(len(curve))].T)
+    best = columns[:, 0].argmax(axis=0), np.arange(len(curve))
+    return Cover(*columns[best[0], 1:, best[1]].T, np.array(contrasts)[best])
 
 
 def _smooth(curve: Array, std: float = 4.0) -> Array:
