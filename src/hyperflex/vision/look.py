@@ -376,7 +376,8 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
         contrasts.append(contrast.mean(axis=1))
     columns = np.array(found)
     best = columns[:, 0].argmax(axis=0), np.arange(len(curve))
-    return Cover(*columns[best[0], 1:, best[1]].T, np.array(contrasts)[best])
+    unlike, aside, wider = columns[best[0], 1:, best[1]].T
+    return Cover(unlike, aside, wider, np.array(contrasts)[best])
 
 
 def _smooth(curve: Array, std: float = 4.0) -> Array:
