@@ -283,7 +283,8 @@ def _sections(demo: Demo, cast: CastReport, shown: dict[str, Picture | Film]) ->
     )
     tracked = _TRACKED.format(frames=demo.recording.t.size, seen=100.0 * demo.seen)
     recording = f"Recording: {demo.recording.source}; {demo.recording.gaps} coordinates are missing."
-    notes = (_MAPPED, " ".join(demo.identification.report(full=True).splitlines()[1:]), recording)
+    findings = (line.strip() for line in demo.identification.report(full=True).splitlines()[1:])
+    notes = (_MAPPED, *findings, recording)
     verdict, *marks = demo.verdicts
     return [
         Section("The cast", verdict, marks=tuple(marks), pictures=film),
