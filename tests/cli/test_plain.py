@@ -360,7 +360,8 @@ def film_whole_swing(first: float = 0.5, last: float = 0.9):
     swing = hf.simulate(short, duration=1.7, q0=np.linspace(first, last, 40), t_eval=np.arange(0.0, 1.7, 2e-3))
     camera = Camera.facing((320, 240), pixels_per_metre=320.0, origin=(160.0, 30.0), exposure=0.002)
     stamps = np.arange(48) / 30.0
-    Renderer(camera, RopeMotion.from_trajectory(swing), Scene([], rope_width=0.008)).write("phone.mp4", stamps)
+    scene = Scene([], rope_width=0.008, tone=srgb_tone())
+    Renderer(camera, RopeMotion.from_trajectory(swing), scene).write("phone.mp4", stamps)
 
 
 SHORT = ("--pivot", "160", "30", "--tip", "found", "--size", "rope", "--mass", "unknown")

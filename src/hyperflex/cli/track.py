@@ -270,9 +270,10 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     If the rope begins elsewhere than at the camera's origin, or moves as if disturbed all along, its first joint is
     estimated as one that moves; that is kept if it does. The length of a plain rope is tested in a video of a whole
     swing: with a length that is estimated too, which is kept if it contradicts the given one, with a scale and roll
-    within three of their standard deviations. The scale is then as unknown as the length if it is by the rope's own
-    length (`by_rope`). A plain rope that hangs still shows no more than its place: it is tracked with the scale, roll
-    and so on as they are given. An error or Ctrl-C in a further pass leaves the track of the first.
+    within three of their standard deviations; if not, the pass is made again from shorter and longer lengths. The scale
+    is then as unknown as the length if it is by the rope's own length (`by_rope`). A plain rope that hangs still shows
+    no more than its place: it is tracked with the scale, roll and so on as they are given. An error or Ctrl-C in a
+    further pass leaves the track of the first.
     """
     from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
     from hyperflex.model import swing_rate
@@ -280,8 +281,12 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
     wide = ("length", "scale") if by_rope else ("length",)
     kept = [each for each in task.parameters if each.name not in wide]
-    tenth = [EstimatedParameter(name, 0.1) for name in wide]  # by which a tape may be wrong
-    longer = replace(task, parameters=[*kept, *tenth], tests=None)
+    tenth = 0.1  # by which a tape may be wrong
+    starts = [
+        [EstimatedParameter(name, tenth, off if name == "length" else -off) for name in wide]
+        for off in (0.0, -tenth, tenth)
+    ]
+    longer = [replace(task, parameters=[*kept, *each], tests=None) for each in starts]
     place = replace(task, parameters=[each for each in task.parameters if each.name.startswith(("offset_", "arc["))])
     try:
         found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
@@ -290,23 +295,22 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     period = math.tau / swing_rate(task.rope)
     doubted, others = {each.kind for each in found.doubts}, []
     if DoubtKind.STILL in doubted:
-        others.append((place, DoubtKind.STILL))
+        others.append(([place], DoubtKind.STILL))
     elif task.look is not None and found.recording.duration > period:
         others.append((longer, DoubtKind.LENGTH))
     if DoubtKind.DISTURBED in doubted:
-        others.append((moving, DoubtKind.BASE_MOVES))
+        others.append(([moving], DoubtKind.BASE_MOVES))
     preview = follow["preview"]
     spare = preview and preview.with_stem(f"{preview.stem}-other")  # of a track that may not be kept
-    for each, kind in others if not stopped else ():
-        other, stopped = _further(video, each, follow | {"preview": spare})
+    for tasks, kind in others if not stopped else ():
+        other, stopped = _further(video, tasks, follow | {"preview": spare})
         if stopped:
             break
         kinds = set() if other is None else {each.kind for each in other.doubts}
         # a camera that pans looks like a wrong length, too: but then what the first track was doubted for remains
         if other is None or kind not in kinds or kinds & doubted & {DoubtKind.DISTURBED, DoubtKind.SHAKE}:
             continue
-        prior = {each.name: each.std for each in each.parameters if each.name in ("scale", "roll")}
-        if kind is DoubtKind.LENGTH and any(abs(other.parameters[name][0]) > 3.0 * prior[name] for name in prior):
+        if kind is DoubtKind.LENGTH and _far(other, tasks[0]):
             said = (each for each in other.doubts if each.kind is kind)
             found = replace(found, doubts=(*found.doubts, *said))
             continue
@@ -318,17 +322,32 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     return found, stopped
 
 
-def _further(video: Path, task: "TrackingTask", follow: dict[str, Any]) -> "tuple[VideoTrack | None, bool]":
-    """Return the track of a further pass, None if it failed, and whether it was interrupted."""
+def _far(track: "VideoTrack", task: "TrackingTask") -> bool:
+    """Whether the scale or roll is more than three standard deviations of the task's prior from none."""
+    priors = {each.name: each.std for each in task.parameters if each.name in ("scale", "roll")}
+    return any(abs(track.parameters[name][0]) > 3.0 * std for name, std in priors.items())
+
+
+def _further(video: Path, tasks: "Sequence[TrackingTask]", follow: dict[str, Any]) -> "tuple[VideoTrack | None, bool]":
+    """Return the track of a further pass, None if it failed, and whether it was interrupted.
+
+    A pass that ends far from its priors is made again with the next task.
+    """
     from hyperflex.estimate import track_video
 
-    try:
-        return output.run(lambda: track_video(video, task.tracker(), **follow))
-    except KeyboardInterrupt:
-        return None, True
-    except HyperflexError as error:
-        output.note(f"a further pass over the frames failed: {error}")
-        return None, False
+    found: VideoTrack | None = None
+    for task in tasks:
+        try:
+            track, stopped = output.run(partial(track_video, video, task.tracker(), **follow))
+        except KeyboardInterrupt:
+            return None, True
+        except HyperflexError as error:
+            output.note(f"a further pass over the frames failed: {error}")
+            return None, False
+        found = track
+        if stopped or not _far(track, task):
+            return track, stopped
+    return found, False
 
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
