@@ -137,7 +137,7 @@ def sideways(
     Notes
     -----
     Model: docs/models.md, (M.40)-(M.45). Joints resist bending equally in all directions and transmit twist. Joint
-    limits and the rope's contact with itself are ignored. Cost: 0.3 to 0.6 of that of a run in free flight, up to 1.0
+    limits and the rope's contact with itself are ignored. Cost: 0.3 to 0.6 of that of a run in free flight, up to 1.5
     if steps must be finer.
 
     Examples
