@@ -27,10 +27,11 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.core.cache import SOURCE_HASH
+from hyperflex.model import obstacle_gaps
 from hyperflex.planning import Conditions, MotorLimits, Problem, TipTarget, WhipPlan, plan_whip, simulate_impact
 from hyperflex.planning.clearance import obstacle_clearance, samples_clear_of_arm
 from hyperflex.planning.tasks.insert import finer_rope
-from hyperflex.planning.tasks.tip import OPTIONS, Flights, random_swings, signed_gaps
+from hyperflex.planning.tasks.tip import OPTIONS, Flights, random_swings
 from hyperflex.planning.tasks.whip import find_peaks, verify_whip
 
 RESULTS = Path(__file__).parent / "results"
@@ -71,7 +72,7 @@ def draw(seed: int) -> list[dict[str, float]]:
             if (
                 k not in taken
                 and until <= last[row]
-                and signed_gaps((wall,), joints[:, :-1], joints[:, 1:]).min() > APART
+                and obstacle_gaps((wall,), joints[:, :-1], joints[:, 1:]).min() > APART
             ):
                 kept.append(int(k))
         if kept:

@@ -7,7 +7,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation.contact import SHALLOW, check_outside, depths
+from hyperflex.model import obstacle_gaps
+from hyperflex.simulation.contact import SHALLOW, check_outside
 
 RADIUS = 0.0025  # m
 ROPE = hf.Rope.uniform(0.6, 0.06, 6, RADIUS, friction=1e-3)
@@ -19,7 +20,7 @@ ROPE = hf.Rope.uniform(0.6, 0.06, 6, RADIUS, friction=1e-3)
         (hf.Ground(0.0, -0.3), r"link 5 is 302 mm deep in it: got Ground"),
         (hf.Peg(0.01, -0.45, 0.03), r"link 4 is 22.5 mm deep in it: got Peg"),
         (hf.Peg(0.0, 0.02, 0.03), r"link 0 is 12.5 mm deep"),  # round the point that the rope hangs from
-        (hf.Wall(-0.1, -0.23, 0.1, -0.23), r"link 2 is 32.5 mm deep in it: got Wall"),  # across a link
+        (hf.Wall(-0.1, -0.23, 0.1, -0.23), r"link 2 is 103 mm deep in it: got Wall"),  # its ends lie 100 mm away
         (hf.Wall(0.001, -0.5, 0.2, -0.5), r"mm deep in it: got Wall"),  # its joint on the end of a wall
     ],
 )
@@ -36,12 +37,14 @@ def test_a_start_inside_is_refused(obstacle, words):
         hf.Wall(RADIUS - 2e-4, -0.55, RADIUS - 2e-4, 1.0),
         hf.Wall(0.01, -0.23, 0.1, -0.23),
         hf.Ground(0.0, -0.7),
+        hf.Ground(0.0, 0.0, 0.0, -1.0),  # it hangs from a ceiling
     ],
 )
 def test_a_start_that_touches_is_not(obstacle):
     setup = hf.Setup(ROPE, pegs=[obstacle])
     check_outside(setup)  # raises nothing
-    assert depths(setup.contacts(), hf.simulate(ROPE, duration=1e-3).joints[0]).max() < SHALLOW
+    joints = hf.simulate(ROPE, duration=1e-3).joints[0]
+    assert RADIUS - obstacle_gaps([obstacle], joints[:-1], joints[1:]).min() < SHALLOW
 
 
 def test_a_run_goes_on_from_where_one_has_ended_however_deep(monkeypatch):
@@ -75,13 +78,14 @@ def test_a_batch_names_the_member():
         hf.simulate_batch(ROPE, q0=q0, duration=0.1, pegs=[hf.Ground(0.0, -0.5)], refine=False)
 
 
-def test_depths_are_those_of_a_fine_sampling():
+def test_gaps_are_those_of_a_fine_sampling():
     rng = np.random.default_rng(3)
     joints = np.cumsum(rng.normal(0.0, 0.1, (20, 2)), axis=0)
-    pegs = hf.Setup(ROPE, pegs=[hf.Peg(0.1, 0.05, 0.04), hf.Peg(-0.2, 0.1, 0.06)]).contacts()
+    pegs = [hf.Peg(0.1, 0.05, 0.04), hf.Peg(-0.2, 0.1, 0.06)]
+    gaps = obstacle_gaps(pegs, joints[:-1], joints[1:])
     part = np.linspace(0.0, 1.0, 20001)[:, None, None]
     points = joints[:-1] + part * np.diff(joints, axis=0)
-    for p in range(2):
-        away = np.hypot(points[..., 0] - pegs.x[p], points[..., 1] - pegs.y[p]).min(axis=0)
+    for peg, gap in zip(pegs, gaps, strict=True):
+        away = np.hypot(points[..., 0] - peg.x, points[..., 1] - peg.y).min(axis=0)
         # Next to the closest point the distance is flat: a sampling of 1e-5 m is 1e-9 m off at 1 cm.
-        np.testing.assert_allclose(depths(pegs, joints)[:, p], pegs.reach[p] - away, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(gap, away - peg.radius, rtol=0, atol=1e-7)

@@ -9,6 +9,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
+from hyperflex.model import obstacle_gaps
 from hyperflex.planning import (
     Conditions,
     MotorLimits,
@@ -22,7 +23,7 @@ from hyperflex.planning import (
     plan_whip,
 )
 from hyperflex.planning.planner import Candidate
-from hyperflex.planning.tasks.tip import OPTIONS, Aim, coarse_flights, random_swings, signed_gaps
+from hyperflex.planning.tasks.tip import OPTIONS, Aim, coarse_flights, random_swings
 from hyperflex.planning.tasks.whip import WhipTask, find_peaks, simulate_impact, verify_whip
 from tests.planning.known_whip import ARM, MOVES, NEAR, ROPE, planned_whip
 
@@ -110,15 +111,15 @@ def test_a_plan(fine_map, directed):
     assert plan.finer_outcome.miss < max(3e-3, plan.position_std)
 
 
-def test_signed_gaps_of_a_wall():
+def test_gaps_of_a_wall_are_signed():
     """Through a wall: along it to its nearer end, or the rope's end beyond it."""
     begin = np.array([[0.2, 0.0], [0.2, 0.4], [0.2, 0.2]])[:, None]
     end = np.array([[0.3, 0.0], [0.3, 0.4], [0.26, 0.2]])[:, None]
-    found = signed_gaps([WALL], begin, end)[:, 0, 0]
+    found = obstacle_gaps([WALL], begin, end)[:, 0, 0]
     assert found == pytest.approx([-0.05, -0.05, -0.01])  # half of a link is beyond, of the third 10 mm
     beyond = end + np.array([1.0, 0.0])
     both = np.concatenate([begin, end], axis=1), np.concatenate([end, beyond], axis=1)
-    assert signed_gaps([WALL], *both)[:2, 0, 0] == pytest.approx([-0.5, -0.1])  # half a meter below the upper end
+    assert obstacle_gaps([WALL], *both)[:2, 0, 0] == pytest.approx([-0.5, -0.1])  # half a meter below the upper end
 
 
 def test_peaks_behind_an_obstacle_cost_more():

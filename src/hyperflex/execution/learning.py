@@ -25,7 +25,7 @@ from hyperflex.errors import HyperflexError, InvalidInput, SimulationError
 from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Rope, obstacle_gaps
 from hyperflex.motion import Motion, lagged
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -36,7 +36,6 @@ from hyperflex.planning import (
     RolloutBatch,
     SearchOptions,
     fly_to_strikes,
-    obstacle_gaps,
     refuse_behind,
     replan_cast,
 )

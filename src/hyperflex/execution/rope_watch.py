@@ -13,9 +13,9 @@ from hyperflex.checks import Array
 from hyperflex.errors import EstimatorLost, HyperflexError, InvalidInput
 from hyperflex.execution.stream import POLL
 from hyperflex.interfaces import RopeState, StateSource
-from hyperflex.model import Peg, Rope
+from hyperflex.model import Peg, Rope, obstacle_gaps
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan, obstacle_gaps
+from hyperflex.planning import CastPlan
 from hyperflex.recording import Recording
 
 LOST = 0.3  # s without a state of the rope after which a cast is stopped: some ten frames of a camera

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
         Peg,
         Wall,
         checked_obstacles,
+        gap_of,
+        named,
+        obstacle_gaps,
         obstacle_tables,
         obstacles_of,
         round_places,
@@ -31,8 +34,6 @@ if TYPE_CHECKING:
     )
     from hyperflex.model.refine import cuts, divided, refine_rope, stretched, with_links
     from hyperflex.model.rope import (
-        FRICTION_MODELS,
-        GRAVITY,
         MOST_LINKS,
         Rope,
         swing_rate,
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from hyperflex.model.setup import (
         DEFAULT_CONTACT_STEP,
         DEFAULT_TOL,
-        METHODS,
         PLAN,
         PLANNING,
         Control,

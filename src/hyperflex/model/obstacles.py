@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks, options
+from hyperflex.checks import Array
 from hyperflex.core.contact.gaps import Pegs
 from hyperflex.errors import InvalidInput
 from hyperflex.options import option
@@ -189,6 +190,82 @@ def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
             rows += [(x, y, 0.0, 0.0, 0.0, radius, *rub) for x, y in ((each.x, each.y), (each.x2, each.y2))]
     x, y, ux, uy, span, reach, mu, bounce, inertia, bearing = np.array(rows).reshape(-1, 10).T.copy()
     return Pegs(x, y, ux, uy, span, reach, mu, bounce, inertia, bearing, first)
+
+
+def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, within: float = math.inf) -> Array:
+    """Distances (..., w, k), m, of the axes of k links of a chain from `begin` to `end` (..., k, 2) from w obstacles.
+
+    Below 0 inside. Of a ground the end of a link counts. For a link through a wall the depth is the distance along the
+    wall from the crossing to the nearer end of the wall, or the length of the chain beyond it if that is less: roughly
+    how far it is from not touching the wall. A distance that is greater than `within`, m, may be stated as smaller, but
+    not below it: that is faster for walls.
+    """
+    gaps = np.empty((*begin.shape[:-2], len(obstacles), begin.shape[-2]))
+    for w, each in enumerate(obstacles):
+        place: Array = np.array([each.x, each.y])
+        if isinstance(each, Peg):
+            gap = _distance(place, begin, end) - each.radius
+        elif isinstance(each, Wall):
+            last: Array = np.array([each.x2, each.y2])
+            away, long = begin - 0.5 * (place + last), float(np.abs(end - begin).max(initial=0.0))
+            most = math.sqrt(2.0) * long + 0.5 * math.dist(place, last)  # by which they can be nearer than their begins
+            gap = np.hypot(away[..., 0], away[..., 1]) - most
+            near = gap <= within
+            gap[near] = _segment_distance(begin[near], end[near], place, last)
+            _write_depths(gap, each, begin, end)
+        else:
+            gap = (end - place) @ (np.array([each.nx, each.ny]) / math.hypot(each.nx, each.ny))
+        gaps[..., w, :] = gap
+    return gaps
+
+
+def _write_depths(gap: Array, wall: Wall, begin: Array, end: Array) -> None:
+    """Write the depths, < 0, to the gaps (..., k), m, of links through a wall, which are 0."""
+    rows = np.nonzero(gap == 0.0)
+    if rows[0].size:
+        size = np.hypot(*np.moveaxis(end - begin, -1, 0))
+        beyond = np.cumsum(size[..., ::-1], axis=-1)[..., ::-1]  # of the chain, from the beginning of each link
+        x, y = wall.x2 - wall.x, wall.y2 - wall.y
+        length, axes = math.hypot(x, y), np.array([[x, -y], [y, x]]) / math.hypot(x, y)
+        (low, below), (high, above) = (((each[rows] - [wall.x, wall.y]) @ axes).T for each in (begin, end))
+        part = np.clip(below / np.where(below == above, 1.0, below - above), 0.0, 1.0)
+        along = np.clip(low + part * (high - low), 0.0, length)
+        gap[rows] = -np.minimum(np.minimum(along, length - along), beyond[rows] - part * size[rows])
+
+
+def gap_of(obstacle: Obstacle, x: float, y: float) -> float:
+    """Distance of a place, m, from an obstacle, m, <= 0 in it."""
+    place = np.array([[x, y]])
+    return float(obstacle_gaps((obstacle,), place, place)[0, 0])
+
+
+def named(obstacle: Obstacle) -> str:
+    """Return the name of an obstacle, by its kind and place."""
+    return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
+
+
+def _segment_distance(begin: Array, end: Array, first: Array, last: Array) -> Array:
+    """Distance (...), m, of segments from `begin` to `end` (..., 2) from others from `first` to `last`."""
+    near = np.minimum(_distance(first, begin, end), _distance(last, begin, end))
+    near = np.minimum(near, np.minimum(_distance(begin, first, last), _distance(end, first, last)))
+    apart = _side(first, begin, end) * _side(last, begin, end) >= 0.0
+    apart |= _side(begin, first, last) * _side(end, first, last) >= 0.0
+    return np.asarray(np.where(apart, near, 0.0))
+
+
+def _distance(point: Array, begin: Array, end: Array) -> Array:
+    """Distance (...), m, of points (..., 2) from segments."""
+    x, y = (end - begin)[..., 0], (end - begin)[..., 1]
+    out = point - begin
+    square = np.maximum(x * x + y * y, 1e-300)
+    part = np.clip((out[..., 0] * x + out[..., 1] * y) / square, 0.0, 1.0)
+    return np.asarray(np.hypot(out[..., 0] - part * x, out[..., 1] - part * y))
+
+
+def _side(point: Array, begin: Array, end: Array) -> Array:
+    """Twice the signed area (...) of the triangles of points and segments, m^2."""
+    way, out = end - begin, point - begin
+    return np.asarray(way[..., 0] * out[..., 1] - way[..., 1] * out[..., 0])
 
 
 def round_places(obstacles: Sequence[Obstacle]) -> list[int]:

@@ -7,10 +7,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.motion.piecewise import Motion, lagged
     from hyperflex.motion.profiles import (
-        BANG_BANG,
         MOVES,
-        PATHS,
-        PROFILES,
         TINY,
         Profile,
         arm_moves,

@@ -7,7 +7,6 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.model import MotorLimits
     from hyperflex.planning.casting import plan_cast, replan_cast
-    from hyperflex.planning.clearance import obstacle_gaps
     from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
     from hyperflex.planning.feedback import (
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
         features,
         follow_plan,
     )
-    from hyperflex.planning.moves import MIN_REST, Moves
+    from hyperflex.planning.moves import Moves
     from hyperflex.planning.options import (
         Conditions,
         SearchOptions,
@@ -40,7 +39,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
     from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
-    from hyperflex.planning.shooting import shoot
     from hyperflex.planning.tasks.insert import (
         InsertOutcome,
         InsertPlan,
@@ -51,7 +49,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.tasks.tip import TipFeasibility, TipOptions
     from hyperflex.planning.tasks.whip import (
         Impact,
-        Peaks,
         TipStrike,
         TipTarget,
         WhipMap,

@@ -1,6 +1,5 @@
 """Clearance of a rope from the arm that moves it (the motor's shaft, and the arm up to its tip), and obstacles."""
 
-import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -9,7 +8,7 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.core.batch import proximity
-from hyperflex.model import Arm, Obstacle, Peg, Rope, Wall
+from hyperflex.model import Arm, Obstacle, Peg, Rope, named, obstacle_gaps
 from hyperflex.trajectory import Trajectory, interpolated
 from hyperflex.winding import TOUCH, closest_points
 
@@ -129,41 +128,6 @@ def way_gaps(rope: Rope, target: Peg, behind: Sequence[Peg], q: Array, joints: A
     return found
 
 
-def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, within: float = np.inf) -> Array:
-    """Distances (..., w, k), m, of the axes of links from `begin` to `end` (..., k, 2) from w obstacles.
-
-    A distance that is greater than `within`, m, may be stated as smaller, but not below it: that is faster for walls.
-    """
-    gaps = np.empty((*begin.shape[:-2], len(obstacles), begin.shape[-2]))
-    for w, each in enumerate(obstacles):
-        place: Array = np.array([each.x, each.y])
-        if isinstance(each, Peg):
-            gap = _distance(place, begin, end) - each.radius
-        elif isinstance(each, Wall):
-            last: Array = np.array([each.x2, each.y2])
-            away, long = begin - 0.5 * (place + last), float(np.abs(end - begin).max(initial=0.0))
-            most = math.sqrt(2.0) * long + 0.5 * math.dist(place, last)  # by which they can be nearer than their begins
-            gap = np.hypot(away[..., 0], away[..., 1]) - most
-            near = gap <= within
-            gap[near] = _segment_distance(begin[near], end[near], place, last)
-        else:
-            out: Array = np.array([each.nx, each.ny]) / np.hypot(each.nx, each.ny)
-            gap = np.minimum((begin - place) @ out, (end - place) @ out)
-        gaps[..., w, :] = gap
-    return gaps
-
-
-def gap_of(obstacle: Obstacle, x: float, y: float) -> float:
-    """Distance of a place, m, from an obstacle, m, <= 0 in it."""
-    place = np.array([[x, y]])
-    return float(obstacle_gaps((obstacle,), place, place)[0, 0])
-
-
-def named(obstacle: Obstacle) -> str:
-    """Return the name of an obstacle, by its kind and place."""
-    return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
-
-
 def _least_clearance(
     run: Trajectory, gaps: Gaps, names: Sequence[str], speed: Array, until: float = np.inf
 ) -> Clearance:
@@ -231,27 +195,3 @@ def _hangs(rope: Rope, arm: Arm) -> int:
     """Number of links that hang from the arm's tip, and do not count as too near the arm."""
     length = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
     return int(np.searchsorted(rope.link_ends, length, side="right")) + 1
-
-
-def _segment_distance(begin: Array, end: Array, first: Array, last: Array) -> Array:
-    """Distance (...), m, of segments from `begin` to `end` (..., 2) from others from `first` to `last`."""
-    near = np.minimum(_distance(first, begin, end), _distance(last, begin, end))
-    near = np.minimum(near, np.minimum(_distance(begin, first, last), _distance(end, first, last)))
-    apart = _side(first, begin, end) * _side(last, begin, end) >= 0.0
-    apart |= _side(begin, first, last) * _side(end, first, last) >= 0.0
-    return np.asarray(np.where(apart, near, 0.0))
-
-
-def _distance(point: Array, begin: Array, end: Array) -> Array:
-    """Distance (...), m, of points (..., 2) from segments."""
-    x, y = (end - begin)[..., 0], (end - begin)[..., 1]
-    out = point - begin
-    square = np.maximum(x * x + y * y, 1e-300)
-    part = np.clip((out[..., 0] * x + out[..., 1] * y) / square, 0.0, 1.0)
-    return np.asarray(np.hypot(out[..., 0] - part * x, out[..., 1] - part * y))
-
-
-def _side(point: Array, begin: Array, end: Array) -> Array:
-    """Twice the signed area (...) of the triangles of points and segments, m^2."""
-    way, out = end - begin, point - begin
-    return np.asarray(way[..., 0] * out[..., 1] - way[..., 1] * out[..., 0])

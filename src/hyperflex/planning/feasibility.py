@@ -12,8 +12,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Peg, Rope
-from hyperflex.planning.clearance import gap_of, named, obstacle_gaps
+from hyperflex.model import Peg, Rope, gap_of, named, obstacle_gaps
 from hyperflex.planning.moves import PUMPING
 from hyperflex.planning.problem import Problem
 

@@ -12,9 +12,9 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, named
 from hyperflex.motion import Motion
-from hyperflex.planning.clearance import named, way_gaps
+from hyperflex.planning.clearance import way_gaps
 from hyperflex.planning.options import MEAN_TIME, WindCriteria
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import (

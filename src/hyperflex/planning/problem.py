@@ -11,8 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, MotorLimits, Obstacle, Peg, Rope, divided
-from hyperflex.planning.clearance import gap_of, named
+from hyperflex.model import Arm, MotorLimits, Obstacle, Peg, Rope, divided, gap_of, named
 from hyperflex.planning.options import Conditions, WindCriteria
 from hyperflex.simulation import refuse_rope
 

@@ -19,11 +19,10 @@ from hyperflex.checks import Array
 from hyperflex.core.batch import proximity
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, named
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import (
     clear_samples,
-    named,
     sampled_clearance,
     sampled_obstacle_gaps,
     samples_clear_of_arm,

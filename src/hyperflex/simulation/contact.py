@@ -16,13 +16,12 @@ from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.chain.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.contact import run as at
 from hyperflex.core.contact.arrays import STICK
-from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.contact.memory import new_contact_memory
 from hyperflex.core.contact.run import Scene
 from hyperflex.core.integrate.rollout import INDEX, MARK, Limits, T
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import deferred, raise_if_cancelled
-from hyperflex.model import DEFAULT_TOL, Setup, Wall, round_places, unit_along
+from hyperflex.model import DEFAULT_TOL, Setup, obstacle_gaps, round_places, unit_along
 from hyperflex.simulation.rollouts import Rollout, base_motion, starting_clock
 from hyperflex.trajectory import State
 
@@ -43,15 +42,14 @@ def check_outside(
         return
     q, base = setup.start()[0] if q is None else q, base_motion(drive or setup.drive(), t)
     steps = setup.chain().length[:, None] * unit_along(q)
-    pegs = setup.contacts()
-    found = depths(pegs, np.cumsum([base[7:9], *steps], axis=0))
-    i, p = np.unravel_index(int(np.argmax(found)), found.shape)
-    if found[i, p] <= SHALLOW:
+    joints = np.cumsum([base[7:9], *steps], axis=0)[int(setup.torque_driven) :]
+    depths = setup.rope.radius - obstacle_gaps(setup.pegs, joints[:-1], joints[1:])
+    p, i = np.unravel_index(int(depths.argmax()), depths.shape)
+    if depths[p, i] <= SHALLOW:
         return
-    rows = [each for each in setup.pegs for _ in range(3 if isinstance(each, Wall) else 1)]  # as ``packed`` makes them
     raise InvalidInput(
-        f"{who} starts inside an obstacle: link {i - pegs.first} is {1e3 * found[i, p]:.3g} mm deep in it",
-        got=rows[p],
+        f"{who} starts inside an obstacle: link {i} is {1e3 * depths[p, i]:.3g} mm deep in it",
+        got=setup.pegs[p],
         allowed=f"at most {1e3 * SHALLOW:g} mm",
         fix="Give a q0 that keeps clear of it, or move the obstacle",
     )
@@ -78,27 +76,6 @@ def check_start(
             allowed=f"at most max_bend = {chain.max_bend[i]:.4g} rad",
             fix="Give a q0 that bends less there, or max_bend = inf for a joint that turns freely",
         )
-
-
-def depths(pegs: Pegs, joints: Array) -> Array:
-    """Return how deep each link is in each obstacle (n, m), m; negative where it is clear; joints (n + 1, 2), m.
-
-    A link across a wall counts as deep as the nearer of its ends is far from it, and the reach.
-    """
-    away = joints[:, None] - np.stack([pegs.x, pegs.y], axis=1)  # (n + 1, m, 2)
-    begin, link = away[:-1], np.diff(away, axis=0)
-    part = np.clip(-(begin * link).sum(axis=2) / (link**2).sum(axis=2), 0.0, 1.0)
-    from_centre = np.linalg.norm(begin + part[:, :, None] * link, axis=2)
-    s = away[..., 0] * pegs.ux + away[..., 1] * pegs.uy  # along a face, and out of it
-    d = away[..., 1] * pegs.ux - away[..., 0] * pegs.uy
-    crossing = d[:-1] * d[1:] < 0.0
-    at = s[:-1] + np.diff(s, axis=0) * d[:-1] / np.where(crossing, -np.diff(d, axis=0), 1.0)
-    across = crossing & (at >= 0.0) & (at <= pegs.span)
-    kinds = [pegs.span == 0.0, pegs.span == np.inf, across, (s[1:] >= 0.0) & (s[1:] <= pegs.span)]
-    gaps = [from_centre, d[1:], -np.minimum(np.abs(d[:-1]), np.abs(d[1:])), np.abs(d[1:])]
-    result = pegs.reach - np.select([np.broadcast_to(kind, crossing.shape) for kind in kinds], gaps, np.inf)
-    result[: pegs.first] = -np.inf
-    return np.asarray(result)
 
 
 SHOWN = ("peg_angle", "peg_rate")  # of a State, and of a Trajectory

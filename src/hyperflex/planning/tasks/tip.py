@@ -20,8 +20,8 @@ from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
-from hyperflex.model import Arm, MotorLimits, Obstacle, Rope, Setup, Wall
-from hyperflex.planning.clearance import gap_of, named, obstacle_gaps, sampled_clearance
+from hyperflex.model import Arm, MotorLimits, Obstacle, Rope, Setup, gap_of, named, obstacle_gaps
+from hyperflex.planning.clearance import sampled_clearance
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, SearchOptions
@@ -138,11 +138,11 @@ class Flights:
     def spare_gaps(self, problem: Problem) -> Array:
         """Return gaps (M, T, w + 1), m, of the ropes from w obstacles and their arm beyond the required clearance.
 
-        See :func:`signed_gaps`.
+        See :func:`hyperflex.model.obstacle_gaps`.
         """
         rope, arm, clearance, found = problem.rope, problem.arm, problem.clearance, list[Array]()
         for q, joints in zip(self.q, self.joints, strict=True):
-            gaps = signed_gaps(problem.obstacles, joints[:, :-1], joints[:, 1:]).min(axis=-1)
+            gaps = obstacle_gaps(problem.obstacles, joints[:, :-1], joints[:, 1:]).min(axis=-1)
             own = sampled_clearance(rope, arm, q, joints[:, 0]) - clearance
             found.append(np.column_stack([gaps - rope.radius - max(clearance, 0.0), own]))
         return np.nan_to_num(np.stack(found))
@@ -184,29 +184,6 @@ def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = (), 
         rests = np.abs(rest + period * OPTIONS.rest_spread * rng.standard_normal(size))
         found.append(Moves(side, ends, rests))
     return found
-
-
-def signed_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:
-    """Distances (..., w, n), m, of the links of a rope from `begin` to `end` (..., n, 2) from w obstacles, < 0 inside.
-
-    For a link through a wall the depth is the distance along the wall from the crossing to the nearer end of the wall,
-    or the length of the rope's end beyond it if that is less: roughly how far the swing is from one that does not touch
-    the wall.
-    """
-    gaps = obstacle_gaps(obstacles, begin, end)
-    for k, wall in enumerate(obstacles):
-        rows = np.nonzero(gaps[..., k, :] == 0.0)
-        if isinstance(wall, Wall) and rows[0].size:
-            size = np.hypot(*np.moveaxis(end - begin, -1, 0))
-            beyond = np.cumsum(size[..., ::-1], axis=-1)[..., ::-1]  # of the rope, from the beginning of each link
-            x, y = wall.x2 - wall.x, wall.y2 - wall.y
-            length, axes = math.hypot(x, y), np.array([[x, -y], [y, x]]) / math.hypot(x, y)
-            (low, below), (high, above) = (((each[rows] - [wall.x, wall.y]) @ axes).T for each in (begin, end))
-            part = np.clip(below / np.where(below == above, 1.0, below - above), 0.0, 1.0)
-            along = np.clip(low + part * (high - low), 0.0, length)
-            depth = np.minimum(np.minimum(along, length - along), beyond[rows] - part * size[rows])
-            gaps[(*rows[:-1], np.full(rows[0].size, k), rows[-1])] = -depth
-    return gaps
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

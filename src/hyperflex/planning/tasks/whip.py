@@ -13,11 +13,10 @@ from hyperflex.checks import Array
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, MotorLimits, Peg, Rope, Setup, Wall, divided, unit_across
+from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, MotorLimits, Peg, Rope, Setup, Wall, divided, named, unit_across
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
-from hyperflex.planning.clearance import named
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, SearchOptions, refuse_behind
 from hyperflex.planning.outcome import excess_torque, run_figures
