@@ -9,7 +9,7 @@ import hyperflex as hf
 from hyperflex import winding
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.model import divided, refine_rope
+from hyperflex.model import cuts, divided, refine_rope
 from hyperflex.planning import CastPlan, Problem
 from hyperflex.planning.rollouts import RolloutBatch, free_sides
 from hyperflex.planning.verification import verified_setup
@@ -57,7 +57,7 @@ def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path)
 def test_a_start_is_that_of_the_same_rope_with_shorter_links():
     assert np.array_equal(SWINGS.cut(3).start[0], np.repeat(SEEN.q, 3))
     fine = refine_rope(CORD, [PEG], arm=ARM)
-    q, _ = SWINGS.start_on(fine)
+    q, _ = SWINGS.cut(cuts(CORD, [PEG], arm=ARM)).start
     assert q.size == fine.n_links > CORD.n_links
     assert fine.joints(q, np.zeros(2))[-1] == pytest.approx(CORD.joints(SEEN.q, np.zeros(2))[-1], abs=1e-12)
     setup = verified_setup(SWINGS, hf.hold_arm(-np.pi / 2), 1.0, (PEG,))

@@ -269,16 +269,10 @@ class Goal:
 
         A longer rope goes on in the last link's direction.
         """
-        arcs, others = np.cumsum(planned.length), np.cumsum(rope.length)
-        joints = self.features.reshape(arcs.size, -1)
-        k = np.clip(np.searchsorted(arcs, others) - 1, 0, max(arcs.size - 2, 0))
-        part = ((others - arcs[k]) / np.diff(arcs, append=2.0 * arcs[-1])[k])[:, None]
-        moved = (1.0 - part) * joints[k] + part * joints[np.minimum(k + 1, arcs.size - 1)]
-        return Goal(self.t, moved.reshape(-1))
+        from scipy.interpolate import make_interp_spline
 
-    def faster(self, factor: float) -> "Goal":
-        """Return the same places at other speeds, times a factor."""
-        return Goal(self.t, (self.features.reshape(-1, 4) * np.array([1.0, 1.0, factor, factor])).reshape(-1))
+        joints = make_interp_spline(planned.link_ends, self.features.reshape(planned.n_links, -1), k=1)
+        return Goal(self.t, joints(rope.link_ends).reshape(-1))
 
     def passed(self, t: Array, rows: Array) -> tuple[float, Array]:
         """Return when features (T, 4 n) at times t (T,), s, pass the goal nearest, and the residuals (4 n,) there."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -123,13 +124,7 @@ class Problem:
         """Return all that the rope may come upon: the target, pegs that it is to run behind, and obstacles."""
         return (target, *self.criteria.behind, *self.obstacles)
 
-    def start_on(self, rope: Rope) -> tuple[Array, Array]:
-        """Return the start of the same rope cut into shorter links (m,)."""
-        link = np.minimum(np.searchsorted(self.rope.link_ends, rope.link_middles), self.rope.n_links - 1)
-        q, qd = self.start
-        return q[link], qd[link]
-
-    def cut(self, pieces: int) -> "Problem":
-        """Return the same with each link of the rope cut into pieces."""
-        q0, qd0 = (tuple(np.repeat(each, pieces)) for each in (self.q0, self.qd0))
+    def cut(self, pieces: int | npt.NDArray[np.int64]) -> "Problem":
+        """Return the same with each link of the rope cut into pieces, as many of each or (n,)."""
+        q0, qd0 = (tuple(np.repeat(each, pieces)) if each else () for each in (self.q0, self.qd0))
         return replace(self, rope=divided(self.rope, pieces), q0=q0, qd0=qd0)

@@ -1,13 +1,13 @@
 """The set-up of a verified run: links refined near pegs, joints bent no further than the rope's thickness lets them."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, refine_rope
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, cuts
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import Clearance, obstacle_clearance, rope_clearance
 from hyperflex.planning.problem import Problem
@@ -47,15 +47,11 @@ def verified_setup(
     to be touched, are there as well.
     """
     pegs = (*pegs, *problem.criteria.behind)
-    rope = limit_bend(refine_rope(problem.rope, pegs, arm=problem.arm))
-    arm = problem.arm
-    setup = Setup(
-        rope, motion, arm, duration=duration, tol=tol, pegs=(*pegs, *problem.obstacles), contact_step=contact_step
-    )
-    if not problem.q0:
-        return setup
-    q0, qd0 = problem.start_on(rope)
-    return replace(setup, q0=q0, qd0=qd0)
+    arm, beside = problem.arm, (*pegs, *problem.obstacles)
+    fine = problem.cut(cuts(problem.rope, pegs, arm=arm))
+    given: dict[str, Any] = {"q0": fine.q0, "qd0": fine.qd0} if fine.q0 else {}
+    rope = limit_bend(fine.rope)
+    return Setup(rope, motion, arm, duration=duration, tol=tol, pegs=beside, contact_step=contact_step, **given)
 
 
 def greatest_bend(run: Trajectory) -> float:

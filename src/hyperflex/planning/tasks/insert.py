@@ -16,19 +16,14 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, MotorLimits,
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
-from hyperflex.planning.clearance import (
-    clear_samples,
-    obstacle_clearance,
-    sampled_obstacle_gaps,
-    samples_clear_of_arm,
-)
+from hyperflex.planning.clearance import obstacle_clearance, sampled_obstacle_gaps
 from hyperflex.planning.ensemble import STREAM, SuccessProbability, count_successes
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, SearchOptions
 from hyperflex.planning.outcome import excess_torque, run_figures
 from hyperflex.planning.planner import Candidate
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import RolloutBatch, starts_outside
+from hyperflex.planning.rollouts import starts_outside
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
@@ -528,29 +523,21 @@ class _Estimate:
     near: float
 
     def __call__(self, scenarios: Sequence[tuple[Rope, Slot, Motion]], budget: Budget | None = None) -> int:
-        t, arm, (ropes, slots, motions) = sample_times(self.near), self.problem.arm, zip(*scenarios, strict=True)
-        batch = RolloutBatch.from_start(replace(self.problem, rope=ropes[0]), ropes, [], motions)
-        q = batch.run(arm, t, tol=DEFAULT_TOL, keep=("q",), threads=1 if budget is None else budget.threads).q
-        bases = [arm.tip(each.angle(t)) for each in motions]
-        return sum(self._enters(*each, t) for each in zip(ropes, slots, q, bases, strict=True))
+        t, (ropes, slots, motions) = sample_times(self.near), zip(*scenarios, strict=True)
+        own = budget or Budget(threads=1)
+        flights = Flights(self.problem, (), t, own, tol=DEFAULT_TOL, ropes=ropes, motions=motions)
+        clear = flights.spare_gaps(self.problem).min(axis=(1, 2)) > CLOSER
+        return sum(clear[m] and self._enters(slot, flights, m) for m, slot in enumerate(slots))
 
-    def _enters(self, rope: Rope, slot: Slot, q: Array, base: Array, t: Array) -> bool:
-        """Whether a free flight meets the conditions of a verified run, as far as it shows.
-
-        Angles q (T, n), rad, of the links, and places `base` (T, 2), m, of the first joint at times t (T,), s.
-        """
-        joints, problem, clearance = rope.joints(q, base), self.problem, self.problem.clearance
-        entry = next_entry(slot, rope.radius, t, joints, self.near)
+    def _enters(self, slot: Slot, flights: Flights, m: int) -> bool:
+        """Whether flight m meets the conditions of a verified run at the slot, as far as it shows."""
+        rope, joints, q = flights.ropes[m], flights.joints[m], flights.q[m]
+        entry = next_entry(slot, rope.radius, flights.t, joints, self.near)
         if entry is None or entry.depth < slot.depth or entry.speed > slot.max_speed:
             return False
         until = slice(entry.end + 1)
-        if at_limits(limit_bend(rope), q[until], -1e-3).any():
-            return False
-        gaps = sampled_obstacle_gaps(rope, slot.walls, q[until], base[until], CLOSER)
-        flight, bound = (q[None], base[None]), max(clearance, 0.0) + CLOSER
-        clear = clear_samples([rope], problem.obstacles, *flight, bound)[0]
-        clear = min(clear, samples_clear_of_arm(rope, problem.arm, *flight, clearance + CLOSER)[0])
-        return bool(gaps.min() > CLOSER and clear == len(q))
+        gaps = sampled_obstacle_gaps(rope, slot.walls, q[until], joints[until, 0], CLOSER)
+        return bool(gaps.min() > CLOSER and not at_limits(limit_bend(rope), q[until], -1e-3).any())
 
 
 @checks.arguments(limits=MotorLimits, slot=Slot, conditions=Conditions, uncertainty=Uncertainty, options=SearchOptions)

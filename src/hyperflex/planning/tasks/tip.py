@@ -21,6 +21,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
 from hyperflex.model import Arm, MotorLimits, Obstacle, Rope, Setup, gap_of, named, obstacle_gaps
+from hyperflex.motion import Motion
 from hyperflex.planning.clearance import sampled_clearance
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
@@ -111,7 +112,7 @@ class Flights:
     """Free flights (M) after moves of the arm, at times `t` (T,), s.
 
     Places of the `joints` and the tip (M, T, n + 1, 2), m, and `velocity` of the tip (M, T, 2), m/s; NaN where a flight
-    failed.
+    failed. `ropes` and `motions` of the arm are those of the problem and the moves unless others are given.
     """
 
     def __init__(
@@ -123,10 +124,11 @@ class Flights:
         *,
         tol: float = OPTIONS.tol,
         ropes: Sequence[Rope] = (),
+        motions: Sequence[Motion] = (),
     ) -> None:
-        self.moves, self.t = moves, t
-        ropes, motions = ropes or [problem.rope] * len(moves), [each.motion(problem.limits) for each in moves]
-        batch = RolloutBatch.from_start(problem, ropes, [], motions)
+        self.moves, self.t, motions = moves, t, motions or [each.motion(problem.limits) for each in moves]
+        self.ropes = ropes = ropes or [problem.rope] * len(motions)
+        batch = RolloutBatch.from_start(replace(problem, rope=ropes[0]), ropes, [], motions)
         run = batch.run(problem.arm, t, tol=tol, keep=("q", "qd"), threads=budget.threads)
         self.q, joints, velocities = run.q, [], []
         for rope, motion, q, qd in zip(ropes, motions, run.q, run.qd, strict=True):
@@ -140,8 +142,8 @@ class Flights:
 
         See :func:`hyperflex.model.obstacle_gaps`.
         """
-        rope, arm, clearance, found = problem.rope, problem.arm, problem.clearance, list[Array]()
-        for q, joints in zip(self.q, self.joints, strict=True):
+        arm, clearance, found = problem.arm, problem.clearance, list[Array]()
+        for rope, q, joints in zip(self.ropes, self.q, self.joints, strict=True):
             gaps = obstacle_gaps(problem.obstacles, joints[:, :-1], joints[:, 1:]).min(axis=-1)
             own = sampled_clearance(rope, arm, q, joints[:, 0]) - clearance
             found.append(np.column_stack([gaps - rope.radius - max(clearance, 0.0), own]))
