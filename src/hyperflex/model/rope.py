@@ -258,10 +258,8 @@ class Rope:
 
     def joints(self, q: Array, base: Array) -> Array:
         """Return the joints (..., n + 1, 2), m, from `base` (..., 2) to the tip, at link angles q (..., n), rad."""
-        angles = checks.array("q", q, None, unit="rad", gaps=True)
-        shape = angles.shape[:-1]
-        if angles.shape != (*shape, self.n_links):  # then this raises
-            checks.array("q", angles, (*shape, self.n_links), unit="rad", gaps=True)
+        shape = np.shape(q)[:-1]
+        angles = checks.array("q", q, (*shape, self.n_links), unit="rad", gaps=True)
         base = checks.array("base", base, (*shape, 2), unit="m", gaps=True)
         places = np.empty((*shape, self.n_links + 1, 2))
         rows = angles.reshape(-1, self.n_links), base.reshape(-1, 2), places.reshape(-1, self.n_links + 1, 2)

@@ -416,7 +416,7 @@ def _unwound(task: WindTask) -> str:
 
 def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
     """Return the turns that both verified runs of a plan keep, as a remedy, if it then fails for nothing else."""
-    runs = [each.run for each in (plan.outcome, plan.finer_outcome) if each is not None and each.run is not None]
+    runs = [each.run for each in plan.outcomes if each.run is not None]
     if len(runs) < 2 or plan.motion is None:
         return ()
     criteria, stop = plan.problem.criteria, float(plan.motion.breaks[-1])
@@ -445,10 +445,10 @@ def _expected(plan: CastPlan, number: int = 0) -> FallbackTarget | None:
     return None if peg is None else FallbackTarget(peg, _distance(plan.target, peg))
 
 
-def _nearest(target: Peg, plans: list[CastPlan], rope: Rope, most: int = 3) -> list[CastPlan]:
-    """Return up to `most` plans whose targets lie near by, the nearest first."""
+def _nearest(target: Peg, plans: list[CastPlan], rope: Rope) -> list[CastPlan]:
+    """Return up to three plans whose targets lie near by, the nearest first."""
     near = [plan for plan in plans if _distance(target, plan.target) <= NEAR * rope.total_length]
-    return sorted(near, key=lambda plan: _distance(target, plan.target))[:most]
+    return sorted(near, key=lambda plan: _distance(target, plan.target))[:3]
 
 
 def _distance(one: Peg, other: Peg) -> float:

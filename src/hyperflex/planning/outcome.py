@@ -23,7 +23,6 @@ from hyperflex.planning.verification import (
     greatest_bend,
     motor_torques,
     refusal,
-    spare_clearance,
     verified_setup,
 )
 from hyperflex.simulation import SAMPLE_TIME, lean_warning, sideways, simulate
@@ -89,11 +88,11 @@ def run_figures(problem: Problem, run: Trajectory, until: float = np.inf) -> dic
     return {
         "max_bend": max_bend,
         "folded": folded_flat(run),
-        "clearance": min(each.value for each in near),
-        "spare_clearance": spare_clearance(problem, near),
+        "clearance": min(each.value for each, _, _ in near),
+        "spare_clearance": min(each.value - least for each, least, _ in near),
         "torque": torque,
         "torque_peak": torque_peak,
-        "refused": refusal(problem, max_bend, near),
+        "refused": refusal(max_bend, near),
         "n_links": run.q.shape[1],
         "run": run,
     }

@@ -100,14 +100,21 @@ class Plan(ABC):
     @property
     def clearance(self) -> float:
         """Least distance between rope and own arm, shaft or obstacles in the verified runs, m; NaN without."""
-        found = [each.clearance for each in (self.outcome, self.finer_outcome) if each is not None]
-        return float(min((value for value in found if not math.isnan(value)), default=math.nan))
+        return min(self._known("clearance"), default=math.nan)
 
     @property
     def torque(self) -> float:
         """Greatest torque of the motor in the verified runs as a mean over 5 ms, N m; 0 if it is not known."""
-        found = [each.torque for each in (self.outcome, self.finer_outcome) if each is not None]
-        return float(max((value for value in found if not math.isnan(value)), default=0.0))
+        return max(self._known("torque"), default=0.0)
+
+    @property
+    def outcomes(self) -> list[Any]:
+        """Outcomes of the verified runs."""
+        return [each for each in (self.outcome, self.finer_outcome) if each is not None]
+
+    def _known(self, name: str) -> list[float]:
+        """Return a figure of the verified runs, where it is known."""
+        return [value for each in self.outcomes if not math.isnan(value := getattr(each, name))]
 
     @property
     @abstractmethod
@@ -276,23 +283,20 @@ class CastPlan(Plan):
     @property
     def refuted(self) -> bool:
         """Whether a simulated run to the end shows that the plan fails."""
-        return any(each.completed and not each.success for each in self._outcomes())
+        return any(each.completed and not each.success for each in self.outcomes)
 
     @property
     def unfinished(self) -> bool:
         """Whether the plan fails although its target is feasible: by Ctrl-C, or a run that was not completed."""
         if self.success or not self.feasibility.feasible:
             return False
-        return self.interrupted or any(not each.completed for each in self._outcomes())
+        return self.interrupted or any(not each.completed for each in self.outcomes)
 
     @property
     def refused_by_rule(self) -> bool:
         """Whether no search was made because of a rule of thumb: geometry and the motor do not rule the target out."""
         known = self.feasibility
         return self.moves is None and not (self.seconds or known.feasible or known.impossible)
-
-    def _outcomes(self) -> list[CastOutcome]:
-        return [each for each in (self.outcome, self.finer_outcome) if each is not None]
 
     def setup(self) -> Setup:
         """Return the set-up of the verified run, with links refined near the target, and joint limits."""

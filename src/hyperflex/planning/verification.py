@@ -92,30 +92,25 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     return mean, max(float(peak), mean)
 
 
-def clearances(problem: Problem, run: Trajectory, until: float = np.inf) -> tuple[Clearance, ...]:
-    """Return how near the rope of a run comes to its own arm, and to obstacles, if any, `until` a time, s."""
-    some = problem.obstacles
-    return (rope_clearance(run), *((obstacle_clearance(run, some, until),) if some else ()))
+def clearances(problem: Problem, run: Trajectory, until: float = np.inf) -> list[tuple[Clearance, float, str]]:
+    """Return how near the rope of a run comes to its own arm, and to obstacles, if any, `until` a time, s.
+
+    Each with the distance, m, that is required (-inf: the rope may go through its arm), and what it does at 0.
+    """
+    found = [(rope_clearance(run), problem.clearance, "goes through")]
+    if some := problem.obstacles:
+        found.append((obstacle_clearance(run, some, until), max(problem.clearance, 0.0), "touches"))
+    return found
 
 
-def required_clearances(problem: Problem) -> tuple[float, float]:
-    """Return the distances, m, required from the own arm (-inf: the rope may go through it) and from obstacles."""
-    return problem.clearance, max(problem.clearance, 0.0)
-
-
-def spare_clearance(problem: Problem, near: Sequence[Clearance]) -> float:
-    """Return the least of the distances `near`, from :func:`clearances`, less those required, m."""
-    return min(each.value - least for each, least in zip(near, required_clearances(problem), strict=False))
-
-
-def refusal(problem: Problem, max_bend: float, near: Sequence[Clearance]) -> str:
+def refusal(max_bend: float, near: Sequence[tuple[Clearance, float, str]]) -> str:
     """Return why a run fails whatever its goal; empty if it does not.
 
     The rope goes through itself, or too near its own arm or an obstacle, by the distances `near` of :func:`clearances`.
     """
     if max_bend > np.pi + FOLD:
         return f"the rope folds through itself, by {np.degrees(max_bend):.0f} degrees at a joint"
-    for each, least, verb in zip(near, required_clearances(problem), ("goes through", "touches"), strict=False):
+    for each, least, verb in near:
         where = f"{each.what} at {each.t:.2f} s"
         if each.value <= min(least, 0.0):
             return f"the rope {verb} {where}"

@@ -117,13 +117,13 @@ class Slot:
         pairs += [(edge, self.tube * inwards) for edge in edges if self.tube > 0.0]
         return tuple(Wall(*edge.tolist(), *(edge + way).tolist()) for edge, way in pairs)
 
-    def check_width(self, rope: Rope, least: float = 3.0) -> None:
-        """Raise InvalidInput if the gap is narrower than `least` diameters of a rope."""
-        if self.width < (narrowest := 2.0 * least * rope.radius) * (1.0 - 1e-9):
+    def check_width(self, rope: Rope) -> None:
+        """Raise InvalidInput if the gap is narrower than three diameters of a rope."""
+        if self.width < (narrowest := 6.0 * rope.radius) * (1.0 - 1e-9):
             raise InvalidInput(
                 "slot width is too narrow for the rope",
                 got=self.width,
-                allowed=f"{narrowest:g} m, {least:g} diameters of the rope, or more",
+                allowed=f"{narrowest:g} m, 3 diameters of the rope, or more",
                 fix="Give a wider slot, in m, or a thinner rope",
             )
 

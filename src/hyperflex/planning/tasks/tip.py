@@ -169,13 +169,13 @@ def coarse_flights(
         yield Flights(problem, moves[low : low + OPTIONS.batch], t, budget)
 
 
-def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int = 1) -> list[Moves]:
-    """Return moves that pump a swing up more or less well, the same ones for a seed.
+def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = ()) -> list[Moves]:
+    """Return moves that pump a swing up more or less well, always the same.
 
     They begin on sides on which the rope hangs clear of obstacles and `walls`; on either side if there is none.
     """
     sides = free_sides(problem, (*problem.obstacles, *walls)) or [-1, 1]
-    rng, period, found = np.random.default_rng(seed), problem.period, list[Moves]()
+    rng, period, found = np.random.default_rng(1), problem.period, list[Moves]()
     for number in range(count):
         side = sides[number % len(sides)]
         stroke, step = np.pi * rng.uniform(*OPTIONS.stroke), period * rng.uniform(*OPTIONS.step)
