@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.tasks.tip import TipFeasibility, TipOptions
     from hyperflex.planning.tasks.whip import (
         Impact,
+        Peaks,
         TipStrike,
         TipTarget,
         WhipMap,
