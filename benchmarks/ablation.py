@@ -1,13 +1,13 @@
-"""What each option of the search of a cast gives: the same targets with one option changed at a time.
+"""Ablation of the cast planner's search options: the same targets with one option changed at a time.
 
 python -m benchmarks.ablation --seed 613              three targets of each rope of benchmarks.casting; hours
-python -m benchmarks.ablation --seed 613 --targets 1 --only as-is,no-variation --out -    a look; nothing is written
+python -m benchmarks.ablation --seed 613 --targets 1 --only as-is,no-variation --out -    short; writes nothing
 python -m benchmarks.ablation --seed 31 --random 2,3    three targets of each of two ropes of benchmarks.random_ropes
 
-Of random ropes, which are hard, those targets alone are tried with the variants that are planned as it is.
-Each search ends with the first plan that succeeds, or after 40 s of processor time. Targets are those in reach; their
-seed is one on which no option was set. ``cem`` is a baseline without any of the options: the cross-entropy method over
-five parameters of a swing. Rows are kept in ablation.jsonl: the same command goes on where it stopped. All simulated.
+Random ropes are hard: the variants are tried only on targets that the unchanged planner plans. Each search ends with
+the first plan that succeeds, or after 40 s of processor time. Targets are within reach, with a seed on which no option
+was tuned. ``cem`` is a baseline without any of the options: the cross-entropy method over five parameters of a swing.
+Rows are kept in ablation.jsonl: the same command continues an interrupted run. All simulated.
 """
 
 import argparse
@@ -96,7 +96,7 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
 
 
 def targets(options: argparse.Namespace) -> Iterator[tuple[str, int, hf.Rope, hf.Arm, hf.Peg]]:
-    """Return the targets in reach, with names of their ropes and numbers; an interrupted run has each rope's first."""
+    """Return the targets in reach with their ropes' names and their numbers, the first target of each rope first."""
     seed, drawn = options.seed, list[list[tuple[str, int, hf.Rope, hf.Arm, hf.Peg]]]()
     for number in map(int, options.random.split(",") if options.random else ()):
         rope, arm = random_ropes.rope_and_arm(seed, number)
@@ -124,9 +124,10 @@ def tried(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, name: str, seconds: float) ->
 def page(rows: list[dict[str, Any]], about: dict[str, str]) -> str:
     """Return a table for each set of targets as Markdown."""
     text = (
-        "# What the options of the search of a cast give\n\nThe first plan that succeeds within the limit of processor "
-        "time, on one thread. Gained and lost: targets that are planned with the variant alone, and without it alone. "
-        "Ratio: median of the times over those without the variant, of the targets that both plan.\n"
+        "# Ablation of the cast planner's search options\n\nEach search ends with the first plan that succeeds within "
+        "the limit of processor time, on one thread. Gained: targets that only the variant plans. Lost: targets that "
+        "only the planner without the variant plans. Ratio: median, over targets planned by both, of the time with the "
+        "variant over the time without it.\n"
     )
     sets = dict[tuple[Any, ...], list[dict[str, Any]]]()
     for row in rows:

@@ -51,7 +51,7 @@ def case(n_links: int) -> Case:
 
 @numba.njit(error_model="numpy")
 def _sweeps(chain, q, w, grip, base, h, alpha, work, count):  # type: ignore[no-untyped-def]
-    """`count` sweeps, each on its own state, so that none can be left out."""
+    """`count` sweeps, each on its own state, so that the compiler cannot skip any."""
     total = 0.0
     for _ in range(count):
         q[0] += 1e-15
@@ -126,7 +126,7 @@ def mujoco(peer: ModuleType, state: Case) -> Iterator[Timed]:
 
 
 def drake(peer: ModuleType, state: Case) -> Iterator[Timed]:
-    """``EvalTimeDerivatives`` after the state was set anew, as its explicit integrators do."""
+    """``EvalTimeDerivatives`` after setting the state, as its explicit integrators do."""
     plant = peer.Rig(state.rope, None).plant
     context, count = plant.CreateDefaultContext(), max(10, 5_000 // state.q.size)
     full = np.concatenate(state.relative)
@@ -172,21 +172,21 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
         lines.append(f"| {what} | " + " | ".join(f"{found[n]:.3g}" if n in found else "" for n in sizes) + " |")
     worst = max(row["disagreement"] for row in rows)
     note = (
-        "\n\nOne evaluation of all accelerations of a bent, moving rope on a wall, median. Each peer's accelerations "
-        f"were compared with hyperflex's first: they differ by at most {worst:.1g} of the largest. hyperflex and "
-        "Pinocchio's own loop run without Python between two evaluations; a call from Python adds about a microsecond. "
-        f"Implicit: friction is that at the end of a step of {STEP:g} s. Pinocchio is left out beyond n = "
-        f"{LARGEST['pinocchio']} (its data hold n^3 numbers), MuJoCo and Drake beyond {LARGEST['mujoco']}."
+        "\n\nMedian time of one evaluation of all accelerations of a bent, moving rope on a wall. Each peer's "
+        f"accelerations differ from hyperflex's by at most {worst:.1g} of the largest one (checked before timing). "
+        "hyperflex and Pinocchio's own loop run without Python between two evaluations; a call from Python adds about "
+        f"a microsecond. Implicit: friction at the end of a step of {STEP:g} s. Pinocchio is omitted above n = "
+        f"{LARGEST['pinocchio']} (its data contain n^3 numbers), MuJoCo and Drake above {LARGEST['mujoco']}."
     )
     return "\n".join(lines) + note + f" {NOTE}" + verdict(rows)
 
 
 def verdict(rows: list[dict[str, Any]]) -> str:
-    """How many times quicker than each peer the two sweeps are at the paper's n = 50."""
+    """Speed-up of the two sweeps over each peer at the paper's n = 50."""
     at = {row["what"]: row["microseconds"]["median"] for row in rows if row["links"] == 50}
     explicit, implicit = at["hyperflex, explicit"], at["hyperflex, implicit"]
     others = [f"{v / explicit:.1f} and {v / implicit:.1f} ({k})" for k, v in at.items() if not k.startswith("hyper")]
-    return f"\n\nAt n = 50 the explicit and the implicit sweep are quicker by {', '.join(others)}." if others else ""
+    return f"\n\nSpeed-up of the explicit and the implicit sweep at n = 50: {', '.join(others)}." if others else ""
 
 
 def figure(rows: list[dict[str, Any]], path: Path) -> None:

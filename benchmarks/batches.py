@@ -1,4 +1,4 @@
-"""Many ropes at once: simulated seconds per second, at settings for which every single member was checked."""
+"""Many ropes at once: simulated seconds per second, at settings checked for every member."""
 
 import math
 import statistics
@@ -21,13 +21,13 @@ QUICK = ((PAPER_LINKS, 32),)
 DURATION = 2.0  # s
 SPREAD = 0.2
 GOOD = 0.1  # mm, the greatest error of any member
-TIGHT = 1e-9  # m, tolerance of what a member is compared with: a run of its own, by `simulate`
+TIGHT = 1e-9  # m, tolerance of the single run by `simulate` with which a member is compared
 ARM = hf.Arm(length=0.105)
 THREADS = (1, 2)
 BUDGET = 4.0  # s of processor time for one setting on one number of threads
-# Settings from loose to tight; the first one that is good is timed. Friction is scaled with n, so these suit all sizes.
-# Steps go with the order of the default tolerance: of a higher order they may be longer, at the same throughput (tried:
-# 4 to 7).
+# Settings from loose to tight; the first one that is accurate enough is timed. Friction is scaled with n, so these suit
+# all sizes. Steps use the order of the default tolerance; higher orders allow longer steps with the same throughput (4
+# to 7 were tried).
 SETTINGS = {
     "tol": (2e-4, 1e-4, 7e-5, 5e-5, 3e-5, 2e-5, 1.5e-5, 1e-5, 7e-6, 5e-6, 3e-6, 2e-6, 1e-6, 5e-7),
     "step": (0.03, 0.025, 0.02, 0.0175, 0.015, 0.0125, 0.01, 0.0085, 0.007, 0.006, 0.005, 0.004, 0.003),
@@ -38,7 +38,7 @@ WORDS = {"tol": "error control", "step": "step chosen beforehand"}
 
 @dataclass(frozen=True)
 class Fleet:
-    """Ropes and motions that differ in every parameter, and the tips (M, 2) that each comes to by itself, m."""
+    """Ropes and motions that differ in every parameter, and the tips (M, 2) of single runs, m."""
 
     ropes: list[hf.Rope]
     motions: list[hf.Motion]
@@ -82,7 +82,8 @@ def fleet(links: int, members: int) -> Fleet:
 def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
     """Rows of {links, members, control, looked_at, setting, simulated_s_per_s}.
 
-    `looked_at` lists each setting down to the chosen one with its errors; `setting` is None if none was good.
+    `looked_at` lists the settings up to the chosen one with their errors; `setting` is None if none was accurate
+    enough.
     """
     rows = []
     for links, members in QUICK if quick else SIZES:
@@ -105,7 +106,7 @@ def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[di
 
 
 def search(ropes: Fleet, kind: str) -> list[dict[str, Any]]:
-    """Errors of each setting from loose to tight, until one is good."""
+    """Errors of each setting from loose to tight, up to the first one that is accurate enough."""
     looks: list[dict[str, Any]] = []
     for setting in SETTINGS[kind]:
         looks.append({"setting": setting, "error_mm": ropes.errors(kind, setting)})
@@ -121,7 +122,7 @@ def good(look: dict[str, Any]) -> bool:
 
 
 def throughput(ropes: Fleet, chosen: dict[str, float], repeats: int) -> dict[str, dict[str, dict[str, float]]]:
-    """Simulated seconds per second for each kind of control and number of threads; all take turns."""
+    """Simulated seconds per second for each kind of control and number of threads, in alternation."""
     plan = [(kind, setting, threads) for kind, setting in chosen.items() for threads in THREADS]
     speeds: dict[str, dict[str, dict[str, float]]] = {}
     for (kind, _, threads), times in zip(
@@ -132,7 +133,7 @@ def throughput(ropes: Fleet, chosen: dict[str, float], repeats: int) -> dict[str
 
 
 def speed(times: Times, simulated: float) -> dict[str, float]:
-    """`simulated` seconds per second of the clock (processor time would add up the threads')."""
+    """`simulated` seconds per elapsed second (processor time would add up the threads)."""
     return {
         "median": simulated / statistics.median(times.clock),
         "least": simulated / max(times.clock),
@@ -142,7 +143,7 @@ def speed(times: Times, simulated: float) -> dict[str, float]:
 
 
 def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
-    """Return the Markdown tables and what they say."""
+    """Return the Markdown tables and their explanation."""
     head = "links | members | control | setting | greatest error, mm | of 99 %, mm | median, mm"
     lines = [
         f"| {head} | simulated s per s, 1 thread (least-most) | 2 threads (least-most) | 2 threads / 1 |",
@@ -163,12 +164,13 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
         ]
         lines.append(f"{head} {' | '.join(cells)} |")
     return "\n".join(lines) + (
-        f"\n\n{DURATION:g} s of casting. Every member has its own length, mass, radius and friction, and its own times "
-        f"of moving and resting, each drawn within {SPREAD:.0%} of the paper's; friction of a joint is scaled with the "
-        f"number of links. Errors are those of the tip at {DURATION:g} s, of every member against a run of its own at "
-        f"tol {TIGHT:g} m. The setting is the loosest of a list whose greatest error is below {GOOD:g} mm; the list is "
-        "in benchmarks/batches.py. A call includes the checks and the making of kernels' arrays, and keeps the tips. "
-        "Times are the clock's, medians of runs that took turns: a busy machine shows in them, two threads most of all."
+        f"\n\n{DURATION:g} s of casting. Every member has its own length, mass, radius, friction, and times of moving "
+        f"and resting, each drawn within {SPREAD:.0%} of the paper's values; joint friction is scaled with the number "
+        f"of links. The error of each member is that of its tip at {DURATION:g} s against a single run at tol "
+        f"{TIGHT:g} m. The setting is the loosest one in a list (in benchmarks/batches.py) whose greatest error is "
+        f"below {GOOD:g} mm. A call includes the input checks and the creation of the kernels' arrays, and keeps the "
+        "tips. Times are elapsed times, medians of alternating runs: other load on the machine increases them, most "
+        "of all with two threads."
     )
 
 

@@ -1,14 +1,15 @@
-"""The capstan: at which pull does a wound rope slip? Beside exp(mu theta).
+"""The capstan: the pull at which a wound rope slips, compared with exp(mu theta).
 
 python -m benchmarks.capstan              the whole table; results in benchmarks/results/capstan.json
-python -m benchmarks.capstan --quick      a look at one case of each; nothing is written
+python -m benchmarks.capstan --quick      one case of each kind; writes nothing
 
-A rope without weight goes round a peg of 20 mm, 1 N at its tip. The pull at its other end grows steadily, and slip is
-1 mm beyond what it had moved at four fifths of the limit. The rope is cut as the library cuts it.
+A rope without weight goes round a peg of 20 mm, 1 N at its tip. The pull at its other end grows steadily. The rope
+slips when it has moved 1 mm farther than at four fifths of the limit. Its links are divided as the library divides
+them.
 
-For the order of convergence a millimetre is too coarse: there the pull grows a sixth as fast, slip is a rate of
-0.1 mm/s, and links of one length are laid in six positions, a sixth of a corner apart, since the error swings with
-where the first and the last corner happen to lie.
+The order of convergence requires a finer criterion than a millimetre: the pull grows a sixth as fast, the rope slips
+when its rate reaches 0.1 mm/s, and links of one length are placed in six positions, a sixth of a corner apart, because
+the error oscillates with the position of the first and the last corner.
 
 MuJoCo's rope (--peers) is in capstan_mujoco.py.
 """
@@ -38,8 +39,8 @@ FROM, TO = 0.8, 1.15  # of the limit
 CASES = [(mu, turns) for mu in (0.1, 0.3, 0.5) for turns in (0.5, 1.0, 2.0)]
 RATIOS = (1.2, 0.6, 0.3, 0.15, 0.075)  # links in radii of the axis, for the order of convergence
 POSITIONS = 6
-RATE = 1e-4  # m/s, of slip, where the order of convergence is looked for
-SLOW = 0.0075  # 1/s, growth of the pull over the limit there
+RATE = 1e-4  # m/s, slip rate in the convergence study
+SLOW = 0.0075  # 1/s, growth of the pull over the limit in the convergence study
 NARROW, WIDE = (0.97, 1.03), (0.86, 1.06)  # of the limit, between which it grows; the second with links above LONG
 LONG, ROUGH = 0.5, 0.8  # radii of the axis; links above ROUGH are left out of the order
 
@@ -126,16 +127,16 @@ def page(found: dict[str, Any]) -> str:
         [
             "# The capstan",
             "",
-            "Pull at which a wound rope without weight slips by 1 mm, over exp(mu theta), with 1 N at its tip, on a",
-            "peg of 20 mm, its links cut as the library cuts them; and its creep at 0.95 of the limit over 10 s.",
+            "Pull at which a weightless wound rope with 1 N at its tip slips by 1 mm, divided by exp(mu theta), on a",
+            "peg of 20 mm, with links divided by the library; and creep at 0.95 of the limit over 10 s.",
             "",
             "| mu | turns | links | onset / exp(mu theta) | creep, mm/s | unsolved, % of steps |",
             "|---|---|---|---|---|---|",
             *ours,
             "",
-            f"One turn at mu = 0.3 with links of other lengths, each in {POSITIONS} positions that lie a part of a",
-            "corner apart; slip is a rate of 0.1 mm/s here, while the pull grows by 0.75 % of the limit a second. The",
-            f"error of the onset changes with the position: rms, least, greatest. {order(found['convergence'])}",
+            f"One turn at mu = 0.3 with other link lengths, each in {POSITIONS} positions that differ by a part of a",
+            "corner. Onset: a slip rate of 0.1 mm/s while the pull grows by 0.75 % of the limit per second. The",
+            f"error of the onset depends on the position: rms, least, greatest. {order(found['convergence'])}",
             "",
             "| link / radius of the rope's axis | links | rms error, % | least, % | greatest, % |",
             "|---|---|---|---|---|",

@@ -1,17 +1,17 @@
 """The capstan's rope in MuJoCo: the same chain of hinges, its links as capsules on a fixed cylinder.
 
-The pull of 1 N at its tip is an external force, the other end is on a slider that is pulled. Three things were needed
-before it held anything near the limit, and they make the settings below:
+The pull of 1 N at its tip is an external force; the other end is on a slider that is pulled. Three measures were needed
+to hold a load near the limit. They determine the settings below:
 
 - Friction acts on the capsules' surface but the tension on their axes, so a rope of finite radius holds less than
-  exp(mu theta). The capsules are a tenth of the rope's radius thick and the peg is as much thicker, so that the axis
-  stays where it is; 1.0 % is left of that for half a turn at mu = 0.3.
-- Links of 6 mm have so small moments of inertia that they chatter on the peg, and the rope creeps at half the limit:
-  by 0.1 mm/s, and by 3 to 7 mm/s where capsules are as thick as the rope. An armature of 1e-5 kg m^2 at each hinge,
-  thousands of times the links' own moments, ends that.
-- Elliptic cones and a high impratio: with pyramidal ones it slips by 1 mm at 0.8 of the limit.
+  exp(mu theta). The capsules are a tenth of the rope's radius thick and the peg is thicker by the rest, so that the
+  axis keeps its place; an error of 1.0 % remains for half a turn at mu = 0.3.
+- Links of 6 mm have such small moments of inertia that they chatter on the peg, and the rope creeps at half the limit:
+  by 0.1 mm/s, and by 3 to 7 mm/s if capsules are as thick as the rope. An armature of 1e-5 kg m^2 at each hinge,
+  thousands of times the links' own moments, prevents this.
+- Elliptic cones and a high impratio: with pyramidal ones the rope slips by 1 mm at 0.8 of the limit.
 
-It is given no factor for the corners of its polygon; links of 0.3 and 0.6 radii cost 1.1 and 4.0 % for half a turn.
+The corners of the polygon are not corrected by a factor; links of 0.3 and 0.6 radii lose 1.1 and 4.0 % in half a turn.
 """
 
 import math
@@ -43,10 +43,11 @@ SETTINGS = [  # l/R, cone, impratio, step, armature
     (0.3, "elliptic", 100.0, 2e-4, 1e-5),
 ]
 NOTE = [
-    "MuJoCo, the same chain as thin capsules, half a turn at mu = 0.3. Armature: inertia that is added to each hinge,",
-    "without which short links chatter and the rope creeps; the first row is to show it. Onset: slip of 1 mm beyond",
-    "that at four fifths of the limit, and a rate of 0.1 mm/s. Creep: over the last half of 4 s at 0.5 and 0.95 of it.",
-    "inf: it goes off. Its polygon, which is given no factor, should hold 0.979 and 0.950 with links of 0.3 and 0.6.",
+    "MuJoCo: the same chain as thin capsules, half a turn at mu = 0.3. Armature: inertia added to each hinge,",
+    "without which short links chatter and the rope creeps, as the first row shows. Onset: slip of 1 mm beyond",
+    "its position at four fifths of the limit, and a rate of 0.1 mm/s. Creep: the last 2 of 4 s at 0.5 and 0.95",
+    "of it. inf: the rope runs off. Without a factor for its corners, the polygon should hold 0.979 and 0.950 with",
+    "links of 0.3 and 0.6.",
     "",
     "| link / radius | cone | impratio | step, s | armature, kg m^2 | onset, 1 mm | 0.1 mm/s | creep, mm/s | 0.95 |",
     "|---|---|---|---|---|---|---|---|---|",
@@ -88,7 +89,8 @@ def model(cable: hf.Rope, mu: float, swept: float, cone: str, impratio: float, s
 
 
 def pulled(compiled: Any, swept: float, last: float, force: Callable[[float], float]) -> np.ndarray:
-    """Way (steps,) of the tip against its pull of 1 N, m, while the slider is pulled by `force` of the time, N."""
+    """Displacement (steps,) of the tip against its pull of 1 N, m, while the slider is pulled by `force` (of time),
+    N."""
     import mujoco
 
     data, tip = mujoco.MjData(compiled), compiled.site("tip").id
@@ -107,7 +109,7 @@ def pulled(compiled: Any, swept: float, last: float, force: Callable[[float], fl
 
 
 def held(compiled: Any, swept: float, limit: float, part: float) -> float:
-    """Creep at a part of the limit over the last half of HOLD, mm/s; infinite if the rope goes off."""
+    """Creep at a part of the limit over the last half of HOLD, mm/s; infinite if the rope runs off."""
     way = pulled(compiled, swept, HOLD, lambda t: 1.0 + (limit * part - 1.0) * min(1.0, t / BEGIN))
     steps = round(HOLD / compiled.opt.timestep)
     return 1e3 * abs(float(way[-1] - way[steps // 2])) / (0.5 * HOLD) if way.size == steps else math.inf

@@ -1,4 +1,4 @@
-"""What every contestant runs: the paper's cast of a cable by a prescribed arm."""
+"""The task of every contestant: the paper's cast of a cable by a prescribed arm."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ PAPER_LINKS = 50
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of time without a switch of the motion: contestants restart at its ends."""
+    """A time interval without a switch of the motion: contestants restart at its ends."""
 
     start: float
     end: float
@@ -39,7 +39,7 @@ class Cast:
         return float(self.times[-1])
 
     def stretches(self) -> Iterator[Stretch]:
-        """Stretches of constant arm acceleration, cut at the output times as well."""
+        """Intervals of constant arm acceleration, also divided at the output times."""
         cuts = np.unique(np.round(np.concatenate([self.motion.switches(0.0, self.duration), self.times]), 12))
         start = 0.0
         for end in cuts[cuts > 0.0]:
@@ -48,7 +48,7 @@ class Cast:
             start = float(end)
 
     def base(self, t: Array, acceleration: float) -> tuple[Array, Array]:
-        """Acceleration (T, 2) of the arm's end, m/s^2, and the arm's rate (T,), rad/s, within a stretch."""
+        """Acceleration (T, 2) of the arm's end, m/s^2, and the arm's rate (T,), rad/s, within an interval."""
         angle, rate = self.motion.angle(t), self.motion.rate(t)
         sin, cos = np.sin(angle), np.cos(angle)
         along = np.stack([cos * acceleration - sin * rate**2, sin * acceleration + cos * rate**2], axis=-1)
@@ -61,7 +61,7 @@ class Cast:
         return np.array([np.sum(length * np.sin(angle)), -np.sum(length * np.cos(angle))])
 
     def reference(self) -> Array:
-        """Tip (T, 2) from explicit Runge-Kutta with steps of 0.1 ms, which shares no step with what is measured."""
+        """Tip (T, 2) by explicit Runge-Kutta with steps of 0.1 ms, independent of the methods that are compared."""
         return hf.simulate(
             self.rope,
             self.motion,
@@ -77,14 +77,14 @@ class Cast:
 class Contestant:
     """One setting of one simulator; `run` simulates the whole cast and returns the tip (T, 2).
 
-    Settings of one `method` differ in step or tolerance alone, so that a line may join them in a picture.
+    Settings of one `method` differ only in step or tolerance, so that a plot can join them by a line.
     """
 
     simulator: str
     method: str
     setting: str
     run: Callable[[], Array]
-    adaptive: bool = False  # whether it chooses its steps by itself
+    adaptive: bool = False  # whether it chooses its own steps
 
 
 def cable(n_links: int, *, scaled: bool = False) -> hf.Rope:

@@ -1,24 +1,24 @@
-"""Casting a rope round random targets: wound and held, in runs that no planner saw.
+"""Casting a rope round random targets: wound and held, in runs independent of the planner.
 
 python -m benchmarks.casting                     the paper's cable and arm, 60 targets in reach; an hour or so
-python -m benchmarks.casting --rope weighted     the same with 20 g at the tip; or tapered, cord, long: ropes of ROPES
-python -m benchmarks.casting --rope cord --seed 99 --ours   targets that nobody has seen
-python -m benchmarks.casting --count 5 --out -   a look; nothing is written
-python -m benchmarks.casting --plans FOLDER      and keep what is planned now, for benchmarks.casts_mujoco
-python -m benchmarks.casting --seed 99 --ours --again 132   what was not held once more, with so many s
+python -m benchmarks.casting --rope weighted     with 20 g at the tip; or tapered, cord, long: see ROPES
+python -m benchmarks.casting --rope cord --seed 99 --ours   fresh targets
+python -m benchmarks.casting --count 5 --out -   short; writes nothing
+python -m benchmarks.casting --plans FOLDER      and keep the new plans, for benchmarks.casts_mujoco
+python -m benchmarks.casting --seed 99 --ours --again 132   targets that were not held again, with this many s
 python -m benchmarks.casting --outside           targets called out of reach, each searched ten times as long
 
-For each target: a plan of ours (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
-rule (half turns as the tip passes below the shaft), both until the rope strikes the target; the arm ends its half turn
-and rests. Each is run with links 2.5 times as many, half the library's step beside pegs and a fifth of its tolerance;
-the planner's own verifications take the library's. Wound is a rope that makes 1.25 turns from the arm's tip to its end,
-held one that slips by less than 5 mm in 2 s after that. A slow pull at the arm's end then tells what it bears. All
-simulated; BLOCK targets are planned one after the other, on all cores, and then judged. Rows are kept in casting.jsonl:
-the same command goes on where it stopped.
+For each target: a plan of hyperflex (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
+rule (half turns as the tip passes below the shaft), both until the rope strikes the target; the arm then finishes its
+half turn and rests. Each motion is run with 2.5 times the links, half the library's contact step and a fifth of its
+tolerance; the planner's own verifications use the library's values. A rope is wound if it makes 1.25 turns from the
+arm's tip to its end, and held if it slips by less than 5 mm in the next 2 s. A slow pull at the arm's end then measures
+the load that it holds. All simulated. BLOCK targets are planned one after the other, on all cores, and then checked.
+Rows are kept in casting.jsonl: the same command continues an interrupted run.
 
-Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``problem`` and ``targets``,
-which need nothing but numpy's generator; the judge is ``hyperflex.planning.verify_cast`` on
-``problem(rope, FINER)``. The time of the first plan that stood is told beside that of the search.
+Other planners can take part: the ropes, the arm, the motor's limits and the targets are in ``problem`` and ``targets``,
+which require numpy's generator only; the independent check is ``hyperflex.planning.verify_cast`` on ``problem(rope,
+FINER)``. The time of the first successful plan is reported with that of the search.
 """
 
 import argparse
@@ -54,8 +54,8 @@ from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
 
 RESULTS = Path(__file__).parent / "results"
 LINKS = 50
-FINER = 2.5  # times as many links in a judging run
-STEP, TOL = 0.5 * DEFAULT_CONTACT_STEP, 0.2 * DEFAULT_TOL  # s, m, of a judging run
+FINER = 2.5  # times the links in the independent check
+STEP, TOL = 0.5 * DEFAULT_CONTACT_STEP, 0.2 * DEFAULT_TOL  # s, m, of the independent check
 FRICTION = 5e-4  # N m s/rad, of each joint of LINKS links
 TIP = {"nominal": 0.0, "weighted": 0.02}  # kg
 SEED = 7  # of the targets
@@ -86,21 +86,21 @@ LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
 GOAL = {"nominal": 0.85, "weighted": 0.90, "tapered": 0.90, "cord": 0.90, "long": 0.90}
 HALF_TURN = 0.73  # s
 COLUMNS = (
-    "Room: turns that the rope left beyond the target would make round it. Energy: that of the part of the rope beyond",
-    "the target when it strikes, by a rule, over what lifts it round. Hold: the pull, N, that the wound rope bears",
-    "before it slips; beside it the weight of what hangs beyond the target times e^(mu theta), the capstan equation.",
-    "Planned: the planner says that the plan succeeds. Judged: wound and held in the finer run.",
+    "Room: turns that the rope beyond the target could make round it. Energy: estimated energy of that part of the",
+    "rope at the strike, divided by the energy that lifts it round. Hold: the pull, N, at which the wound rope slips.",
+    "Next to it is the weight of the rope that hangs beyond the target times e^(mu theta), the capstan equation.",
+    "Planned: the planner reports success. Checked: wound and held in the finer, independent run.",
 )
-BLOCK, JUDGES = 12, 2  # targets that are planned before they are judged, and judged at once
-LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
+BLOCK, JUDGES = 12, 2  # targets that are planned before they are checked, and checks at a time
+LONGEST = 300.0  # s of processor time for a check; a cast whose check takes longer counts as failed
 
 
 def problem(rope: str, finer: float = 1.0) -> Problem:
-    """A rope of ROPES on its arm, as so many times its links.
+    """A rope of ROPES on its arm, with `finer` times its links.
 
-    It bends with the same friction per length whatever their number, and the hinge at the arm keeps its own, as
-    :func:`hyperflex.model.divided` has it. The mass per length is a line along the rope, the same one whatever their
-    number: through the taper's two values at the middles of its first and last link when it is cut into ``kind.links``.
+    The friction per length and that of the hinge at the arm do not depend on the number of links, as in
+    :func:`hyperflex.model.divided`. Neither does the mass per length, a line along the rope through the taper's two
+    values at the middles of the first and the last of ``kind.links`` links.
     """
     kind = ROPES[rope]
     links = round(finer * kind.links)
@@ -122,7 +122,7 @@ def target(number: int, rope: str = "nominal", seed: int = SEED) -> hf.Peg:
 
 
 def targets(rope: str, count: int, within: bool = True, seed: int = SEED) -> list[int]:
-    """Numbers of the first targets that are in reach, or that are not though geometry allows them."""
+    """Numbers of the first targets in reach, or out of reach although geometry allows them."""
     known, found, number = problem(rope), [], 0
     while len(found) < count:
         told = check_feasibility(known, target(number, rope, seed))
@@ -133,17 +133,17 @@ def targets(rope: str, count: int, within: bool = True, seed: int = SEED) -> lis
 
 
 def main() -> None:
-    """Plan, judge, print and write."""
+    """Plan, check, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rope", choices=sorted(ROPES), default="nominal")
     parser.add_argument("--count", type=int, default=60, help="targets (60)")
     parser.add_argument("--time-budget", type=float, default=TIME_BUDGET, help="s of planning a target (60)")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
-    parser.add_argument("--again", type=float, metavar="S", help="s for each target that was not held; told beside")
+    parser.add_argument("--again", type=float, metavar="S", help="s to plan a target that was not held again")
     parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the time budget")
-    parser.add_argument("--ours", action="store_true", help="our plans alone, without the paper's two ways")
+    parser.add_argument("--ours", action="store_true", help="hyperflex's plans alone, without the paper's two methods")
     parser.add_argument(
-        "--plans", type=Path, help="folder for plans of this call that stand, as benchmarks.casts_mujoco reads them"
+        "--plans", type=Path, help="folder for the successful plans of this call, as benchmarks.casts_mujoco reads them"
     )
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
@@ -176,7 +176,7 @@ def main() -> None:
 
 
 def repeated(options: argparse.Namespace, kind: str, log: Path | None, failed: list[int]) -> list[dict[str, Any]]:
-    """Rows of targets that were not held, planned once more with another time budget."""
+    """Rows of targets that were not held, planned again with another time budget."""
     if options.again is None:
         return []
     known = read(log, kind, options.again)
@@ -191,7 +191,7 @@ def repeated(options: argparse.Namespace, kind: str, log: Path | None, failed: l
 
 
 def again(rows: list[dict[str, Any]], more: list[dict[str, Any]], time_budget: float | None) -> str:
-    """What became of the targets that were planned once more, in words."""
+    """Describe the results of the targets that were planned again."""
     if not more:
         return ""
     held = [row["number"] for row in more if row["ours"]["success"]]
@@ -211,7 +211,7 @@ def read(log: Path | None, kind: str, time_budget: float) -> dict[int, dict[str,
 def done(
     rope: str, numbers: list[int], time_budget: float, ours_alone: bool, seed: int, plans: Path | None
 ) -> Iterator[dict[str, Any]]:
-    """A row for each target as it is judged."""
+    """A row for each target when it has been checked."""
     known = problem(rope)
     for begin in range(0, len(numbers), BLOCK):
         planned = []
@@ -235,7 +235,7 @@ def done(
 
 
 def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool, first: float | None) -> dict[str, Any]:
-    """What was planned, and what becomes of it and of the paper's ways."""
+    """Check a plan and the paper's two methods."""
     peg, ways = plan.target, {"ours": plan.motion}
     if not ours_alone:
         ways |= {
@@ -261,7 +261,7 @@ def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool, first: float
 
 
 def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
-    """What becomes of a motion in a finer run, and what the wound rope bears."""
+    """Result of a motion in a finer run, and the load that the wound rope holds."""
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
     fine = problem(rope, FINER)
@@ -280,7 +280,7 @@ def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
 
 
 def bears(peg: hf.Peg, cast: CastOutcome) -> dict[str, Any]:
-    """Pull that a wound rope holds, N, and the weight of its tail times e^(mu theta), N."""
+    """Pull at which a wound rope slips, N, and the weight of its tail times e^(mu theta), N."""
     held = None if cast.run is None else measure_holding_force(cast.run, peg)
     if held is None:
         return {}
@@ -336,17 +336,17 @@ def text(rows: list[dict[str, Any]], rope: str) -> str:
     lines += ["", f"Planning: median {median:.1f} s, 95 % within {late:.1f} s, at most {most:.1f} s a target."]
     first = [row["first"] for row in rows if row.get("first") is not None]
     if first:
-        lines[-1] += f" The first plan stood after {np.median(first):.1f} s in the median of {len(first)}."
-    lines += [f"Goal: {GOAL[rope]:.0%} wound and held. Plans that fail say so: {told(rows)}.", ""]
+        lines[-1] += f" Median time of the first successful plan: {np.median(first):.1f} s ({len(first)} plans)."
+    lines += [f"Goal: {GOAL[rope]:.0%} wound and held. {told(rows)}.", ""]
     bends = [row["ours"]["bend"] for row in rows if row["ours"].get("bend") is not None and row["ours"]["success"]]
     if bends:
         folded = sum(bend > math.pi for bend in bends)
         lines[-1:] = [
-            f"Of {len(bends)} held ropes whose sharpest bend was kept {folded} had folded through themselves.",
+            f"{folded} of {len(bends)} held ropes whose sharpest bend was recorded had folded through themselves.",
             "",
         ]
-    head = ("number", "x", "y", "radius", "room", "energy", "planned", "s", "judged", "turns", "hold", "tail e^(mu th)")
-    lines += ["| " + " | ".join(head) + " | why not |", "|" + "---|" * (len(head) + 1)]
+    head = ("number", "x", "y", "radius", "room", "energy", "planned", "s", "checked", "turns", "hold")
+    lines += [f"| {' | '.join(head)} | tail e^(mu th) | why not |", "|" + "---|" * (len(head) + 2)]
     for row in rows:
         ours = row["ours"]
         cells = [row["number"], *(f"{row[k]:.3f}" for k in ("x", "y", "radius", "room", "energy"))]
@@ -357,25 +357,25 @@ def text(rows: list[dict[str, Any]], rope: str) -> str:
 
 
 def scores(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """The table of ways."""
+    """The table of methods."""
     yield from ("| way | wound and held | of |", "|---|---|---|")
     for way in ("ours", "paper's rests", "paper's timing"):
         tried = [row[way]["success"] for row in rows if way in row]
         if tried:
             yield f"| {way} | {sum(tried)} | {len(tried)} |"
     sure = [row["ours"]["success"] for row in rows if row["planned"]]
-    yield f"| ours, where the plan says that it stands | {sum(sure)} | {len(sure)} |"
+    yield f"| ours, of plans reported to succeed | {sum(sure)} | {len(sure)} |"
 
 
 def bore(ours: dict[str, Any]) -> str:
-    """Pull that the wound rope bore, N; a lower bound where it did not slip."""
+    """Pull at which the wound rope slipped, N, or a lower bound."""
     return "" if "hold" not in ours else f"{'' if ours['let go'] else '>= '}{ours['hold']}"
 
 
 def told(rows: list[dict[str, Any]]) -> str:
-    """How often plan and judge agree."""
+    """How often the planner's result and the independent check agree."""
     agree = sum(row["planned"] == row["ours"]["success"] for row in rows)
-    return f"plan and judge agree on {agree} of {len(rows)}"
+    return f"The planner's result and the independent check agree on {agree} of {len(rows)}"
 
 
 if __name__ == "__main__":

@@ -1,21 +1,21 @@
-"""Planned casts thrown again in MuJoCo: a model of its own, with its own contacts, joint limits and steps.
+"""Planned casts in MuJoCo: an independent model, with its own contacts, joint limits and steps.
 
 python -m benchmarks.casts_mujoco FOLDER [FOLDER ...]    every set-up of a plan (``cast.toml``) in them
-python -m benchmarks.casts_mujoco FOLDER --out -         a look; nothing is written
-python -m benchmarks.casts_mujoco FOLDER --workers 8     as many casts at once; each takes minutes
+python -m benchmarks.casts_mujoco FOLDER --out -         writes nothing
+python -m benchmarks.casts_mujoco FOLDER --workers 8     8 casts at a time; each takes minutes
 
-The chain is the plan's own, links cut near the target included: hinges with the same damping, stiffness and limits,
-links as capsules as thick as the rope, the target as a fixed capsule that lies across. Friction cones are elliptic,
-impratio 100, and each hinge has an armature of 1e-6 kg m^2, without which short links chatter. The arm is heavy and
-follows the motion step by step. Free flight is integrated by Runge-Kutta (RK4) until the first touch, then with
-implicitfast: with that alone and steps of 0.2 ms the tip of a weighted rope is off by 120 mm after 9 s of strokes, with
-RK4 by 20 mm, which the armature makes. Air resists as in hyperflex, across each link: its forces of the beginning of a
-step are applied to the bodies.
+The chain is that of the plan, with its divided links near the target: hinges with the same damping, stiffness and
+limits, links as capsules as thick as the rope, the target as a fixed capsule across the plane. Friction cones are
+elliptic, impratio 100, and each hinge has an armature of 1e-6 kg m^2, without which short links chatter. The arm is
+heavy and follows the motion step by step. Free flight is integrated by Runge-Kutta (RK4) until the first touch, then
+with implicitfast: implicitfast alone, with steps of 0.2 ms, displaces the tip of a weighted rope by 120 mm after 9 s of
+strokes, RK4 by 20 mm, which is due to the armature. Air drag acts across each link as in hyperflex: the forces at the
+beginning of a step are applied to the bodies.
 
-A run ends where the turns have stayed within 0.02 for 1.5 s after the arm came to rest, or with the plan's own. A cast
-winds if its turns are then at least what is asked, in the direction that the plan says; the models agree where their
-turns differ by less than 0.25. Where they do not, MuJoCo's step is halved once. The casts are taken in random order, so
-that those of an interrupted run are a fair sample; it goes on where it ended. All simulated.
+A run ends when the turns have stayed within 0.02 for 1.5 s after the arm came to rest, or when the planned run ends. A
+cast winds if its turns are then at least the required ones, in the direction of the plan; the models agree if their
+turns differ by less than 0.25. If they do not, MuJoCo's step is halved once. The casts are in random order, so that an
+interrupted run is a fair sample; the same command continues it. All simulated.
 """
 
 import argparse
@@ -44,9 +44,9 @@ ARMATURE = 1e-6  # kg m^2, of each hinge
 STEP = 2e-4  # s
 NEAR = 0.25  # turns
 LAST = 0.5  # s at the end over which turns are averaged
-STILL, WITHIN = 1.5, 0.02  # s, and turns: a run ends where they have stayed so long within that
-LOOK = 0.01  # s between two looks at the rope
-POINTS, WEIGHTS = np.polynomial.legendre.leggauss(4)  # along a link, at which the air's resistance is summed
+STILL, WITHIN = 1.5, 0.02  # s, and turns: a run ends when the turns have stayed within this range for this long
+LOOK = 0.01  # s between two samples of the rope
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(4)  # along a link, at which air drag is summed
 
 
 def model(setup: hf.Setup, step: float, spatial: bool = False) -> Any:
@@ -151,7 +151,7 @@ def air(setup: hf.Setup, q: Array, qd: Array) -> Array:
 
 
 def entry(path: Path, name: str, step: float) -> dict[str, Any]:
-    """Return what the two models say of one cast."""
+    """Return the results of the two models for one cast."""
     begin, setup = time.process_time(), hf.Setup.from_toml(path)
     t = LOOK * np.arange(math.floor(setup.duration / LOOK + 1e-9) + 1.0)
     mine = late(t, swept_turns(hf.simulate(setup, t_eval=t).joints, setup.round_pegs[0]))
@@ -185,11 +185,11 @@ def swept_turns(joints: Array, peg: hf.Peg) -> Array:
 
 
 def main() -> None:
-    """Throw, print and write."""
+    """Simulate, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, help="folders, looked through, or set-ups of plans")
+    parser.add_argument("folders", nargs="+", type=Path, help="folders to search, or set-ups of plans")
     parser.add_argument("--step", type=float, default=STEP, help=f"of MuJoCo, s ({STEP:g})")
-    parser.add_argument("--workers", type=int, default=1, help="casts at once, each in a process (1)")
+    parser.add_argument("--workers", type=int, default=1, help="casts at a time, each in a process (1)")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     log = None if options.out == "-" else Path(options.out) / "casts-mujoco.jsonl"
@@ -204,7 +204,7 @@ def main() -> None:
             lines.append(log, row)
     rows.sort(key=lambda row: str(row["name"]))
     wound, agreed = (sum(row[key] for row in rows) for key in ("winds", "agrees"))
-    told = f"{len(rows)} planned casts: {wound} wind in MuJoCo too, of {agreed} the turns agree within {NEAR:g}."
+    told = f"{len(rows)} planned casts: {wound} wind in MuJoCo too; the turns of {agreed} agree within {NEAR:g}."
     page = "\n".join(
         [
             "# Planned casts in MuJoCo",

@@ -1,8 +1,8 @@
-"""Timing on a machine that may have other work to do.
+"""Timing on a machine that may be busy.
 
-What is stated is processor time of the one thread that every contestant runs on: on a quiet machine it is the clock's
-time, and on a busy one it leaves out the waiting, which would hit long runs and spare those that fit between two turns
-of the scheduler. The clock's time is kept beside it. Contestants take turns, so that a slow minute hits all of them.
+The reported time is the processor time of the one thread on which each contestant runs: on an idle machine it equals
+elapsed time, on a busy one it excludes waiting, which would affect long runs more than those that fit into one time
+slice of the scheduler. Elapsed time is kept as well. Contestants alternate, so that a slow minute affects all of them.
 """
 
 import statistics
@@ -12,16 +12,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 NOTE = (
-    "Times are processor time of one thread, medians of runs that took turns: on a quiet machine the same as the "
-    "clock's, on a busy one without the waiting. The clock's are in the JSON file."
+    "Times are processor times of one thread, medians of alternating runs: on an idle machine they equal elapsed "
+    "times, on a busy one they exclude waiting. The JSON file has the elapsed times, too."
 )
-SHORTEST = 0.02  # s; what takes less is repeated until it has taken that long
-WARM = 0.3  # s; a first call that takes longer than this has nothing left to warm up, and counts
+SHORTEST = 0.02  # s; shorter runs are repeated until they have taken this long
+WARM = 0.3  # s; a first call that takes longer needs no warm-up, and counts
 
 
 @dataclass
 class Times:
-    """Seconds a call, one entry a round."""
+    """Seconds per call, one entry for each round."""
 
     processor: list[float] = field(default_factory=list)
     clock: list[float] = field(default_factory=list)
@@ -33,7 +33,7 @@ class Times:
         return statistics.median(self.processor)
 
     def scaled(self, factor: float) -> dict[str, object]:
-        """Median and spread of the processor time and median of the clock's, times `factor`, for a JSON file."""
+        """Median and spread of the processor time and median of the elapsed time, times `factor`, for a JSON file."""
         return {
             "median": self.median * factor,
             "least": min(self.processor) * factor,
@@ -54,16 +54,16 @@ def once(run: Callable[[], object], times: Times, calls: int = 1) -> object:
 
 
 def alternately(runs: Sequence[Callable[[], object]], repeats: int, budget: float) -> list[Times]:
-    """Time all runs in turns.
+    """Time all runs in alternation.
 
     Parameters
     ----------
     runs : sequence of callables
-        The first call of each is a warm-up, unless it takes so long that there is nothing to warm up.
+        The first call of each is a warm-up, unless it takes too long to need one.
     repeats : int
         Rounds.
     budget : float
-        Processor time, s, after which a run takes no further part.
+        Processor time, s, after which a run is not repeated.
     """
     results = [Times() for _ in runs]
     calls = []

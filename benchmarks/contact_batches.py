@@ -1,10 +1,10 @@
-"""How many simulated seconds a second do batches beside a peg make?
+"""Simulated seconds per second of batches in contact with a peg.
 
 python -m benchmarks.contact_batches              results in benchmarks/results/contact-batches.json and .md
-python -m benchmarks.contact_batches --out -      a look; nothing is written
+python -m benchmarks.contact_batches --out -      writes nothing
 
-The paper's cable, let go from 24 directions above a peg of 30 mm, 1.5 s each: cut for the peg or not, at the default
-tolerance and at the one for a search, on one and two threads. Kernels are compiled before the clock runs.
+The paper's cable, released from 24 directions above a peg of 30 mm, 1.5 s each: with and without links divided for the
+peg, at the default tolerance and at that of a search, on one and two threads. Kernels are compiled before timing.
 """
 
 import argparse
@@ -30,7 +30,7 @@ CASES = [(refine, search, threads) for refine in (False, True) for search in (Tr
 
 
 def rate(refine: bool, search: bool, threads: int, members: int) -> dict[str, Any]:
-    """Simulated seconds of all members over seconds of the clock."""
+    """Simulated seconds of all members per elapsed second."""
     q0 = np.linspace(1.3, 2.1, members)[:, None] + np.zeros(CABLE.n_links)
     how: dict[str, Any] = {"pegs": [PEG], "refine": refine, **(SEARCH if search else {})}
     hf.simulate_batch(CABLE, q0=q0[:2], duration=0.01, threads=threads, **how)
@@ -51,16 +51,16 @@ def rate(refine: bool, search: bool, threads: int, members: int) -> dict[str, An
 def page(found: dict[str, Any]) -> str:
     """The results as Markdown."""
     rows = [
-        f"| {'cut for the peg' if r['refined'] else '50'} | {'1e-3' if r['search'] else '1e-5'} | {r['threads']} | "
+        f"| {'divided for the peg' if r['refined'] else '50'} | {'1e-3' if r['search'] else '1e-5'} | {r['threads']} | "
         f"{r['simulated s per s']:.2f} | {r['failed']} |"
         for r in found["rates"]
     ]
     return "\n".join(
         [
-            "# Batches beside a peg",
+            "# Batches in contact with a peg",
             "",
             f"The paper's cable falls on a peg of 30 mm from {found['rates'][0]['members']} directions, {DURATION:g} s",
-            "each; simulated. A tolerance of 1e-3 goes with a longest step of 1 ms.",
+            "each; simulated. With a tolerance of 1e-3 the longest step is 1 ms.",
             "",
             "| links | tol, m | threads | simulated s per s | failed |",
             "|---|---|---|---|---|",

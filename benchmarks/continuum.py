@@ -3,8 +3,8 @@
 python -m benchmarks.continuum            results in benchmarks/results/continuum.md; half a minute
 python -m benchmarks.continuum --seed 3   other ropes for the error bars
 
-The paper's cable, let go from a bent shape or cast, with 25 to 800 links; its hinge with friction and without. The
-error bars of ``extrapolate=True`` are checked with 16 times the links. All simulated.
+The paper's cable is released from a bent shape or cast, with 25 to 800 links, with and without friction of its hinge.
+The error bars of ``extrapolate=True`` are checked with 16 times the links. All simulated.
 """
 
 import itertools
@@ -26,7 +26,7 @@ Start = Callable[[np.ndarray], np.ndarray]
 
 
 def bent(parts: np.ndarray) -> np.ndarray:
-    """Angles, rad, of a rope that is let go, at parts of its length."""
+    """Angles, rad, of a rope that is released, at fractions of its length."""
     return np.cos(0.5 * np.pi * parts)
 
 
@@ -45,7 +45,7 @@ CASES: dict[str, tuple[Start | None, dict[str, Any]]] = {
 
 
 def orders() -> list[str]:
-    """Rows of greatest differences of the tip from one number of links to the next, and their orders."""
+    """Rows of greatest differences of the tip between successive numbers of links, and their orders."""
     rows, t = [], np.linspace(0.0, END, 61)
     for name, (start, how) in CASES.items():
         for hinge in (0.0, CABLE.friction[0]):
@@ -63,7 +63,7 @@ def orders() -> list[str]:
 
 
 def converted() -> list[str]:
-    """Rows of swings of the paper's cable that was converted to other numbers of links."""
+    """Rows of swings of the paper's cable, converted to other numbers of links."""
     rows, t = [], np.linspace(0.0, END, 61)
     own = path(CABLE, t, bent)[:, -1]
     kept = CABLE.friction[0]
@@ -111,22 +111,23 @@ def main() -> None:
     text = [
         "# The chain and the continuous rope",
         (
-            f"Greatest distance of the tip, mm, within {END:g} s, from one number of links to twice as many, and the "
-            "order that follows. Friction of the hinge in N m s/rad. Without it the order is 2. With it the hinge's "
-            f"moment bends the first piece of the rope over some {1e3 * layer:.1f} mm (a swing of 1.6 s), shorter than "
-            "most links here, and what remains falls with the first order."
+            f"Greatest distance between the tips, mm, within {END:g} s, of runs with n and 2 n links, and the "
+            "resulting order. Friction of the hinge in N m s/rad. Without hinge friction the order is 2. The hinge's "
+            f"friction moment bends the first {1e3 * layer:.1f} mm or so of the rope (a swing of 1.6 s). This is "
+            "shorter than most links here, so the remaining error is of first order."
         ),
         f"| motion | hinge | {steps} | orders |\n|---|---|{'---|' * len(LINKS[1:])}---|\n" + "\n".join(orders()),
         (
-            "The paper's cable converted by `hf.with_links`, and with the same friction in each joint whatever their "
-            "number: greatest distance of the tip from that of 50 links in a free swing of 6 s, % of the swing's width."
+            "The paper's cable, converted by `hf.with_links`, and with the same friction in each joint for any number "
+            "of links: greatest distance of the tip from that of 50 links in a free swing of 6 s, % of the swing's "
+            "width."
         ),
         "| links | friction, N m s/rad | converted | same friction |\n|---|---|---|---|\n" + "\n".join(converted()),
         (
             f"Limits of `simulate(..., extrapolate=True)`, 8 s, against 16 times the links (the paper's cable: 800), "
             f"seed {seed}. Medians over time at the worst joint, mm."
         ),
-        "| run | error of it | of the limit | error bar | contained, % of the time |\n|---|---|---|---|---|\n"
+        "| run | error of the run | of the limit | error bar | contained, % of the time |\n|---|---|---|---|---|\n"
         + "\n".join(bars(seed)),
         machine.sentence(about),
         f"`python -m benchmarks.continuum --seed {seed}`",

@@ -1,4 +1,4 @@
-"""What a run costs and how far it errs: against tolerance, friction, springs, dry friction, motion and outputs."""
+"""Cost and error of a run against tolerance, friction, springs, dry friction, motion and outputs."""
 
 from dataclasses import dataclass, replace
 from types import ModuleType
@@ -13,7 +13,7 @@ import hyperflex as hf
 from hyperflex.model import DEFAULT_TOL
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)  # m
-SPACING = 0.01  # s, between the samples that are looked at for the greatest error
+SPACING = 0.01  # s, between the samples of the greatest error
 OUTPUTS = (1, 10, 100, 1000)  # per simulated second
 BUDGET, QUICK_BUDGET = 3.0, 0.5  # s of processor time for one entry
 
@@ -29,13 +29,13 @@ class Entry:
 
 
 def changed(cast: Cast, group: str, unit: str, **values: tuple[float, ...]) -> list[Entry]:
-    """Entries with one property of the rope changed, the same for all joints."""
+    """Entries with one property of the rope changed, equal for all joints."""
     ((name, each),) = values.items()
     return [Entry(group, f"{x:g} {unit}", replace(cast, rope=cast.rope.replace(**{name: x}))) for x in each]
 
 
 def entries(quick: bool) -> list[Entry]:
-    """All of them; in --quick one or two of each group."""
+    """All entries; with --quick one or two of each group."""
     cast = paper_cast()
     every = [Entry("tol", f"{tol:g} m", cast, tol) for tol in TOLERANCES]
     every += changed(cast, "friction of a joint", "N m s/rad", friction=(0.05, 5e-3, FRICTION, 5e-5, 5e-6, 0.0))
@@ -51,7 +51,7 @@ def entries(quick: bool) -> list[Entry]:
 
 
 def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
-    """Rows of {group, value, steps_per_simulated_s, ms_per_simulated_s}; of the tolerances, errors beside."""
+    """Rows of {group, value, steps_per_simulated_s, ms_per_simulated_s}; rows of tolerances have errors as well."""
     every = entries(quick)
     run(paper_cast(times=(SPACING,)))  # loads the kernels
     runs = [lambda one=one: run(one.cast, tol=one.tol) for one in every]
@@ -93,8 +93,7 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
         spread = f"{cost['median']:.3g} ({cost['least']:.3g}-{cost['most']:.3g})"
         lines.append(f"| {row['group']} | {row['value']} | {row['steps_per_simulated_s']:.3g} | {spread} |")
     return "\n".join(lines) + (
-        f"\n\nThe paper's cast, 50 links, 10 s, with one thing changed in each row: what a user pays for it. tol is "
-        f"{DEFAULT_TOL:g} m where it is not what changes, and the tip is asked for at 2 s, 5 s and 10 s. Errors of the "
-        "tip are against classical Runge-Kutta with steps of 0.1 ms, at every 10 ms. Steps are counted with those that "
-        f"were rejected. {NOTE}"
+        f"\n\nThe paper's cast, 50 links, 10 s, with one thing changed in each row. tol is {DEFAULT_TOL:g} m unless it "
+        "is changed, and the outputs are at 2 s, 5 s and 10 s. Errors of the tip are differences from classical "
+        f"Runge-Kutta with steps of 0.1 ms, every 10 ms. The number of steps includes rejected ones. {NOTE}"
     )

@@ -1,13 +1,13 @@
-"""Twin experiments: how often do the stated 95 % intervals hold the truth, and what if the model is too coarse?
+"""Twin experiments: how often do the stated 95 % intervals contain the truth, also if the model is too coarse?
 
 python -m benchmarks.coverage                        2,000 of each kind, half an hour; to benchmarks/results/
-python -m benchmarks.coverage --count 100 --out -    a look; nothing is written
+python -m benchmarks.coverage --count 100 --out -    short; writes nothing
 
 All data are simulated. Each experiment draws its rope, its first swing and its noise, fits with ``identify`` and its
-defaults, and looks whether each interval holds the value that made the data. Where the model is right, lengths and
-times are declared to be exact (length_std=0, clock_std=0); "measured" draws their errors as the defaults have them. The
-exit code is 1 if where the model is right one of the parameters is held more or less often than chance allows, or if a
-wrong model's intervals miss in more than 12 % of the results that are not graded "do not use".
+defaults, and checks whether each interval contains the value that made the data. Where the model is right, lengths and
+times are declared to be exact (length_std=0, clock_std=0); "measured" draws their errors from the default
+distributions. The exit code is 1 if a right model's intervals contain one of the parameters more or less often than
+chance allows, or if a wrong model's intervals miss in more than 12 % of the results that are not graded "do not use".
 """
 
 import argparse
@@ -40,29 +40,29 @@ from hyperflex.status import Status
 
 RESULTS = Path(__file__).parent / "results"
 LEVEL = 0.95
-CHUNK = 10  # experiments that a process fits at once
-CHANCE = 0.05  # that any of the parameters leaves the band although all intervals are right
+CHUNK = 10  # experiments that a process fits in one call
+CHANCE = 0.05  # probability that any of the parameters leaves the band although all intervals are right
 NOISE = 0.01  # rad
 LINKS, FINE = 5, 20
 LENGTH, LINK_MASS = 0.2, 1.53e-3  # m, kg: of a link of the paper's rope for identification, as inferred
 INERTIA, FRICTION = 1.43e-7, 6.31e-4  # kg m^2, N m s/rad: what the paper identified
 CYLINDER = LINK_MASS * LENGTH**2 / 12.0  # kg m^2: a thin rod's
-EXACT = {"length_std": 0.0, "clock_std": 0.0}  # lengths and times are as declared, and are declared to be
+EXACT = {"length_std": 0.0, "clock_std": 0.0}  # lengths and times are exact, and are declared so
 LENGTH_STD, CLOCK_STD = 0.01, 0.005  # as identify takes them
 DRAG, LATE, PLACE_NOISE = 0.05, 0.02, 2e-3  # kg/m^2; s; m
-HOLDS = 0.88  # of intervals of a wrong model that is not called so
+HOLDS = 0.88  # of intervals of a wrong model that is not reported
 WARNINGS = (Kind.COLOURED, Kind.NOISE_UNDERSTATED)
 
 
 class Experiment(NamedTuple):
-    """A recording, what is fitted to it, and the truth by the names of the intervals."""
+    """A recording, the model and options of its fit, and the true values by the names of the intervals."""
 
     recording: hf.Recording
     guess: hf.Rope
     free: list[str]
     truth: dict[str, float]
     setup: hf.RecordingSetup | None = None
-    known: Mapping[str, float] = MappingProxyType({})  # standard deviations of what is declared
+    known: Mapping[str, float] = MappingProxyType({})  # standard deviations of the declared values
     window: float | None = np.inf
 
 
@@ -113,7 +113,7 @@ def double(random: np.random.Generator) -> Experiment:
 
 
 def doubles(random: np.random.Generator, **more: Any) -> tuple[hf.Rope, hf.Rope, list[str], dict[str, float]]:
-    """A double pendulum, a guess of it, what is free, and the true ratios of moments and inertias."""
+    """A double pendulum, a guess of it, the free parameters, and the true ratios of moments and inertias."""
     inertia, friction = [8e-4, 3.5e-4] * within(random, 1.5, 2), [3e-4, 1e-4] * within(random, 2.0, 2)
     true = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=inertia, friction=friction, **more)
     guess = true.replace(inertia=5e-4, com=0.12, friction=3e-4, drag=0.0)
@@ -134,7 +134,7 @@ def too_long(random: np.random.Generator) -> Experiment:
 
 
 def measured(random: np.random.Generator) -> Experiment:
-    """Lengths and times are measured with the errors that intervals allow for by default."""
+    """Lengths and times are measured with the errors that the intervals include by default."""
     true, guess, free, truth = doubles(random)
     recording = seen(true, 81, 20.0, random.uniform(0.4, 1.1, 2), random)
     factor, clock = np.exp([LENGTH_STD, CLOCK_STD] * random.standard_normal(2))
@@ -163,14 +163,14 @@ def rolled(random: np.random.Generator) -> Experiment:
 
 
 def late(random: np.random.Generator) -> Experiment:
-    """An arm swings the pendulum, and the camera's times come late."""
+    """An arm swings the pendulum, and the camera's time stamps are late."""
     true, guess, free, truth = doubles(random)
     arm, motion = hf.Arm(length=0.1), hf.arm_swings(0.5, 0.1)
     t = np.arange(81) / 20.0
     run = hf.simulate(true, duration=t[-1], t_eval=t, q0=random.uniform(-0.3, 0.3, 2), arm=arm, motion=motion, tol=1e-9)
     noise = NOISE * random.standard_normal(run.q.shape)
     recording = hf.Recording(t + LATE, run.q + noise, noise=NOISE)
-    # links turn by up to 38 rad/s: over all 4 s no fit would follow them, so that its windows are the usual ones
+    # links rotate at up to 38 rad/s: no fit would converge over all 4 s, so the windows are the default ones
     return Experiment(recording, guess, free, truth, hf.RecordingSetup(arm=arm, motion=motion), window=None)
 
 
@@ -197,7 +197,7 @@ def chords(places: Any, random: np.random.Generator, noise: float) -> Any:
 
 
 def finer(random: np.random.Generator) -> Experiment:
-    """The rope's data from 20 links; the truth is that rope simply cut into five."""
+    """The rope's data from 20 links; the truth is that rope divided into five."""
     parts = FINE // LINKS
     each = np.full(FINE, parts * FRICTION)
     each[0] = FRICTION
@@ -216,17 +216,17 @@ def finer(random: np.random.Generator) -> Experiment:
 
 
 KINDS: dict[str, tuple[Draw, str]] = {
-    "rope": (rope, "the paper's rope, 5 links, 22 frames in 2.8 s; J and eta shared, J hardly known and near 0"),
+    "rope": (rope, "the paper's rope, 5 links, 22 frames in 2.8 s; J and eta shared, J poorly determined and near 0"),
     "single": (single, "a pendulum of known mass, 61 frames in 3 s"),
-    "double": (double, "a double pendulum, nothing weighed: ratios; 81 frames in 4 s"),
-    "finer": (finer, "the rope of 20 links, fitted with 5; the truth is the rope simply cut into 5"),
+    "double": (double, "a double pendulum of unknown mass: ratios; 81 frames in 4 s"),
+    "finer": (finer, "the rope of 20 links, fitted with 5; the truth is the rope divided into 5"),
     "stiff": (stiff, "a stiff rope of 60 links, fitted with 15; factors of friction and stiffness"),
     "measured": (measured, "a double pendulum, lengths measured with a standard deviation of 1 %, times of 0.5 %"),
-    "drag": (dragged, "a double pendulum that the air brakes, fitted without air"),
-    "length": (too_long, "a double pendulum, lengths taken 1 % too long"),
-    "scale": (too_large, "a double pendulum, places of its markers 2 % too far apart"),
-    "roll": (rolled, "a double pendulum, places of its markers seen by a camera that is turned by 0.03 rad"),
-    "late": (late, "a double pendulum swung by an arm, the camera's times 20 ms late"),
+    "drag": (dragged, "a double pendulum with air drag, fitted without air drag"),
+    "length": (too_long, "a double pendulum, lengths declared 1 % too long"),
+    "scale": (too_large, "a double pendulum, markers' positions 2 % too far apart"),
+    "roll": (rolled, "a double pendulum, markers' positions seen by a camera rotated by 0.03 rad"),
+    "late": (late, "a double pendulum swung by an arm, the camera's time stamps 20 ms late"),
 }
 RIGHT = ("rope", "single", "double")
 WRONG = ("finer", "stiff", "measured", "drag", "length", "scale", "roll", "late")
@@ -267,7 +267,7 @@ def main() -> int:
                 work = partial(examined, kind=kind, seed=(options.seed, number))
                 refuse_lost(run_chunks(work, range(counts[kind]), pool, 1 if pool is None else CHUNK, keep), kind)
         except KeyboardInterrupt:
-            sys.stderr.write("interrupted: what was done is shown\n")
+            sys.stderr.write("interrupted: the finished experiments are shown\n")
     about["load after"] = machine.load()
     page = f"# Coverage of the intervals\n\n{text(rows, options.seed)}\n{machine.sentence(about)}\n"
     print(page)
@@ -286,7 +286,7 @@ def examined(indices: list[int], kind: str, seed: tuple[int, int]) -> list[dict[
 
 
 def examine(draw: Draw, random: np.random.Generator) -> dict[str, Any]:
-    """Fit one experiment: how it ended, and for each parameter truth, estimate, interval and its kind."""
+    """Fit one experiment and return how it ended, and for each parameter truth, estimate, interval and its kind."""
     case = draw(random)
     began = time.perf_counter()
     try:
@@ -324,7 +324,7 @@ def short(value: float) -> float | None:
 
 
 class Share(NamedTuple):
-    """How often intervals of one parameter held the truth, and on which side they missed it."""
+    """How often intervals of one parameter contained the truth, and on which side they missed it."""
 
     held: float
     below: float  # the whole interval lies below the truth
@@ -355,7 +355,7 @@ def names(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def band(rows: dict[str, list[dict[str, Any]]]) -> dict[str, tuple[float, float]]:
-    """For each kind, between which shares chance leaves right intervals of all parameters together."""
+    """Band of coverages, for each kind, in which right intervals of all parameters stay by chance."""
     from scipy.stats import binom
 
     together = sum(len(names(rows[kind])) for kind in RIGHT)
@@ -379,7 +379,7 @@ def passed(rows: dict[str, list[dict[str, Any]]]) -> bool:
 
 
 def wrong_share(rows: list[dict[str, Any]], name: str) -> float:
-    """How often the interval held the truth, or the result was graded "do not use" or refused."""
+    """How often the interval contained the truth, or the result was graded "do not use" or refused."""
     fair = [row for row in rows if row.get("grade", "do not use") == "do not use"]
     good = [row["numbers"][name] for row in rows if row not in fair]
     held = sum((low is None or low <= true) and (high is None or true <= high) for true, _, low, high, _ in good)
@@ -393,7 +393,7 @@ def text(rows: dict[str, list[dict[str, Any]]], seed: int) -> str:
         if not rows[kind]:
             continue
         lines += [f"## {len(rows[kind])} experiments: {about}", ""]
-        lines += ["| | holds the truth | too low | too high | by profile | width / truth | estimate / truth |"]
+        lines += ["| | contains the truth | too low | too high | by profile | width / truth | estimate / truth |"]
         lines += ["|---|---|---|---|---|---|---|"]
         for name in names(rows[kind]):
             one = share(rows[kind], name)
@@ -404,7 +404,7 @@ def text(rows: dict[str, list[dict[str, Any]]], seed: int) -> str:
 
 
 def sentence(kind: str, rows: list[dict[str, Any]], limits: dict[str, tuple[float, float]]) -> str:
-    """What the table means."""
+    """Explain the table."""
     arrived = np.mean([row["status"] == "converged" for row in rows])
     warned = np.mean([row.get("warned", False) for row in rows])
     rms = 1e3 * float(np.median([row["rms"] for row in rows if "rms" in row]))
@@ -413,18 +413,19 @@ def sentence(kind: str, rows: list[dict[str, Any]], limits: dict[str, tuple[floa
     common = f"{arrived:.1%} converged, {took:.0f} ms a fit with its intervals (median); fit error {rms:.1f} {unit}."
     if kind in limits:
         low, high = limits[kind]
-        within_band = "Chance, over all parameters of right models together, leaves"
+        within_band = "Range of chance for all parameters of right models together:"
         return (
-            f"{within_band} {low:.1%} to {high:.1%}. {common} {warned:.1%} are told that their residuals are no noise."
+            f"{within_band} {low:.1%} to {high:.1%}. {common} {warned:.1%} are warned that their residuals are not "
+            "noise."
         )
     parts = ", ".join(f"{name} {wrong_share(rows, name):.1%}" for name in names(rows))
     refused = np.mean([row.get("grade", "do not use") == "do not use" for row in rows])
-    told = f" {np.mean([row.get('links', False) for row in rows]):.0%} are told to use more links." * (
+    told = f" {np.mean([row.get('links', False) for row in rows]):.0%} are advised to use more links." * (
         kind in ("finer", "stiff")
     )
     return (
-        f'{refused:.0%} are graded "do not use" or refused. With these, results hold the truth or say that they '
-        f"are not to be used: {parts}.{told} {common}"
+        f'{refused:.0%} are graded "do not use" or refused. Share of results that contain the truth, are refused '
+        f"or are graded so: {parts}.{told} {common}"
     )
 
 

@@ -1,8 +1,8 @@
-"""Goals streamed at 200 Hz to emulated drives in other processes: when they are sent and answered.
+"""Goals streamed at 200 Hz to emulated drives in other processes: times of sending and reply.
 
 python benchmarks/drives.py                  ten minutes for each make; results in benchmarks/results/
 python benchmarks/drives.py --together       all makes at the same time: ten minutes in all
-python benchmarks/drives.py --seconds 60     less of it
+python benchmarks/drives.py --seconds 60     a shorter run
 """
 
 import argparse
@@ -31,7 +31,7 @@ from hyperflex.hardware.emulate import DynamixelDevice, Emulator, MoteusDevice, 
 RESULTS = Path(__file__).parent / "results"
 RATE, LINKS, SECONDS = 200.0, 50, 600.0  # Hz; of the rope; s of streaming
 SPAN = 10.0  # s of physics alone
-WATCHDOGS = {"moteus": 0.03, "dynamixel": 0.1, "odrive": 0.1}  # s; those that the links arm or demand
+WATCHDOGS = {"moteus": 0.03, "dynamixel": 0.1, "odrive": 0.1}  # s; those that the drives' links set or require
 KILLS = 3  # programs that are killed
 DEVICES = {"moteus": MoteusDevice, "dynamixel": DynamixelDevice, "odrive": ODriveDevice}
 # moteus controllers advance the goal with its rate between two goals; the others do not
@@ -47,7 +47,7 @@ def drive(make: str, port: str) -> Drive:
 
 
 def swings(seconds: float) -> hf.Motion:
-    """Return swings of the arm to 1 rad on both sides, in a second each, after a second."""
+    """Return swings of the arm to 1 rad on both sides, one second each, after one second of rest."""
     count = int(seconds) - 2
     angles = np.append(0.0, np.where(np.arange(count) % 2, -1.0, 1.0))
     return hf.arm_moves(angles, np.eye(1, count)[0], np.ones(count))
@@ -91,7 +91,7 @@ def stream(make: str, seconds: float) -> dict[str, Any]:
 def passive_after(make: str) -> float:
     """Return the time from the death of the program that streams, by SIGKILL, until the device acts by itself, s.
 
-    It then switches its torque off or, a Dynamixel, holds where it is.
+    It then switches its torque off; a Dynamixel holds its position.
     """
     emulator = Emulator(DEVICES[make], MODELS[make], cable(LINKS, scaled=True), ARM, sample=1e-3)
     killed = suppress(DriveError)  # that no process confirms that the torque is off
@@ -104,7 +104,7 @@ def passive_after(make: str) -> float:
         os.kill(motor.pid, signal.SIGKILL)
         time.sleep(0.5)
         log = emulator.log()
-    own = log.goals[log.goals[:, 0] > begin + 0.01, 0]  # s; what was on its way has come by then
+    own = log.goals[log.goals[:, 0] > begin + 0.01, 0]  # s; by then all messages in transit have arrived
     off = log.column("t")[(log.column("t") > begin) & (log.column("enabled") == 0.0)]
     return float(np.concatenate([own, off, [np.inf]]).min() - begin)
 
@@ -145,7 +145,7 @@ def processor(pid: int) -> float:
 
 def table(found: dict[str, dict[str, Any]]) -> str:
     """Return the results as a table of Markdown."""
-    head = ["emulated", "goals", "cycles left out", "without reply", "watchdogs missed", "longest pause, ms"]
+    head = ["emulated", "goals", "cycles omitted", "without reply", "watchdogs missed", "longest pause, ms"]
     head += ["sent late, ms: p50", "p99", "most", "reply after, ms: p50", "p99", "most"]
     head += [
         "passive after SIGKILL, ms",
@@ -182,8 +182,8 @@ def page(found: dict[str, dict[str, Any]], failed: list[str], about: dict[str, s
         "protocols. It has neither the latency of USB nor a transmission time, and an emulator is no firmware."
     )
     costs = (
-        "The physics alone, at steps of 1 ms: processor time for a second of swings, that of the worst 50 ms for a "
-        "second, and the longest step."
+        "The physics alone, in steps of 1 ms: processor time per simulated second, on average and in the worst 50 ms, "
+        "and the longest step."
     )
     command = "Reproduce: `python benchmarks/drives.py`"
     title = "# Goals streamed at 200 Hz to emulated drives"

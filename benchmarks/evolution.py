@@ -11,7 +11,7 @@ LONGEST_STEP = 1.0  # greatest natural logarithm by which the step size grows in
 
 
 class CmaEs:
-    """CMA-ES with active update, as of the tutorial's table 1; ``ask`` and ``tell`` by turns minimize a loss.
+    """CMA-ES with active update (table 1 of the tutorial); alternate ``ask`` and ``tell`` to minimize a loss.
 
     It starts at `centre` (k,) with a step `size` in units of `spreads` (k,), the standard deviations of the coordinates
     relative to each other; `members` are the points of a generation. `random` draws them.
@@ -53,11 +53,11 @@ class CmaEs:
         return list(self.mean + self.size * self._spreads * steps)
 
     def tell(self, points: Sequence[Array], losses: Sequence[float]) -> None:
-        """Learn from the points of the last generation and their losses, less is better."""
+        """Update from the points of the last generation and their losses (to be minimized)."""
         n = self.mean.size
         order = np.argsort(losses, kind="stable")
         steps = (np.array(points)[order] - self.mean) / (self.size * self._spreads)
-        white = steps @ self._axes / self._scales  # as drawn, but for a rotation
+        white = steps @ self._axes / self._scales  # as drawn, up to a rotation
         good = np.maximum(self._weights, 0.0)
         step = good @ steps
         self.mean = self.mean + self.size * self._spreads * step

@@ -1,4 +1,4 @@
-"""Exchange files: MuJoCo's models of random ropes, and what a million messages cost.
+"""Exchange files: MuJoCo models of random ropes, and the cost of a million messages.
 
 python benchmarks/exchange.py
 """
@@ -23,7 +23,7 @@ MESSAGES = 1_000_000
 
 
 def mjcf(path: Path) -> None:
-    """Twenty ropes: the greatest relative error of masses and inertias, and the distance of the tips after 2 s."""
+    """Greatest relative error of masses and inertias of twenty ropes, and the distance between the tips after 2 s."""
     numbers, tips = [], []
     for index, links in enumerate([1, 2, 3, 100, *np.random.default_rng(0).integers(4, 100, 16).tolist()]):
         setup = mujoco_ropes.draw(index, links)
@@ -49,7 +49,7 @@ def angles() -> tuple[np.ndarray, np.ndarray]:
 
 
 def cost(name: str, work: Callable[[Path], object], path: Path) -> None:
-    """Processor time and peak memory of a process of its own."""
+    """Processor time and peak memory of a separate process."""
 
     def measured() -> None:
         begin = time.process_time()

@@ -1,11 +1,11 @@
-"""Two processes in place of one: how much sooner a batch with contact and episodes are done.
+"""Two processes compared with one: speed-up of a batch with contact and of episodes.
 
 python -m benchmarks.executor            a minute or two; to benchmarks/results/
-python -m benchmarks.executor --out -    a look; nothing is written
+python -m benchmarks.executor --out -    writes nothing
 
-One process on one thread, and two workers of a ProcessPoolExecutor that have the kernels loaded. The gain is by
-processor time: that of one process over that of this one and of the busier worker, which is what the clock shows on two
-quiet processors. The clock's is told beside it. Results are compared bit by bit.
+One process on one thread, and two workers of a ProcessPoolExecutor with loaded kernels. The gain is the processor time
+of one process over that of the parent and the busier worker together, which is the gain in elapsed time on two idle
+processors. The measured gain in elapsed time is reported as well. Results are compared bit by bit.
 """
 
 import argparse
@@ -30,7 +30,7 @@ ROPE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, fricti
 
 
 def batch(executor: Executor | None) -> Any:
-    """Members about a peg."""
+    """Members of a batch near a peg."""
     motions = [hf.arm_swings(t_rest=0.3 + 0.005 * k) for k in range(96)]
     given: dict[str, Any] = {"arm": hf.Arm(), "duration": 8.0, "pegs": [hf.Peg(0.5, -0.8, 0.05)], "threads": 1}
     return hf.simulate_batch(ROPE, motions, executor=executor, **given).tip
@@ -42,13 +42,13 @@ def episodes(executor: Executor | None) -> Any:
 
 
 def spent(_: int) -> tuple[int, float]:
-    """Process, and processor time that it has spent, s; slow enough that each worker answers."""
+    """Process id and its processor time, s; slow enough that each worker answers."""
     time.sleep(0.3)
     return os.getpid(), time.process_time()
 
 
 def measure(work: Callable[[Executor | None], Any], pool: Executor) -> dict[str, float]:
-    """Times of one process and of two, the best of some rounds that took turns."""
+    """Times of one process and of two, the best of alternating rounds."""
     want, rows = work(None), []
     for _ in range(ROUNDS + 1):  # the first one loads what the workers need
         begin, processor = time.perf_counter(), time.process_time()
@@ -72,18 +72,19 @@ def main() -> None:
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     works = {"batch about a peg, 96 members": batch, "8 episodes": episodes}
-    lines = ["| work | one process, s | two, s | gain | gain by the clock |", "|---" * 5 + "|"]
+    lines = ["| work | one process, s | two, s | gain | gain in elapsed time |", "|---" * 5 + "|"]
     with ProcessPoolExecutor(WORKERS, mp_context=multiprocessing.get_context("forkserver")) as pool:
         for name, work in works.items():
             row = measure(work, pool)
             lines.append(f"| {name} | {row['one']:.2f} | {row['two']:.2f} | {row['gain']:.2f} | {row['clock']:.2f} |")
             print(lines[-1], flush=True)
     note = (
-        f"Best of {ROUNDS}. Aim: a gain of {AIM:g} on two. Seconds of processor time: of one process; of this one and"
+        f"Best of {ROUNDS}. Aim: a gain of {AIM:g} on two processors. Times are processor times: of one process; of "
+        "the parent and"
     )
-    note += f" the busier of {WORKERS} workers. By the clock it is what this machine left free."
+    note += f" the busier of {WORKERS} workers. Elapsed time depends on other load on the machine."
     page = "\n".join(
-        ["# Two processes in place of one", "", *lines, "", note, machine.sentence(machine.describe()), ""]
+        ["# Two processes compared with one", "", *lines, "", note, machine.sentence(machine.describe()), ""]
     )
     if options.out != "-":
         files.write_text(Path(options.out) / "executor.md", page)

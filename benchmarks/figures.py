@@ -42,7 +42,7 @@ def against_links(groups: Mapping[str, Points], title: str, label: str, path: Pa
 
 
 def against_settings(panels: Mapping[str, Mapping[str, Points]], good: float, title: str, path: Path) -> None:
-    """Draw errors (mm) against a setting, a panel for each kind of setting (its name the label of the axis)."""
+    """Draw errors (mm) against a setting, one panel for each kind of setting, whose name labels the axis."""
     figure = Figure(figsize=(8.5, 4.8), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     for axes, (label, groups) in zip(figure.subplots(1, len(panels), sharey=True), panels.items(), strict=True):
@@ -51,7 +51,7 @@ def against_settings(panels: Mapping[str, Mapping[str, Points]], good: float, ti
         for k, (name, points) in enumerate(groups.items()):
             _line(axes, points, name, MARKERS[k], COLOURS[k])
         axes.set_xlabel(label)
-        if max(axes.get_xlim()) < 30.0 * min(axes.get_xlim()):  # no power of ten, or one, to go by
+        if max(axes.get_xlim()) < 30.0 * min(axes.get_xlim()):  # no power of ten, or only one, for labels
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
             axes.xaxis.set_major_formatter(
                 FuncFormatter(lambda value, _: f"{value:g}" if value >= 1e-3 else f"{value:.0e}")
@@ -83,7 +83,7 @@ def _logarithmic(axes: Axes) -> None:
 
 
 def _line(axes: Axes, points: Points, label: str, marker: str, colour: str) -> None:
-    """Draw points in the order of their first coordinate; hollow, so that one shows through another."""
+    """Draw points in the order of their first coordinate; hollow, so that overlapping ones stay visible."""
     x, y = zip(*sorted(points), strict=True)
     axes.plot(x, y, color=colour, marker=marker, ms=8, mfc="none", mew=1.6, lw=1.0, label=label)
 

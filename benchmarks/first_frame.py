@@ -1,15 +1,15 @@
-"""The rope in a first frame: is the curve right, or is the frame refused by name?
+"""The rope in a first frame: is the curve right, or is the frame refused with the right reason?
 
-python -m benchmarks.first_frame                    200 frames, 30 that show no rope to be found, 30 by MuJoCo
+python -m benchmarks.first_frame                    200 frames, 30 to be refused, 30 by MuJoCo
 python -m benchmarks.first_frame --length           the same frames; the rope's length is known
 python -m benchmarks.first_frame --seed 1 --count 40 --others 0 --pictures FOLDER
 
-Ropes of 0.5 to 3 m hang, swing and are pumped, 120 links each. Thickness, colour, wall, texture, shadow, shine,
-clutter, noise, exposure and compression are drawn for each frame. The pivot is clicked 2 px (rms) off; width and colour
-of the rope are not given, nor its length, but in rows that say "length known": to 2 % (rms), as two clicked points tell
-it. Levels are proportional to light, in the pictures and in the search, but in rows that say "tone curve": sRGB in
-both. A curve is right if its rms distance from the true one in the middle of the exposure is at most 1 % of the rope's
-length, and the free end at most 3 % off.
+Ropes of 0.5 to 3 m and 120 links hang, swing or are pumped. Thickness, colour, wall, texture, shadow, shine, clutter,
+noise, exposure and compression are drawn for each frame. The clicked pivot is 2 px (rms) off. Width, colour and length
+of the rope are unknown, except in rows named "length known": there the length is known to 2 % (rms), as from two
+clicked points. Grey levels are proportional to light, in the pictures and in the search, except in rows named "tone
+curve": sRGB in both. A curve is right if its rms distance from the true one in the middle of the exposure is at most 1
+% of the rope's length, and its free end is at most 3 % off.
 """
 
 import argparse
@@ -52,11 +52,11 @@ EYE_LINKS = 60  # capsules of MuJoCo's rope
 
 
 class Shot(NamedTuple):
-    """A frame, and what is true of it."""
+    """A frame and its truth."""
 
     image: Image
     curve: Array  # (P, 2) px, each point in the middle of its row's exposure
-    length: float  # px, as two clicked points tell it
+    length: float  # px, as from two clicked points
     pivot: Array  # (2,) px, as clicked
     look: str
     width: float  # px
@@ -65,7 +65,7 @@ class Shot(NamedTuple):
 
 @functools.lru_cache(maxsize=2)
 def motion(seed: int, number: int) -> tuple[hf.Rope, RopeMotion]:
-    """A rope and how it moves for 4 s: it swings freely from a bent start, or an arm pumps it."""
+    """A rope and its motion for 4 s: a free swing from a bent start, or pumping by an arm."""
     rng, s = np.random.default_rng((seed, number)), np.linspace(0.0, 1.0, LINKS)
     length = float(rng.uniform(0.5, 3.0))
     rope = hf.Rope.uniform(
@@ -86,7 +86,7 @@ def motion(seed: int, number: int) -> tuple[hf.Rope, RopeMotion]:
 def shot(
     seed: int, index: int, absent: Reason | None = None, by_mujoco: bool = False, tone: Array | None = None
 ) -> Shot:
-    """Draw a frame; by choice one that shows no rope to be found, by MuJoCo's renderer, or with a tone curve."""
+    """Draw a frame; optionally one to be refused, by MuJoCo's renderer, or with a tone curve."""
     rope, moves = motion(seed, index // POSES)
     rng, length = np.random.default_rng((seed, index, 1)), rope.total_length
     stamp, look = float(rng.uniform(0.05, 3.9)), LOOKS[index % 3]
@@ -134,7 +134,7 @@ def shot(
 def _before(
     moves: RopeMotion, stamp: float, width: float, colour: Array, absent: Reason | None, other: RopeMotion
 ) -> tuple[Occluder, ...]:
-    """The arm, if it moves; a second rope from the same pivot, bent as another one is, if there are to be two."""
+    """The arm, if it moves, and a second rope from the same pivot with another shape, if there are two."""
     top = moves.places([stamp], [0.0])[0, 0, :2]
     things = [Occluder((0.0, 0.0), tuple(top), 0.02, (90.0, 95.0, 100.0))] if np.hypot(*top) > 0.02 else []
     if absent is Reason.TWO:
@@ -167,7 +167,7 @@ def _by_mujoco(camera: Camera, moves: RopeMotion, scene: Scene, stamp: float) ->
 
 
 def measure(seed: int, index: int, kind: str, known: bool, toned: bool, pictures: Path | None) -> dict[str, Any]:
-    """Find the rope in a frame; is its length known, and has the picture a tone curve?"""
+    """Find the rope in a frame, with or without its length and a tone curve."""
     absent = Reason(kind) if kind in set(ABSENT) else None
     tone = srgb_tone() if toned else None
     each, found = shot(seed, index, absent, kind == "MuJoCo", tone), None
@@ -201,7 +201,7 @@ def measure(seed: int, index: int, kind: str, known: bool, toned: bool, pictures
 def page(rows: list[dict[str, Any]]) -> str:
     """The page."""
     text = "# The rope in a first frame\n\n" + (__doc__ or "").split("\n\n", 2)[2] + "\n"
-    text += "| frames | number | right | refused by name | wrong | curve, median, % | worst | end, median, % | s |\n"
+    text += "| frames | number | right | refused, reason | wrong | curve, median, % | worst | end, median, % | s |\n"
     text += "|---|---|---|---|---|---|---|---|---|\n"
     for kind, known, toned in product(("rope", "MuJoCo"), (False, True), (False, True)):
         for look in LOOKS:
@@ -219,7 +219,7 @@ def page(rows: list[dict[str, Any]]) -> str:
                 name = look + (", by MuJoCo" if kind == "MuJoCo" else "") + (", length known" if known else "")
                 name += ", tone curve" if toned else ""
                 text += f"| {name} | {len(own)} | {right} | {refused} | {wrong} | {figures} | {spent:.1f} |\n"
-    text += "\n| to be refused | frames | by this name | by another | taken for a rope |\n|---|---|---|---|---|\n"
+    text += "\n| to be refused | frames | with this reason | with another | accepted |\n|---|---|---|---|---|\n"
     for kind in ABSENT:
         own = [row["result"] for row in rows if row["kind"] == kind.value]
         named, wrong = own.count(kind.value), own.count("wrong")
@@ -230,14 +230,14 @@ def page(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Find ropes, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=5601, help="of poses and looks (5601)")
+    parser.add_argument("--seed", type=int, default=5601, help="of poses and appearances (5601)")
     parser.add_argument("--count", type=int, default=200, help="frames with one rope (200)")
-    parser.add_argument("--others", type=int, default=30, help="by MuJoCo, and that are to be refused (30 each)")
-    parser.add_argument("--first", type=int, default=0, help="frame to begin with (0)")
+    parser.add_argument("--others", type=int, default=30, help="by MuJoCo, and to be refused (30 each)")
+    parser.add_argument("--first", type=int, default=0, help="first frame (0)")
     parser.add_argument("--length", action="store_true", help="the rope's length is known")
-    parser.add_argument("--tone", action="store_true", help="the pictures, but MuJoCo's, have a tone curve, sRGB")
+    parser.add_argument("--tone", action="store_true", help="the pictures, except MuJoCo's, have a tone curve (sRGB)")
     parser.add_argument("--pictures", type=Path, help="folder for the frames with the true (green) and the found curve")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="rows, beside which the page is written")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="file of rows; the page is written next to it")
     options = parser.parse_args()
     before = log.read(options.out)
     log.told(before)

@@ -1,4 +1,4 @@
-"""Cost of exact derivatives of the paper's cast, in plain rollouts of the same tolerance and outputs."""
+"""Cost of exact derivatives of the paper's cast, in units of a plain rollout with the same tolerance and outputs."""
 
 from collections.abc import Callable
 from types import ModuleType
@@ -18,7 +18,7 @@ WRT: dict[str, list[str]] = {
     "2 times of the motion": ["motion.t_move", "motion.t_rest"],
     "100 initial states": ["q0", "qd0"],
 }
-SPACING, AGREEMENT = 1e-6, 1e-3  # a check against one-sided differences of runs that choose their own steps
+SPACING, AGREEMENT = 1e-6, 1e-3  # tolerance of the check against one-sided differences of runs with their own steps
 
 
 def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
@@ -75,5 +75,5 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
     lines += [f"| {r['outputs']} | {r['what']} | {r['milliseconds']['median']:.3g} | {r['ratio']:.2f} |" for r in rows]
     return "\n".join(lines) + (
         f"\n\nThe paper's cast, n = {LINKS}, {DURATION:g} s, tol = {TOL:g} m: angles and rates, and their derivatives "
-        f"at every output; the plain rollout included. One thread. {NOTE}"
+        f"at every output, including the plain rollout. One thread. {NOTE}"
     )

@@ -1,12 +1,12 @@
-"""Environments: steps a second, and the scores of scripted, random and learned policies over 200 seeds.
+"""Environments: steps per second, and the scores of scripted, random and learned policies over 200 seeds.
 
-python -m benchmarks.gym                        speed and scripted scores, with what was learned before; an hour
-python -m benchmarks.gym --seeds 10 --out -     a look; nothing is written
-python -m benchmarks.gym --learn Swing 0        train a policy with Stable-Baselines3, which must be there, and score it
+python -m benchmarks.gym                        speed and scripted scores, with earlier learned ones; an hour
+python -m benchmarks.gym --seeds 10 --out -     short; writes nothing
+python -m benchmarks.gym --learn Swing 0        train a policy with Stable-Baselines3 (to be installed) and score it
 
 Seeds are 0 to 199, arguments the environments' defaults; intervals are 95 % of the mean return, by a bootstrap. To
 enter a policy, play the same episodes with ``hyperflex.envs.score_policy``. Rows are kept in gym.jsonl: the same
-command goes on where it stopped. Times of learning and of planning are the processor's, of all threads, so that other
+command continues an interrupted run. Times of learning and planning are processor times of all threads, so that other
 programs do not matter. All simulated.
 """
 
@@ -30,14 +30,14 @@ from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, s
 RESULTS = Path(__file__).parent / "results"
 MEMBERS, STEPS, ROUNDS, AIM = 256, 300, 5, 50_000.0  # members, steps a round, rounds, steps/s
 LIMIT, PART = 600.0, 0.9  # s of learning; part of the scripted return
-EVERY = {"Swing": 20.0, "Cast": 60.0}  # s between two looks at it
-SURE = 1.1  # times PART at which learning ends, as the best of few other seeds flatters
+EVERY = {"Swing": 20.0, "Cast": 60.0}  # s between two evaluations
+SURE = 1.1  # times PART at which learning ends, because the best result on few other seeds is optimistic
 PLANNING = 15.0  # s of planning a cast, twice at most
-TRIED = {"Swing": range(1000, 1050), "Cast": range(1000, 1032)}  # seeds that learning looks at
+TRIED = {"Swing": range(1000, 1050), "Cast": range(1000, 1032)}  # seeds that learning evaluates
 TOGETHER = {"Swing": 64, "Cast": 16}  # members that learn
 DT, REPEAT = 0.02, 3  # s of a step, and steps for which a learned policy holds its action
 LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "gamma": 0.99}
-SWINGING = 0.004  # of Swing's reward, in units of a whole reach, that learning to cast gets beside Cast's
+SWINGING = 0.004  # of Swing's reward, in units of a whole reach, that is added to Cast's reward while learning
 LEARNING |= {"learning_rate": 6e-4, "ent_coef": 0.01}
 
 
@@ -52,7 +52,7 @@ class RandomPolicy:
 
 
 class Encouraged(gymnasium.vector.VectorWrapper):  # type: ignore[type-arg]
-    """Members of Cast that are rewarded for swinging, too: chance hardly ever comes to a cast."""
+    """Members of Cast with an additional reward for swinging: random actions almost never produce a cast."""
 
     def step(self, actions: Any) -> Any:
         """Take an interval."""
@@ -116,7 +116,7 @@ def score(
     rows: list[lines.Row],
     keep: Callable[[lines.Row], None],
 ) -> Scores:
-    """Play the seeds that were not played yet."""
+    """Play the remaining seeds."""
     known = {row["seed"]: row for row in rows if (row.get("name"), row.get("policy")) == (name, policy)}
     for seed in seeds:
         if seed not in known:
@@ -133,7 +133,7 @@ def scores_of(rows: list[lines.Row]) -> Scores:
 
 
 def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Callable[[lines.Row], None]) -> None:
-    """Train by PPO until it returns PART of what the best scripted policy does or the time is over; score the best."""
+    """Train by PPO until the return is PART of the best scripted policy's or the time is over; score the best."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -177,7 +177,7 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
 
 
 def play(model: Any, environment: str, seeds: range) -> Scores:
-    """Scores of what was learned, all episodes at once: members are, to the bit, single environments.
+    """Scores of a learned policy, all episodes in one batch: members equal single environments to the bit.
 
     An action is held for REPEAT steps.
     """
@@ -197,7 +197,7 @@ def play(model: Any, environment: str, seeds: range) -> Scores:
 
 
 def speed() -> tuple[float, float, float]:
-    """Median, least and most steps a second of many members, by the clock."""
+    """Median, least and most steps per elapsed second of many members."""
     envs = gymnasium.make_vec("hyperflex/Swing-v0", num_envs=MEMBERS)
     envs.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, MEMBERS, 1))
@@ -240,16 +240,14 @@ def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
             found.append(f"| {' | '.join(cells)} |")
     many = TOGETHER
     return "\n".join(found) + (
-        "\n\nEpisodes from the seeds 0 to 199, or as many of them as are told. "
-        f"{MEMBERS} members of Swing (20 links, 50 Hz) take {rate[0]:,.0f} steps/s by the clock "
-        f"({rate[1]:,.0f} to {rate[2]:,.0f}); at least {AIM:,.0f} are asked. Learned: PPO of Stable-Baselines3 "
-        f"on {many['Swing']} members (Cast: {many['Cast']}, which are rewarded for swinging a little, too: chance "
-        f"hardly ever comes to a cast), until it returns {SURE * PART:.0%} of what the best "
-        f"scripted policy does on other seeds ({PART:.0%} are asked), or after {LIMIT:.0f} s of processor "
-        "time (all threads). "
-        "`crossing` is the paper's rule, `pumping` looks ahead with the model (and knows no target), `planned` "
-        f"rehearses what `plan_cast` finds in {PLANNING:g} s of processor time, twice at most, and carries it out. "
-        "All of them see the true state; the true rope is the model's."
+        f"\n\nEpisodes have the seeds 0 to 199, or as many of them as stated. {MEMBERS} members of Swing (20 links, 50 "
+        f"Hz) take {rate[0]:,.0f} steps per elapsed second ({rate[1]:,.0f} to {rate[2]:,.0f}); the goal is {AIM:,.0f}. "
+        f"Learned: PPO of Stable-Baselines3 on {many['Swing']} members (Cast: {many['Cast']}, with a small additional "
+        "reward for swinging, because random actions almost never produce a cast), until its return on other seeds is "
+        f"{SURE * PART:.0%} of the best scripted policy's (goal: {PART:.0%}), or after {LIMIT:.0f} s of processor time "
+        "(all threads). `crossing` is the paper's rule, `pumping` predicts with the model (without a target), "
+        f"`planned` simulates the plan that `plan_cast` finds in {PLANNING:g} s of processor time, at most twice, and "
+        "carries it out. All policies observe the true state; the true rope is that of the model."
     )
 
 

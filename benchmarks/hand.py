@@ -2,20 +2,20 @@
 
 python -m benchmarks.hand planned/*.toml                      plans of hyperflex cast
 python -m benchmarks.hand planned/*.toml --motor emulator:dynamixel
-python -m benchmarks.hand --kept                              the page of all rows kept so far
+python -m benchmarks.hand --kept                              the page of all existing rows
 
 A renderer, the tracker, the follower, the process that streams to the drive, and the emulated drive with its rope are
 separate processes. The rope in the emulator is 1.5 % longer and heavier than the planner's and has 10 % more friction;
-its links are cut as in a verified run. The motor acts 15 ms late, what it reads is noisy, and the target is 1 cm aside.
-The tracker's camera is not the renderer's: its pose is off as after a calibration. Closed loop and learning know of the
-rope what is tracked in the rendered pictures, and of the drive the lag that is identified once, in a test motion. Each
-target has a cast as planned, one in closed loop, and one after at most three from which was learned: the first of them
-is the one as planned, and a motion that winds the rope, as the camera sees it, is kept. A cast counts as won if the
-emulated rope's true state keeps the turns that the plan requires, as long as it requires.
+its links are divided as in a verified run. The motor acts 15 ms late, what it reads is noisy, and the target is 1 cm
+aside. The tracker's camera is not the renderer's: its pose is off as after a calibration. Closed loop and learning use
+the rope tracked in the rendered pictures and the lag of the drive, which is identified once, in a test motion. Each
+target has a cast as planned, a cast in closed loop, and learning from at most three casts: the first of them is the
+cast as planned, and a motion that winds the rope in the camera's view is kept. A cast succeeds if the emulated rope's
+true state keeps the required turns for the required time.
 
-A cast in which the emulator fell behind the clock is no fair trial: it is repeated, three times at most, and kept apart
-in the row. Any other cast that fails counts as lost, with its reason. Rows are kept in hand.jsonl: the same command
-goes on where it stopped.
+A cast in which the emulator fell behind real time is not a fair trial: it is repeated, at most three times, and
+recorded separately in the row. Any other cast that fails counts as a failure, with its reason. Rows are kept in
+hand.jsonl: the same command continues an interrupted run.
 """
 
 import argparse
@@ -61,17 +61,17 @@ from hyperflex.vision import Camera
 RESULTS = Path(__file__).parent / "results"
 LENGTH, MASS, FRICTION = 1.015, 1.015, 1.1  # of the planner's
 LATE, ASIDE = 0.015, 0.01  # s, m
-NOISE = {"angle_noise": 5e-4, "rate_noise": 0.05, "torque_noise": 0.02}  # rad, rad/s, N m; of what the motor reads
+NOISE = {"angle_noise": 5e-4, "rate_noise": 0.05, "torque_noise": 0.02}  # rad, rad/s, N m; of the motor's measurements
 TURNED, SHIFTED, SCALED = 0.2, 2e-3, 1e-3  # deviations of the pose: degrees, m, part of the distance
-BEHIND = 0.02  # s behind the clock: the time in which a usual drive follows
-REPEATS = 3  # of a cast that was no fair trial
+BEHIND = 0.02  # s behind real time: the response time of a usual drive
+REPEATS = 3  # of a cast that was not a fair trial
 CASTS = 3  # that are learned from
 WAYS = ("nominal", "closed", "learned")
 CODE = ("planning", "simulation", "estimate", "hardware", "execution")  # packages that make a row
 
 
 class Rig:
-    """An emulated drive with the other rope, a camera and a tracker before it; they go on from cast to cast."""
+    """An emulated drive with the other rope, a camera and a tracker; they keep running from cast to cast."""
 
     def __init__(self, path: Path, plan: CastPlan, motor: str, lag: float, stack: ExitStack) -> None:
         other = scaled_rope(plan.problem.rope, LENGTH, MASS, FRICTION)
@@ -87,7 +87,7 @@ class Rig:
         self.options = RunOptions(wait=5.0, countdown=0.0, lag=lag)
 
     def cast(self, plan: CastPlan, follow: bool = False) -> tuple[CastRun | None, dict[str, Any]]:
-        """Carry a plan out, again if the emulator fell behind the clock; return the run, and what became of it."""
+        """Carry out a plan, again if the emulator fell behind real time; return the run and its result."""
         unfair: list[dict[str, Any]] = []
         while True:
             run, found = self.once(plan, follow)
@@ -96,7 +96,7 @@ class Rig:
             unfair.append({name: found[name] for name in ("behind", "won", "stopped")})
 
     def once(self, plan: CastPlan, follow: bool) -> tuple[CastRun | None, dict[str, Any]]:
-        """Unwind the rope, and carry a plan out; return the run, and what became of it."""
+        """Unwind the rope and carry out a plan; return the run and its result."""
         closed = FollowOptions(decision_time=0.3) if follow else None
         made = plan.required(plan.motion, "motion")
         begin = time.monotonic()
@@ -122,19 +122,19 @@ class Rig:
         }
 
     def behind(self, begin: float) -> float:
-        """Return the longest time by which motor and rope were behind the clock since a moment of it, s."""
+        """Return the longest delay of motor and rope behind real time since a given time, s."""
         log = self.emulator.log()
         return float(log.column("behind")[log.column("t") >= begin].max())
 
 
 def lost(why: str, behind: float = 0.0) -> dict[str, Any]:
-    """Return the figures of a cast that was not carried out."""
+    """Return the row entries of a cast that was not carried out."""
     none: dict[str, Any] = {"turns": None, "seen": None, "wound": None, "decisions": []}
     return {"won": False, "stopped": why, "behind": behind, "cycles": 0, "missed": 0, "late": 0, "frames": 0, **none}
 
 
 def calibrated(camera: Camera, seed: int) -> Camera:
-    """Return a camera as a calibration knows it: the swing plane is turned and shifted a little before it."""
+    """Return a camera with the errors of a calibration: the swing plane is slightly rotated and shifted."""
     random = np.random.default_rng(seed)
     turned = cv2.Rodrigues(np.radians(TURNED) * random.standard_normal(3))[0]
     rotation = cv2.Rodrigues(cv2.Rodrigues(camera.rotation)[0] @ turned)[0][:, 0]
@@ -148,7 +148,7 @@ def model(motor: str) -> MotorModel:
 
 
 def true_turns(emulator: Emulator, plan: CastPlan, rope: Rope, peg: Peg) -> float:
-    """Return the least turns of the emulated rope about its peg while it was watched: until the torque was off."""
+    """Return the least turns of the emulated rope about its peg during observation, until the torque was off."""
     log = emulator.log()
     t, on = log.column("t"), log.column("enabled") > 0.0
     watched = np.flatnonzero(on & (t >= t[on][-1] - plan.problem.criteria.watch))[::10]
@@ -159,7 +159,7 @@ def true_turns(emulator: Emulator, plan: CastPlan, rope: Rope, peg: Peg) -> floa
 
 
 def row(path: Path, motor: str, lag: float) -> dict[str, Any]:
-    """Return what became of a plan in each way."""
+    """Return the results of a plan with each method."""
     plan = read_plan(path)
     assert isinstance(plan, CastPlan)
     begin, used = time.monotonic(), usage()
@@ -240,28 +240,28 @@ def page(rows: list[dict[str, Any]]) -> str:
     about = (
         f"{len(rows)} planned casts on an emulated drive ({rows[0]['motor']}), in real time. All emulated: motor, rope "
         "and pictures. Renderer, tracker, follower, stream and drive are separate processes. The emulated rope is 1.5 "
-        "% longer and heavier than the planner's and has 10 % more friction; its links are cut as in a verified run. "
-        f"The motor acts 15 ms late (identified: {1e3 * rows[0]['lag']:.1f} ms), the target is 1 cm aside. What the "
-        f"motor reads is noisy: {1e3 * NOISE['angle_noise']:g} mrad, {NOISE['rate_noise']:g} rad/s, "
+        "% longer and heavier than the planner's and has 10 % more friction; its links are divided as in a verified "
+        f"run. The motor acts 15 ms late (identified: {1e3 * rows[0]['lag']:.1f} ms), the target is displaced by 1 cm. "
+        f"The motor's measurements have noise: {1e3 * NOISE['angle_noise']:g} mrad, {NOISE['rate_noise']:g} rad/s, "
         f"{NOISE['torque_noise']:g} N m. The camera has 480x480 pixels and 30 frames a second, and ten markers are on "
-        f"the rope. The tracker knows the camera as after a calibration, another one for each plan: its pose is off by "
+        "the rope. The tracker's camera has the errors of a calibration, different for each plan: its pose is off by "
         f"{TURNED:g} degrees about each axis, {1e3 * SHIFTED:g} mm in the plane and {100 * SCALED:g} % of the distance "
-        "(standard deviations). A cast is won if the true rope keeps the turns that the plan requires, as long as it "
-        "requires. Learned is the first cast that the camera saw wound, of the one as planned and up to two that "
-        "learned from it, or else one more: the best of several, beside single casts. The emulated drive allows pauses "
-        "of 0.25 s, for it shares two cores with all others. "
+        "(standard deviations). A cast succeeds if the true rope keeps the required turns for the required time. "
+        "Learned: the first cast that the camera saw wound, among the cast as planned and up to two that learned from "
+        "it, or else one more. This is the best of several casts; the other columns are single casts. The emulated "
+        "drive allows pauses of 0.25 s, because it shares two cores with all other processes. "
         f"{'' if len(rows) >= 20 else 'Not measured on 20 targets yet.'}"
     )
     found = (
         f"Missed cycles of the drive: {missed} of {cycles} ({missed / max(cycles, 1):.2%}). Corrections that came too "
         f"late: {late} of {len(decided)}; a decision took {np.median(decided):.2f} s in the median and "
-        f"{max(decided):.2f} s at most. The verdict of the camera, or else of the torque, was right in "
-        f"{verdicts[True]} of {len(casts)} casts, wrong in {verdicts[False]}, and not known in {verdicts['not known']}."
+        f"{max(decided):.2f} s at most. The result that the camera, or else the torque, "
+        f"reports was right in {verdicts[True]} of {len(casts)} casts, wrong in {verdicts[False]}, and unknown in {verdicts['not known']}."
     )
     fair = (
-        f"Casts in which the emulator fell more than {1e3 * BEHIND:.0f} ms behind the clock, and which were repeated: "
-        f"{len(unfair)}{f', by up to {1e3 * max(unfair):.0f} ms' if unfair else ''}. After {REPEATS} repeats a cast "
-        f"counts as it is: {still}."
+        f"Casts in which the emulator fell more than {1e3 * BEHIND:.0f} ms behind real time and which were repeated: "
+        f"{len(unfair)}{f', by up to {1e3 * max(unfair):.0f} ms' if unfair else ''}. Casts that count as they are "
+        f"after {REPEATS} repeats: {still}."
     )
     won = " | ".join(str(sum(row[way]["won"] for row in rows)) for way in WAYS)
     text = [
@@ -271,7 +271,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         "",
         "| as planned | closed loop | learned after at most three casts | of |",
     ]
-    text += ["|---|---|---|---|", f"| {won} | {len(rows)} |", "", found, "", fair, "", "True turns (w: won):", ""]
+    text += ["|---|---|---|---|", f"| {won} | {len(rows)} |", "", found, "", fair, "", "True turns (w: success):", ""]
     text += ["| plan | as planned | closed loop | decisions | learned | casts |", "|---|---|---|---|---|---|"]
     for row in rows:
         turns = [_turns(row[way]) for way in WAYS]
@@ -283,7 +283,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         for number, why in [*((f"cast {k + 1}", each["stopped"]) for k, each in enumerate(row["casts"])), *_left(row)]
         if why
     ]
-    text += ["", "Casts that were stopped or not carried out; they count as they are:", "", *reasons] if reasons else []
+    text += ["", "Casts that were stopped or not carried out (counted as failures):", "", *reasons] if reasons else []
     return "\n".join([*text, "", "    python -m benchmarks.hand PLANS"]) + "\n"
 
 
@@ -292,17 +292,17 @@ def _turns(cast: dict[str, Any]) -> str:
 
 
 def _left(row: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the ways that have no cast, with the reason."""
+    """Return the methods without a cast, with the reason."""
     return [(way, row[way]["stopped"]) for way in WAYS if row[way] not in row["casts"]]
 
 
 def main() -> None:
-    """Carry out, and print and keep a line for each plan."""
+    """Carry out the plans; print and keep a line for each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plans", type=Path, nargs="*")
     parser.add_argument("--motor", default="emulator:moteus?watchdog=0.5")
     parser.add_argument("--lag", type=float, help="of the drive, s; by default it is identified")
-    parser.add_argument("--kept", action="store_true", help="make no casts: the page of all rows kept so far")
+    parser.add_argument("--kept", action="store_true", help="make no casts: the page of all existing rows")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder")
     options = parser.parse_args()
     about, log = machine.describe(), options.out / "hand.jsonl"

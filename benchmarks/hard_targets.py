@@ -1,13 +1,13 @@
-"""Casts at the edge of what can be asked: a plan or a clear reason, in time, on a machine busy with other work.
+"""Casts to extreme targets: a plan or a clear reason, in time, on a busy machine.
 
 python -m benchmarks.hard_targets                each case with a time budget of 0.5 s and of 20 s; ten minutes
-python -m benchmarks.hard_targets --budgets 0.5 --busy 0 --out -    a look on a quiet machine; nothing is written
+python -m benchmarks.hard_targets --budgets 0.5 --busy 0 --out -    short; writes nothing
 
 Targets inside the arm's circle, behind a wall, on the floor, at the shaft, out of reach, of radius 2 mm and 300 mm;
-ropes of 1 to 400 links, and one whose centres of mass lie off the middle. Told is by how much a call outlasts its
-budget, with as many busy processes beside it as `--busy` says, and what came of it. A call that is refused or told to
-be out of reach makes no search, and could hardly be late: those that search are counted apart. Each case is called once
-before, for kernels to be compiled; an error that is not for users ends the benchmark. All simulated.
+ropes of 1 to 400 links, and one whose centres of mass are not in the middle. The page reports by how much a call
+exceeds its budget while `--busy` other processes run, and its result. A call that is refused or out of reach makes no
+search and can hardly be late, so calls that search are counted separately. Each case is called once before timing, to
+compile kernels; an internal error ends the benchmark. All simulated.
 """
 
 import argparse
@@ -61,7 +61,7 @@ def cases() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def called(arguments: dict[str, Any], budget: float) -> dict[str, Any]:
-    """Plan once; return what came of it, and by how much the call outlasted its budget, s."""
+    """Plan once; return the result, and by how much the call exceeded its budget, s."""
     begin, planned, runs = time.perf_counter(), False, 0
     try:
         plan = plan_cast(**arguments, time_budget=budget, options=hf.SearchOptions(seed=1))
@@ -82,7 +82,9 @@ def main() -> None:
     """Call each case, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--budgets", type=float, nargs="+", default=[0.5, 20.0], help="s (0.5 and 20)")
-    parser.add_argument("--busy", type=int, default=os.cpu_count(), help="busy processes beside it (one a processor)")
+    parser.add_argument(
+        "--busy", type=int, default=os.cpu_count(), help="other busy processes (one for each processor)"
+    )
     parser.add_argument("--out", default=str(RESULTS / "hard-targets.json"), help="- writes nothing")
     options = parser.parse_args()
     about = machine.describe()
@@ -117,13 +119,13 @@ def page(rows: list[dict[str, Any]], busy: int) -> str:
     """Return the results as Markdown."""
     late, silent = sum(row["over"] > ALLOWED for row in rows), sum(not row["told"] for row in rows)
     most = max(row["over"] for row in rows)
-    how = f"the latest ends {most:.2f} s after it" if most > 0.0 else "none is late at all"
+    how = f"the latest ends {most:.2f} s after it" if most > 0.0 else "none is late"
     told = (
-        f"Of {len(rows)} calls, {sum(row['searched'] for row in rows)} of which make a search, {late} outlast their "
-        f"budget by more than {ALLOWED:g} s (0 is the goal; {how}), with {busy} busy processes beside them; {silent} "
-        f"give neither a plan nor a reason (0 is the goal). {sum(row['planned'] for row in rows)} give a plan."
+        f"{len(rows)} calls, {sum(row['searched'] for row in rows)} of which search, while {busy} other processes keep "
+        f"the processors busy. {late} calls exceed their budget by more than {ALLOWED:g} s (goal 0; {how}), {silent} "
+        f"give neither a plan nor a reason (goal 0), and {sum(row['planned'] for row in rows)} give a plan."
     )
-    head = ("# Casts at the edge of what can be asked", "", told, "", "| case | budget, s | beyond it, s | outcome |")
+    head = ("# Casts to extreme targets", "", told, "", "| case | budget, s | excess, s | outcome |")
     again = "Again: `python -m benchmarks.hard_targets`"
     return "\n".join([*head, "|---|---|---|---|", *map(line, rows), "", again, ""])
 

@@ -1,4 +1,4 @@
-"""How long an identification takes: the paper's problem from many starts, beside the paper's method; a 50-link rope."""
+"""Time of an identification: the paper's problem from many starts, compared with the paper's method; a 50-link rope."""
 
 import statistics
 import time
@@ -25,7 +25,7 @@ GUESS = {"inertia": 5.09e-6, "friction": 1.26e-3}
 FREE = ["inertia:shared", "friction:shared"]
 ANGLE_NOISE = 0.01  # rad: leaves the paper's 0.04 rad^2
 STARTS, DECADES, SHIFT = 20, 2.0, 0.2  # draws: over two decades in J and eta, 0.2 rad in the angles
-SAME = 1e-3  # of the cost: by which optima may differ and be the same
+SAME = 1e-3  # of the cost: optima that differ by less count as equal
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 MARKERS, PLACE_NOISE = 10, 2e-3  # m
 
@@ -50,13 +50,13 @@ def paper_recording() -> hf.Recording:
 def row(
     problem: str, method: str, seconds: float, error: float, values: tuple[float, float], clock: float | None = None
 ) -> dict[str, Any]:
-    """A row of the table; `values` are J and eta, `seconds` the processor's where the `clock`'s stand beside them."""
+    """A row of the table; `values` are J and eta, `seconds` processor time, `clock` elapsed time."""
     row = {"problem": problem, "method": method, "seconds": seconds, "clock": clock or seconds, "error": error}
     return row | {"inertia": float(values[0]), "friction": float(values[1])}
 
 
 def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]:
-    """The new method from the cylinder's moment: the fit with its covariance, and with profiled intervals too."""
+    """hyperflex's method from the cylinder's moment: the fit with its covariance, and with profiled intervals too."""
 
     def run(intervals: Literal["profile"] | None = None) -> hf.Identification:
         return identify(
@@ -75,7 +75,7 @@ def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]
     profiled()
     error = float((found.residuals**2).sum())
     values = found.values["inertia"][0], found.values["friction"][0]
-    names = "shooting, from the cylinder's moment", "the same, with profiled intervals"
+    names = "shooting, from the cylinder's moment", "shooting, with profiled intervals"
     timed = alternately([run, profiled], repeats, 10.0)
     return [
         row("5 links, 81 frames", name, one.median, error, values, statistics.median(one.clock))
@@ -84,7 +84,7 @@ def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]
 
 
 def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
-    """The same from starts drawn at random: how many reach the same optimum."""
+    """The fit from random starts: how many reach the same optimum."""
     rows = []
     for number in range(count):
         rng = np.random.default_rng([1, number])
@@ -150,16 +150,16 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
     same = [r for r in drawn if abs(r["error"] / ours["error"] - 1.0) < SAME]
     slowest = max(r["seconds"] for r in drawn)
     lines = [
-        "| problem | method | s | s, clock | error | J, kg m^2 | eta, N m s/rad |",
+        "| problem | method | s | elapsed, s | error | J, kg m^2 | eta, N m s/rad |",
         "|---|---|---|---|---|---|---|",
     ]
     lines += [line(r, f"{r['error']:.5f} rad^2") for r in rows if r not in drawn and r is not cable]
     lines.append(line(cable, f"{1e3 * cable['error']:.2f} mm rms"))
     return "\n".join(lines) + (
-        f"\n\nSimulated recordings, {RATE:g} frames a second. True: J {PAPER.inertia[0]:.3g}, eta "
-        f"{PAPER.friction[0]:.4g}; of the cable eta {CABLE.friction[0]:.3g}, found with a standard deviation of "
-        f"{cable['std']:.1g} (J held). From {len(drawn)} starts drawn over {DECADES:g} decades in J and eta and "
-        f"{SHIFT:g} rad in the angles, {len(same)} reach the same optimum (cost within {SAME:g}); the slowest took "
+        f"\n\nSimulated recordings, {RATE:g} frames a second. True values: J {PAPER.inertia[0]:.3g}, eta "
+        f"{PAPER.friction[0]:.4g}; of the cable eta {CABLE.friction[0]:.3g}, estimated with a standard deviation of "
+        f"{cable['std']:.1g} (J fixed). {len(same)} of {len(drawn)} starts, drawn over {DECADES:g} decades in J and "
+        f"eta and {SHIFT:g} rad in the angles, reach the same optimum (cost within {SAME:g}); the slowest took "
         f"{slowest:.2g} s. {NOTE}\n\n{recorded.text(demanding)}"
     )
 

@@ -157,6 +157,7 @@ def drawn(best: hf.Rope, seed: int, count: int) -> Iterator[hf.Rope]:
 
 def text(rows: list[Row]) -> str:
     """Return a Markdown table."""
-    lines = ["| problem | s | s, clock | what came out |", "|---|---|---|---|"]
+    lines = ["| problem | s | elapsed, s | result |", "|---|---|---|---|"]
     lines += [f"| {r['problem']} | {r['seconds']:.3g} | {r['clock']:.3g} | {r['accuracy']} |" for r in rows]
-    return "\n".join(lines) + "\n\nOf guesses the median is told; without intervals, all else as `identify` does it."
+    lines += ["", "Fits from several guesses: median time; they omit intervals and are otherwise those of `identify`."]
+    return "\n".join(lines)

@@ -21,9 +21,9 @@ PARTS = {
     "accelerations": "One acceleration against the number of links",
     "scaling": "A simulated second against the number of links",
     "costs": "The paper's cast with one thing changed: cost and error",
-    "batches": "Many ropes at once: throughput where every member was checked",
+    "batches": "Many ropes at once: throughput at settings checked for every member",
     "stepper": "Interval by interval: what a step costs, and whether it is the run's",
-    "gradients": "Exact derivatives, in plain rollouts",
+    "gradients": "Cost of exact derivatives in units of a plain rollout",
     "identification": "From a recording to a rope: time and error",
     "starting": "Imports, compilation and first calls",
 }
@@ -52,7 +52,7 @@ def main() -> None:
     import machine
 
     found, missing = machine.installed(["hyperflex", *options.peers])
-    skipped = [f"Not installed, left out: {name} ({why})." for name, why in missing.items()]
+    skipped = [f"Not installed, omitted: {name} ({why})." for name, why in missing.items()]
     print("\n".join(skipped), end="\n" if skipped else "")
     out = options.out or (None if options.quick else RESULTS)
     for part in options.only:

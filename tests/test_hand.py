@@ -39,9 +39,9 @@ def test_the_page_counts_what_failed_and_what_was_repeated():
     for words in (
         "8 of 4000 (0.20%)",
         "late: 1 of 2",
-        "right in 2 of 5 casts, wrong in 1, and not known in 2",
+        "right in 2 of 5 casts, wrong in 1, and unknown in 2",
         "which were repeated: 2, by up to 50 ms",
-        "a cast counts as it is: 1.",
+        "Casts that count as they are after 3 repeats: 1.",
         "Not measured on 20 targets yet.",
     ):
         assert words in page
