@@ -255,8 +255,8 @@ def page(rows: list[dict[str, Any]]) -> str:
     found = (
         f"Missed cycles of the drive: {missed} of {cycles} ({missed / max(cycles, 1):.2%}). Corrections that came too "
         f"late: {late} of {len(decided)}; a decision took {np.median(decided):.2f} s in the median and "
-        f"{max(decided):.2f} s at most. The result that the camera, or else the torque, "
-        f"reports was right in {verdicts[True]} of {len(casts)} casts, wrong in {verdicts[False]}, and unknown in {verdicts['not known']}."
+        f"{max(decided):.2f} s at most. The result reported by the camera, or else by the torque, was right in "
+        f"{verdicts[True]} of {len(casts)} casts, wrong in {verdicts[False]}, and unknown in {verdicts['not known']}."
     )
     fair = (
         f"Casts in which the emulator fell more than {1e3 * BEHIND:.0f} ms behind real time and which were repeated: "
