@@ -1,4 +1,4 @@
-"""Insertions: 30 random slots in reach, planned, judged with finer links, and tried in fresh scenarios.
+"""Insertions: 30 random slots in reach, planned, checked with finer links, and tried in fresh scenarios.
 
 python -m benchmarks.insert               results in benchmarks/results/insert.json and .md; interrupted, it goes on
                                           where it was (insert.jsonl)
@@ -6,11 +6,11 @@ python -m benchmarks.insert --count 12    the first ones alone
 python -m benchmarks.insert --only 7      one of them again
 python -m benchmarks.insert --slots 5     draws the slots anew, with seed 5
 
-The paper's cable and motor. Slots of 15 to 30 mm lie evenly over all that the rope could touch, in any direction,
-between walls of 0.1 m; those called in reach are kept. The tip is to come 50 mm deep, and the rope to touch no wall
-until then. The goals: 85 % of the slots; over all of them, the success probability that the plans state within 8 points
-of what is observed in fresh scenarios. The judge has 4 times the links, a tenth of the tolerance and half the step in
-contact: the planner's own second run has 2.5 times the links. All simulated.
+The paper's cable and motor. Slots of 15 to 30 mm are uniform over the region that the rope could touch, in any
+direction, between walls of 0.1 m; those called in reach are kept. The tip must enter by 50 mm before the rope touches a
+wall. The goals: 85 % of the slots; a stated mean success probability within 8 points of the observed one in fresh
+scenarios. The independent check has 4 times the links, a tenth of the tolerance and half the contact step; the
+planner's own second run has 2.5 times the links. All simulated.
 """
 
 import argparse
@@ -42,12 +42,12 @@ RESULTS = Path(__file__).parent / "results"
 SLOTS = Path(__file__).parent / "insert-slots.json"
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.105)
-NEAR = 0.2  # m, from the gap; a tip that never is so near does not enter
+NEAR = 0.2  # m, from the gap; a tip that never comes this near does not enter
 COUNT, WIDTHS, DEPTH = 30, (0.015, 0.03), 0.05  # m
 TIME_BUDGET = 60.0  # s of processor time, on one thread
-TIGHTER = 10.0  # than the library, the judge's tolerance
-PERIODS, FINER = 2.0, 4.0  # of the swing, within which the tip enters; times the links of the judge
-SCENARIOS, FRESH = 25, 1  # of each plan; their seed, that of the plan is 0
+TIGHTER = 10.0  # than the library's, tolerance of the check
+PERIODS, FINER = 2.0, 4.0  # of the swing, within which the tip enters; times the links, of the check
+SCENARIOS, FRESH = 25, 1  # of each plan; their seed (the plan's seed is 0)
 GOAL, AGREE = 0.85, 0.08
 
 
@@ -57,7 +57,7 @@ def slots() -> list[Slot]:
 
 
 def draw(seed: int) -> list[dict[str, float]]:
-    """Slots in reach: some of the random swings of the planner comes near each."""
+    """Slots in reach: at least one of the planner's random swings comes near each."""
     problem = Problem(CABLE, ARM, MotorLimits(), PERIODS * swing_period(CABLE))
     swings, runs = random_swings(problem, OPTIONS.swings), list[Flights]()
     t = np.arange(0.0, problem.time, OPTIONS.sample_time)
@@ -76,19 +76,19 @@ def draw(seed: int) -> list[dict[str, float]]:
 
 
 def judge(plan: InsertPlan, rope: hf.Rope, slot: Slot, motion: hf.Motion) -> InsertOutcome | None:
-    """What a motion does with a rope of more links beside a slot."""
+    """Simulate a motion near a slot with a rope of more links."""
     assert plan.outcome is not None
     finer = replace(plan.problem, rope=rope)
     return verify_insert(finer, slot, motion, plan.outcome.t, tighter=TIGHTER)
 
 
 def stands(seen: InsertOutcome | None) -> bool:
-    """Whether the tip came to its depth without a touch."""
+    """Whether the tip reached its depth without a contact."""
     return seen is not None and not seen.message
 
 
 def measure(index: int, slot: Slot) -> dict[str, Any]:
-    """What becomes of a slot."""
+    """Plan and check one slot."""
     plan = plan_insert(CABLE, ARM, slot, time_budget=Budget(TIME_BUDGET, threads=1, clock=time.process_time))
     row: dict[str, Any] = {"index": index, "kernels": SOURCE_HASH, "success": plan.success, "reason": plan.message}
     row |= {"cost": plan.feasibility.cost, "seconds": plan.seconds}
@@ -111,7 +111,7 @@ def measure(index: int, slot: Slot) -> dict[str, Any]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """How many slots are entered, and how the stated success agrees with the observed."""
+    """Number of entered slots, and the difference between stated and observed success."""
     good = [row for row in rows if row.get("judged") and row["stated"] is not None]
     stated, observed = (float(np.mean([row[name] for row in good])) for name in ("stated", "observed"))
     return {
@@ -136,19 +136,19 @@ def page(found: dict[str, Any]) -> str:
             parts = [f"{1e3 * row['gap']:.1f}", f"{row['speed']:.2f}", f"{row['stated']:.0%}", f"{row['observed']:.0%}"]
         else:
             parts = 4 * [""]
-        outcome = "entered" if row.get("judged") else row["reason"] or "not by the judge"
+        outcome = "entered" if row.get("judged") else row["reason"] or "not in the check"
         lines.append(f"| {row['index']} | {1e3 * slot.width:.1f} | {outcome} | {' | '.join(parts)} |")
     text = (
         f"The paper's cable and motor; slots of {1e3 * WIDTHS[0]:g} to {1e3 * WIDTHS[1]:g} mm between walls of 0.1 m, "
-        f"drawn evenly over all that the rope could touch, in any direction; those called in reach kept. The tip is to "
-        f"come {1e3 * DEPTH:g} mm deep without a touch. Of {told['slots']} slots {told['entered']} are entered under "
-        f"the judge ({FINER:g} times the links, a tenth of the tolerance, joint limits on); the goal is {GOAL:.0%}.\n\n"
-        f"With 2 mm of the slot's place and 2 ms of each stroke's start (standard deviations) the plans state "
-        f"{told['stated']:.0%} on average; observed are {told['observed']:.0%} in {SCENARIOS} fresh scenarios each, "
-        f"under the judge; the goal is a difference of {100 * AGREE:g} points. The greatest difference of one plan is "
-        f"{100 * told['greatest difference']:.0f} points ({SCENARIOS} draws tell a half within 10 points, one standard "
-        f"deviation). Planning took {told['median seconds']:.1f} s of processor time in the "
-        f"median, {TIME_BUDGET:g} s at most."
+        "uniform over the region that the rope could touch, in any direction; those called in reach are kept. The tip "
+        f"must enter by {1e3 * DEPTH:g} mm without a contact. In the independent check ({FINER:g} times the links, a "
+        f"tenth of the tolerance, joint limits on) {told['entered']} of {told['slots']} slots are entered; the goal is "
+        f"{GOAL:.0%}.\n\nWith standard deviations of 2 mm of the slot's position and 2 ms of each stroke's start, the "
+        f"stated success probability is {told['stated']:.0%} on average, the observed one {told['observed']:.0%} in "
+        f"{SCENARIOS} fresh scenarios for each plan, in the independent check; the goal is a difference of "
+        f"{100 * AGREE:g} points. The greatest difference of one plan is {100 * told['greatest difference']:.0f} "
+        f"points ({SCENARIOS} draws determine a probability of one half to 10 points, one standard deviation). "
+        f"Planning took {told['median seconds']:.1f} s of processor time in the median, {TIME_BUDGET:g} s at most."
     )
     where = machine.sentence(found["machine"])
     return "\n".join(["# Insertions", "", text, "", *lines, "", where, "", "Again: `python -m benchmarks.insert`", ""])
@@ -157,9 +157,9 @@ def page(found: dict[str, Any]) -> str:
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", type=int, metavar="INDEX", help="this slot alone; nothing is written")
-    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first slots alone")
-    parser.add_argument("--slots", type=int, metavar="SEED", help="draw the slots anew")
+    parser.add_argument("--only", type=int, metavar="INDEX", help="this slot only; writes nothing")
+    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first slots only")
+    parser.add_argument("--slots", type=int, metavar="SEED", help="draw new slots")
     parser.add_argument("--out", default=str(RESULTS / "insert.json"), metavar="FILE")
     options = parser.parse_args()
     if options.slots is not None:

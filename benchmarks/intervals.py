@@ -1,25 +1,24 @@
-"""Regular swings: do 95 % intervals contain the truth, and how wide are they against the least that is possible?
+"""Regular swings: do 95 % intervals contain the truth, and how wide are they compared with the Cramer-Rao bound?
 
 python -m benchmarks.intervals                        1, 2, 5, 20 and 140 s, 40 minutes; to benchmarks/results/
-python -m benchmarks.intervals --count 20 --out -     a look; nothing is written
-python -m benchmarks.intervals --durations 5 20       of these durations alone
+python -m benchmarks.intervals --count 20 --out -     short; writes nothing
+python -m benchmarks.intervals --durations 5 20       these durations only
 
-Each recording is a twin: scipy (DOP853) integrates Lagrange's equations in absolute angles, written here, of one to
-four links at 30 to 500 Hz with 1 mm of noise, as angles or as markers at the joints. `identify` gets a wrong guess and
-its defaults; lengths and times are exact and declared so (length_std=0, clock_std=0).
+Each recording is a twin: scipy (DOP853) integrates Lagrange's equations in absolute angles, implemented here, for one
+to four links at 30 to 500 Hz with 1 mm of noise, as angles or as markers at the joints. `identify` gets a wrong guess
+and its defaults; lengths and times are exact and declared so (length_std=0, clock_std=0).
 
-Width: the standard deviation that an interval states over the Cramer-Rao bound of the samples that were fitted, all
-states tied (one initial state), with the noise of each sample known. The bound's derivatives are central differences
-of the twin. Bounds of markers take the places of all joints, with the place of the first unknown but the same in all
-frames. `identify` takes the directions from each marker to the next, which a camera that shakes does not turn: the
-place of the first joint is unknown in each frame, which alone makes a single pendulum's bound 1.41 times as large and
-that of more links 1.2 times. The bound of that is the page's last line. Where the last fifth is held out (20 and 140 s)
-a bound of all samples is 0.7 to 0.8 times as large.
+Width: the standard deviation of an interval over the Cramer-Rao bound of the fitted samples, with a single initial
+state and known noise. The bound's derivatives are central differences of the twin. Bounds of markers use the positions
+of all joints; the position of the first joint is unknown but constant. `identify` uses the directions from each marker
+to the next, which a shaking camera does not rotate: the position of the first joint is unknown in each frame. This
+alone increases the bound of a single pendulum by a factor of 1.41 and that of more links by 1.2. The page's last line
+uses this bound. Where the last fifth is held out (20 and 140 s), the bound of all samples is 0.7 to 0.8 times as large.
 
-Where chance lets something that was omitted or declared seem off, `identify` widens what that would move: the page
-tells how often, and what it does. The ratios of a recording are not independent: the deviation of a coverage counts
-each recording as one draw. The exit code is 1 if a coverage is outside 93 to 97 % by more than two of them, or a median
-width is beyond 1.3.
+If, by chance, something omitted or declared seems wrong, `identify` widens the intervals that it would affect: the page
+states how often, and the effect. The ratios of a recording are not independent, so the standard deviation of a coverage
+counts each recording as one draw. The exit code is 1 if a coverage is outside 93 to 97 % by more than two standard
+deviations, or a median width exceeds 1.3.
 """
 
 import argparse
@@ -47,13 +46,13 @@ RATES = (30, 60, 100, 240, 500)  # Hz
 COUNTS = {1.0: 160, 2.0: 160, 5.0: 160, 20.0: 80, 140.0: 24}  # recordings of each duration (s)
 HELD = hf.FitOptions(length_std=0.0, clock_std=0.0)
 LOW, HIGH, WIDEST = 0.93, 0.97, 1.3
-WIDENED = 0.1  # part of a deviation that errors of the model have, from which a recording counts as widened by these
+WIDENED = 0.1  # share of a deviation due to model errors above which a recording counts as widened by them
 
 
 def run(length: Array, mass: Array, each: Array, t: Array) -> Array:
     """Return absolute angles (B, T, n) of swings, each (B, 5, n): inertia, com, viscous friction, first angles, rates.
 
-    All in one system of equations, so that differences between them are smooth.
+    All swings are one system of equations, so that differences between them are smooth.
     """
     inertia, com, friction, q0, w0 = each.swapaxes(0, 1)
     count, n = q0.shape
@@ -101,7 +100,7 @@ def covariance(rows: Array, count: int) -> Array:
 
 
 def examine(seed: tuple[int, ...], duration: float) -> dict[str, Any]:
-    """Draw a recording, identify it, and return what each interval has to do with truth and bound."""
+    """Draw a recording, identify it, and compare each interval with the truth and the bound."""
     random = np.random.default_rng(seed)
     n, kind = int(random.integers(1, 5)), str(random.choice(["angles", "markers"]))
     rate = int(random.choice(RATES))
@@ -111,7 +110,7 @@ def examine(seed: tuple[int, ...], duration: float) -> dict[str, Any]:
     q0 = random.uniform(0.15, 0.6) + random.normal(0.0, 0.08, n)
     truth = np.array([inertia, com, np.full(n, friction), q0, np.zeros(n)])
     t = np.arange(0.0, duration + 1e-9, 1.0 / rate)
-    free = [0, 1, 2, 3, 4] if n > 1 else [0, 2, 3, 4]  # of one link com acts as inertia does
+    free = [0, 1, 2, 3, 4] if n > 1 else [0, 2, 3, 4]  # for one link, com has the same effect as inertia
     sizes = np.array([mass * length**2 * 1e-3, length * 1e-3, np.full(n, 0.01 * friction), *np.full((2, n), 1e-4)])
     moves = np.array([np.where(np.arange(5 * n) == row * n + k, 1.0, 0.0) for row in free for k in range(n)])
     moves = moves.reshape(-1, 5, n) * sizes
@@ -135,7 +134,7 @@ def examine(seed: tuple[int, ...], duration: float) -> dict[str, Any]:
     if kind == "markers":
         joints = rows.reshape(count, -1, n + 1, 2)
         bounds["width_shaking"] = (joints - joints.mean(axis=2, keepdims=True)).reshape(count, -1)
-        axes = np.tile(np.eye(2), (1, rows[0].size // 2)) / noise  # the place of the first joint is not known
+        axes = np.tile(np.eye(2), (1, rows[0].size // 2)) / noise  # the position of the first joint is unknown
         bounds["width"] = np.concatenate([bounds["width"], axes * sizes[0, 0]])
     least = {name: covariance(each, count) for name, each in bounds.items()}
     values = ratios(length, mass, truth)
@@ -231,7 +230,7 @@ def main() -> int:
     try:
         rows += examined(options)
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted: what was done is shown\n")
+        sys.stderr.write("interrupted: the finished recordings are shown\n")
     about["load after"] = machine.load()
     head = f"# Intervals of regular swings\n\nSimulated recordings, seed {options.seed}."
     command = f"Command: `python -m benchmarks.intervals {' '.join(sys.argv[1:])}`"

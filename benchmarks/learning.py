@@ -1,17 +1,17 @@
-"""Learning from each cast on a rope that is not the planned one: parameters alone, motion alone, and both.
+"""Learning from each cast on a rope that differs from the planned one: parameters only, motion only, and both.
 
 python -m benchmarks.learning --plans FOLDER     casts planned for the benchmark's ropes, or read from FOLDER if kept
-python -m benchmarks.learning --count 2 --out -  a look; nothing is written
+python -m benchmarks.learning --count 2 --out -  short; writes nothing
 
-Each cast is planned for a rope of ``benchmarks.casting`` with the air drag of a cylinder, and then made with another
-one, in simulation: links half as long, length + 3 %, friction + 20 %, a motor with a lag of 15 ms, and one of two
-effects (``--lacks``): an arm that bends, of which the model knows nothing; or twice the drag, which is among what is
-learned, but for one way. What is measured of a cast is what a camera and a drive measure: ten markers at 100 Hz with an
-error of 2 mm, the arm's angle with one of 1 mrad, and whether the rope wound: by the criteria of the plan, in a whole
-run with contact (``hyperflex.planning.verify_cast``). Each target has five casts, the first as planned. "told" learns
-nothing: it plans with the true rope's length, friction and drag from the start, as long as a cast is planned again.
-Rows are kept in learning.jsonl: the same command goes on where it stopped. Other ways leave one part of the learning
-out; try them on other plans than those that count.
+Each cast is planned for a rope of ``benchmarks.casting`` with the air drag of a cylinder, and then simulated with
+another one: links half as long, length + 3 %, friction + 20 %, a motor with a lag of 15 ms, and one of two effects
+(``--lacks``): an arm that bends, which the model omits; or twice the drag, which all methods but one learn. The
+measurements of a cast are those of a camera and a drive: ten markers at 100 Hz with an error of 2 mm, the arm's angle
+with an error of 1 mrad, and whether the rope wound, by the criteria of the plan in a complete run with contact
+(``hyperflex.planning.verify_cast``). Each target has five casts, the first as planned. "true rope" learns nothing: it
+plans with the true rope's length, friction and drag, in the time of one replanning. Rows are kept in learning.jsonl:
+the same command continues an interrupted run. Other methods omit one part of the learning; try them on other plans than
+those of the results.
 """
 
 import argparse
@@ -70,17 +70,17 @@ LESS = {
     "variations": replace(GIVEN, varied=0),
 }
 ABLATIONS = {f"both without {part}": options for part, options in LESS.items()}
-TOLD = "told"
+TRUE = "true rope"
 EFFECTS = {
-    "arm": "The arm bends: no parameter stands for it",
-    "drag": "Twice the air drag: a parameter stands for it, but not in the last way",
+    "arm": "The arm bends: no parameter describes it",
+    "drag": "Twice the air drag: a parameter describes it, except in the last method",
 }
 CASTS = 5
-CODE = ("planning", "simulation", "execution")  # packages that make a row
+CODE = ("planning", "simulation", "execution")  # packages whose code determines a row
 LONGER, STIFFER, AIRIER, PIECES, LAG = 1.03, 1.20, 2.0, 2, 0.015  # true rope and motor; factors, pieces of a link, s
 FLEXIBLE, SAG, BAR = 0.85, math.radians(1.0), 0.01  # part of an arm that bends, its bend, rad, and its mass, kg
 CYLINDER = 1.2 * 1.204  # kg/m^3, drag coefficient times air density: times a rope's radius it is the drag, kg/m^2
-PARTS, RATE = np.arange(1.0, 11.0) / 10.0, 100.0  # of the rope, where the markers are; Hz
+PARTS, RATE = np.arange(1.0, 11.0) / 10.0, 100.0  # positions of the markers along the rope; Hz
 NOISE, ENCODER = 2e-3, 1e-3  # m, rad
 
 
@@ -91,7 +91,7 @@ def planned_problem(rope: str) -> Problem:
 
 
 def true_problem(planned: Problem, lacks: str) -> Problem:
-    """The same problem with the true rope, and more drag if that is what the model lacks."""
+    """The same problem with the true rope, and with more drag if the model lacks it."""
     rope = scaled_rope(divided(planned.rope, PIECES), LONGER, 1.0, STIFFER)
     return replace(planned, rope=rope.replace(drag=AIRIER * rope.drag) if lacks == "drag" else rope)
 
@@ -99,7 +99,7 @@ def true_problem(planned: Problem, lacks: str) -> Problem:
 def on_bending_arm(problem: Problem, side: int) -> Problem:
     """The same rope on an arm that bends: most of it is a first link, held by a spring (a pseudo-rigid body).
 
-    The weight of the rope that hangs from it bends it by SAG, and what the rope pulls as it swings by some times that.
+    The weight of the hanging rope bends it by SAG, the pull of the swinging rope by a multiple of that.
     """
     rope, part = problem.rope, FLEXIBLE * problem.arm.length
     moment = part * math.hypot(*rope.gravity) * (rope.mass.sum() + rope.tip_mass)
@@ -124,7 +124,7 @@ def on_bending_arm(problem: Problem, side: int) -> Problem:
 
 
 def caster(plan: CastPlan, lacks: str) -> Callable[[CastPlan], CastLog]:
-    """Makes casts with the true rope, each measured with an error of its own."""
+    """Makes casts with the true rope, each measured with independent errors."""
     rigid, random = true_problem(plan.problem, lacks), np.random.default_rng(SEED)
     arcs = PARTS * rigid.rope.total_length + (FLEXIBLE * rigid.arm.length if lacks == "arm" else 0.0)
 
@@ -168,9 +168,9 @@ def kept(folder: Path, rope: str) -> list[int]:
 
 
 def made(plan: CastPlan, way: str, lacks: str) -> list[dict[str, Any]]:
-    """Make the casts of a way; return what is kept of them."""
+    """Make the casts of one method; return their records."""
     carry_out = caster(plan, lacks)
-    if way != TOLD:
+    if way != TRUE:
         done = learn_cast(plan, carry_out, attempts=CASTS, options=(WAYS | ABLATIONS)[way], report=print)
         names = ("wound", "position", "speed", "lag", "problem")
         return [
@@ -190,11 +190,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=5, help="targets of each rope with a plan that succeeds (5)")
     parser.add_argument("--ropes", nargs="*", choices=ROPES, default=ROPES)
-    parser.add_argument("--ways", nargs="*", choices=[*WAYS, TOLD, *ABLATIONS], default=list(WAYS))
+    parser.add_argument("--ways", nargs="*", choices=[*WAYS, TRUE, *ABLATIONS], default=list(WAYS))
     parser.add_argument("--lacks", choices=("arm", "drag"), default="arm", help="what the model lacks (arm)")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
     parser.add_argument("--plans", type=Path, default=Path("plans"), help="folder of plans (plans)")
-    parser.add_argument("--kept", action="store_true", help="make no casts: the page of all targets kept so far")
+    parser.add_argument("--kept", action="store_true", help="make no casts, only the page of all existing targets")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "learning.jsonl"
@@ -210,7 +210,7 @@ def main() -> None:
 
 
 def learned(options: argparse.Namespace, log: Path | None) -> list[dict[str, Any]]:
-    """Rows of all targets and ways, from the log or made now."""
+    """Rows of all targets and methods, from the log or new."""
     known, rows = {json.dumps(each["key"]): each for each in lines.read(log)}, []
     for count, rope in itertools.product(range(1, options.count + 1), options.ropes):
         make_plans(options.plans, rope, count, options.seed)
@@ -232,7 +232,7 @@ def learned(options: argparse.Namespace, log: Path | None) -> list[dict[str, Any
 
 
 def won(row: dict[str, Any], casts: int) -> bool:
-    """Whether the rope wound within so many casts."""
+    """Whether the rope wound within `casts` casts."""
     return any(each["wound"] for each in row["attempts"][:casts])
 
 
@@ -241,13 +241,13 @@ def page(rows: list[dict[str, Any]]) -> str:
     ropes = ", ".join(dict.fromkeys(row["key"]["rope"] for row in rows))
     text = ["# Learning from each cast", ""]
     text.append(
-        f"Planned casts ({ropes} of the casting benchmark), each made with a rope that is not the planned one: links "
-        "half as long, length + 3 %, friction + 20 %, motor lag 15 ms, and an effect that the planned model lacks; ten "
-        "markers at 100 Hz with an error of 2 mm. All simulated. A success is a run of the true rope that meets all "
-        "criteria of the plan; the learner is told exactly whether the rope wound, which a camera tells in most casts. "
-        f'"{TOLD}" knows the true rope, but not that the arm bends, and makes one cast as it is planned in '
-        f"{GIVEN.planning:g} s of processor time. Goal of both: 17 of 20 targets within five casts. Targets of seed "
-        f"{SEED} were known when options were chosen."
+        f"Planned casts ({ropes} of the casting benchmark), each made with a rope that differs from the planned one: "
+        "links half as long, length + 3 %, friction + 20 %, motor lag 15 ms, and an effect that the planned model "
+        "lacks; ten markers at 100 Hz with an error of 2 mm. All simulated. A cast succeeds if the run of the true "
+        "rope meets all criteria of the plan. The learner gets the exact information whether the rope wound, which a "
+        f'camera provides for most casts. "{TRUE}" knows the true rope, but not the bending of the arm, and makes one '
+        f"cast, planned in {GIVEN.planning:g} s of processor time. Goal of both: 17 of 20 targets within five casts. "
+        f"Targets of seed {SEED} were used when the options were chosen."
     )
     for lacks, about in EFFECTS.items():
         some = [row for row in rows if row["key"]["lacks"] == lacks]
@@ -257,8 +257,8 @@ def page(rows: list[dict[str, Any]]) -> str:
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
-    """Lines of the rows with one effect: how many targets were won by each cast, and how far each cast was away."""
-    of = {way: [row for row in rows if row["key"]["way"] == way] for way in (*WAYS, TOLD, *ABLATIONS)}
+    """Lines of the rows with one effect: number of successful targets by each cast, and the distance of each cast."""
+    of = {way: [row for row in rows if row["key"]["way"] == way] for way in (*WAYS, TRUE, *ABLATIONS)}
     of = {way: some for way, some in of.items() if some}
     targets = [row for k, row in enumerate(rows) if not any(alike(row, each) for each in rows[:k])]
     heads = " | ".join(f"by cast {k}" for k in range(1, CASTS + 1))
@@ -266,9 +266,9 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
     for way, some in of.items():
         wins = [str(sum(won(row, k) for row in some)) for k in range(1, CASTS + 1)]
         text.append(
-            f"| {way} | {' | '.join(wins[:1] if way == TOLD else wins)}{' |' * 4 * (way == TOLD)} | {len(some)} |"
+            f"| {way} | {' | '.join(wins[:1] if way == TRUE else wins)}{' |' * 4 * (way == TRUE)} | {len(some)} |"
         )
-    text += ["", "Distance of each cast from the strike that it aimed at, mm (w: wound):", ""]
+    text += ["", "Distance of each cast from its intended strike, mm (w: wound):", ""]
     text += ["| rope | seed | target | " + " | ".join(of) + " |", "|---" * (len(of) + 3) + "|"]
     for row in targets:
         same = {way: [each for each in some if alike(each, row)] for way, some in of.items()}
@@ -279,7 +279,7 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def alike(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether two rows are of one target."""
+    """Whether two rows have the same target."""
     return all(one["key"][name] == other["key"][name] for name in ("rope", "seed", "number"))
 
 
@@ -290,16 +290,16 @@ def shown(attempt: dict[str, Any]) -> str:
 
 
 def figure(rows: list[dict[str, Any]]) -> "Figure":
-    """Part of the targets that each way has won by each cast."""
-    with new_figure(6.4, 3.8, "Learning from each cast: targets won, simulated") as drawn:
+    """Share of the targets that each method has wound by each cast."""
+    with new_figure(6.4, 3.8, "Learning from each cast: targets wound, simulated") as drawn:
         axis = drawn.subplots()
         for way, colour in zip(WAYS, (BLUE, RED, INK, GREEN), strict=True):
             some = [row for row in rows if row["key"]["way"] == way and row["key"]["lacks"] == "arm"]
             if some:
                 part = [100.0 * float(np.mean([won(row, k) for row in some])) for k in range(1, CASTS + 1)]
                 axis.plot(range(1, CASTS + 1), part, color=colour, marker="o", label=f"{way} ({len(some)})")
-        axis.axhline(85.0, color=GREY, linestyle=":", label="asked")
-        axis.set(xlabel="casts made", ylabel="targets won, %", ylim=(0.0, 100.0))
+        axis.axhline(85.0, color=GREY, linestyle=":", label="goal")
+        axis.set(xlabel="casts made", ylabel="targets wound, %", ylim=(0.0, 100.0))
         axis.set_xticks(range(1, CASTS + 1))
         legend(drawn, axis, place="lower center", columns=3)
     return drawn

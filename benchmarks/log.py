@@ -1,7 +1,7 @@
-"""Rows of a long benchmark, one JSON object a line: what an interrupted run leaves, read and gone on with.
+"""Rows of a long benchmark, one JSON object per line, from which an interrupted run continues.
 
-A process that is killed while it writes leaves half a line. It is cut off before the next row is written, so that rows
-do not run together; a line that is no row all the same is left out.
+A process that is killed while writing leaves an incomplete line. It is removed before the next row is written. Other
+lines that are not rows are ignored.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ Row = dict[str, Any]
 
 
 def sources(*packages: str) -> str:
-    """A hash of the sources of some packages, as ``SOURCE_HASH`` is one of the kernels."""
+    """A hash of the sources of packages, like ``SOURCE_HASH`` of the kernels."""
     digest = hashlib.sha256()
     for package in packages:
         folder = Path(hyperflex.__file__).parent / package
@@ -29,7 +29,7 @@ def sources(*packages: str) -> str:
 
 
 def planner() -> str:
-    """A hash of the sources that plan casts."""
+    """A hash of the sources of the cast planner."""
     return sources("planning")
 
 
@@ -49,7 +49,7 @@ def read(path: Path | None) -> list[Row]:
 
 
 def append(path: Path, row: Row) -> None:
-    """Write a row at the end, after the last whole line; a last line that lacks nothing but its end is kept."""
+    """Append a row after the last complete line; a last line that lacks only its end of line is kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(row).encode() + b"\n"
     with path.open("ab+") as file:
@@ -64,7 +64,7 @@ def append(path: Path, row: Row) -> None:
 
 
 def go_on(path: Path, marks: Sequence[Any], measure: Callable[[int, Any], Row]) -> list[Row]:
-    """Measure what a file has no rows of yet, by number and mark; print and keep each row, and return all of them."""
+    """Measure the rows that a file lacks, by number and mark; print and keep each row, and return all rows."""
     rows = read(path)
     told(rows)
     for index in range(len(rows), len(marks)):
@@ -82,13 +82,13 @@ def _whole(line: bytes) -> bool:
 
 
 def made(rows: Iterable[Row], by: str = "kernels") -> str:
-    """A sentence for a page: which kernels, or which planner, made how many rows."""
+    """A sentence for a page: the number of rows by kernels or planner."""
     counted = Counter(str(row.get(by, "not recorded")) for row in rows)
     return f"Rows by {by}: {', '.join(f'{name} {count}' for name, count in counted.most_common())}."
 
 
 def told(rows: Iterable[Row], planned: bool = False) -> None:
-    """Say how many of the rows that are used again were made with other kernels, or planner, than the present ones."""
+    """Warn how many reused rows were made with other kernels, or another planner, than the present ones."""
     rows = list(rows)
     for by, present in (("kernels", SOURCE_HASH), *((("planner", planner()),) if planned else ())):
         others = [row.get(by) for row in rows if row.get(by) != present]

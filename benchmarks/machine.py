@@ -1,4 +1,4 @@
-"""Where the figures were measured, with what, and which peers are installed.
+"""The machine and the versions of a measurement, and the installed peers.
 
 Each module peers_*.py drives one simulator and has ``NAME``, ``ARM`` (how its arm is driven; ``DRIVE``: in
 a few words) and ``contestants``.
@@ -22,7 +22,7 @@ INSTALL = {"mujoco": "pip install mujoco", "pinocchio": "pip install pin", "drak
 
 
 def describe() -> dict[str, str]:
-    """Processor, cores, load and versions; packages that are not installed are left out."""
+    """Processor, cores, load and versions; packages that are not installed are omitted."""
     about = {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
@@ -41,7 +41,7 @@ def describe() -> dict[str, str]:
 
 
 def seeded(text: str | None, seed: int) -> tuple[int, dict[str, str]]:
-    """Return the seed of a command line whose help is `text`, by default `seed`, and what :func:`describe` does."""
+    """Return the seed from a command line with the help `text` (default `seed`), and the result of :func:`describe`."""
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=seed)
     return parser.parse_args().seed, describe()
@@ -53,12 +53,12 @@ def sentence(about: dict[str, str]) -> str:
 
 
 def load() -> str:
-    """Mean number of busy threads over the last minute, all programs together."""
+    """Mean number of busy threads of all programs over the last minute."""
     return f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
 
 
 def installed(wanted: list[str]) -> tuple[dict[str, ModuleType], dict[str, str]]:
-    """Import the modules of the peers named, and say how to get those that are not installed."""
+    """Import the modules of the named peers, with the install command of missing ones."""
     found, missing = {}, {}
     for name in wanted:
         try:
