@@ -1,23 +1,24 @@
-"""A plain rope, tracked without markers from rendered videos: its whole curve, its free end, and what is stated.
+"""A plain rope, tracked without markers from rendered videos: errors of its curve and free end, and their stated
+errors.
 
 python -m benchmarks.markerless 10                    all cases, ten seeds each (about three hours on one core)
 python -m benchmarks.markerless 10 --case clutter     one case; --first 3 begins with seed 3
-python -m benchmarks.markerless 10 --videos FOLDER    videos are kept there, and taken from there if they are there
-python -m benchmarks.markerless wrong                 set-ups that are wrong: what is reported
-python -m benchmarks.markerless page                  the page from what there is
+python -m benchmarks.markerless 10 --videos FOLDER    folder in which videos are kept and found again
+python -m benchmarks.markerless wrong                 wrong set-ups: what is reported
+python -m benchmarks.markerless page                  the page from the existing rows
 
-Ropes of 100 links, 5 mm thick, 1280 x 720 pixels over 4.5 m, rendered, written as MP4 (x264, crf 23) and read again;
-trackers have 50 links, and find the rope themselves, in the first frame that shows it clearly. Errors are distances of
-50 places of the curve, and of the free end, from the true places at the same arc lengths, from 0.5 s after the rope was
-found on, and for 0.1 s after blackouts not. The stated 90 % is that of the curve across itself (its error along itself
-is that of straight links), and of the free end in both directions. A run counts as lost if the curve is off by more
-than 100 mm rms in one of the last ten frames, and as doubted if the tracker says at the end what may be wrong. Times
-are processor time of a core, decoding left out. Camera, motion of the arm, length, mass and friction are known exactly,
-and the wall is plain in rows that name no texture: what is unknown of them in a real video adds its error. With
-texture, shadow and steps, the wall has a grain of 8 levels, the rope's shadow on it lacks 30 % of the light (in MuJoCo
-all light of the lamp, on a wall 0.9 m behind), and the exposure changes by -20 % and then by +37 %. MuJoCo's pictures
-are means of instants at most 1.5 px apart. Levels are proportional to light, except in rows that name a tone curve
-(sRGB). Seeds below 100 were used while the method was developed.
+Ropes of 100 links, 5 mm thick, 1280 x 720 pixels over 4.5 m, rendered, written as MP4 (x264, crf 23) and read again.
+Trackers have 50 links and find the rope themselves, in the first frame that shows it clearly. Errors are distances of
+50 points of the curve, and of the free end, from the true points at the same arc lengths, from 0.5 s after the rope was
+found, except for 0.1 s after blackouts. The stated 90 % region is that of the curve in its normal direction (the error
+along the curve is that of straight links), and that of the free end in both directions. A run counts as lost if the
+curve is off by more than 100 mm rms in one of the last ten frames, and as doubted if the tracker reports at the end
+what may be wrong. Times are processor times of one core, without decoding. Camera, motion of the arm, length, mass and
+friction are known exactly, and the wall is plain unless the row names a texture: in a real video their uncertainties
+add errors. With texture, shadow and steps, the wall has a grain of 8 levels, the rope's shadow on it lacks 30 % of the
+light (in MuJoCo all light of the lamp, on a wall 0.9 m behind the rope), and the exposure changes by -20 % and then by
++37 %. MuJoCo's pictures are means of instants at most 1.5 px apart. Levels are proportional to light, except in rows
+that name a tone curve (sRGB). Seeds below 100 were used while the method was developed.
 """
 
 import argparse
@@ -60,7 +61,7 @@ RESULTS = Path(__file__).parent / "results" / "markerless.jsonl"
 LINKS, WIDTH, SCALE = 50, 0.005, 1280 / 4.5  # m, px/m
 DARK = (45.0, 45.0, 45.0)
 START, SETTLED = 0.05, 0.5  # s
-NINETY = float(stats.chi2.ppf(0.9, 1)), float(stats.chi2.ppf(0.9, 2))  # of one number, and of a place
+NINETY = float(stats.chi2.ppf(0.9, 1)), float(stats.chi2.ppf(0.9, 2))  # of a number, and of a position
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,12 @@ class Case:
 
     Attributes
     ----------
-    cast : whether the rope is pumped up to some 12 m/s; else it swings freely from 1.2 m
-    rate, exposure : frames/s, s
-    hidden : whether a board as high as a fifth of the rope moves before it, from its end upwards
-    clutter : whether three lines as thick and dark as the rope cross it
-    blackouts : when nothing is seen, s
-    looks : whether the wall is textured, the rope throws a shadow on it, and an automatic exposure changes twice
-    eye : whether MuJoCo renders the pictures
-    tone : whether the pictures have the tone curve of usual cameras, which the tracker is told; else none
+    cast : whether the rope is pumped up to some 12 m/s; else it swings freely from 1.2 m rate, exposure : frames/s, s
+    hidden : whether a board as high as a fifth of the rope moves in front of it, from its end upwards clutter : whether
+    three lines as thick and dark as the rope cross it blackouts : times at which nothing is visible, s looks : whether
+    the wall is textured, the rope throws a shadow on it, and an automatic exposure changes twice eye : whether MuJoCo
+    renders the pictures tone : whether the pictures have the usual tone curve of cameras, which the tracker knows; else
+    none
     """
 
     cast: bool = False
@@ -132,9 +131,9 @@ def motion_of(case: Case, seed: int) -> RopeMotion:
 
 
 def scene_of(case: Case, seed: int) -> Scene:
-    """What is in the picture."""
+    """The contents of the picture."""
     rng, fronts = np.random.default_rng((seed, 6)), []
-    if case.hidden:  # it comes from below, and is before the free end after a second
+    if case.hidden:  # it moves in from below, and covers the free end after a second
         fronts.append(Occluder((-2.3, -2.6), (2.3, -2.6), 0.4, velocity=(0.0, rng.uniform(0.8, 1.6) / case.duration)))
     for start in np.linspace(0.5, case.duration - 1.5, 3) if case.clutter else ():
         way, speed = rng.uniform(-0.5, 0.5), rng.uniform(0.5, 1.5)
@@ -157,7 +156,7 @@ def scene_of(case: Case, seed: int) -> Scene:
 
 
 def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
-    """Render a video into a folder, unless it is there, read it, track it, and compare."""
+    """Render a video into a folder unless it exists, read it, track it, and compare."""
     case = CASES[name]
     motion = motion_of(case, seed)
     camera = Camera.facing((1280, 720), pixels_per_metre=SCALE, origin=(640.0, 60.0), exposure=case.exposure)
@@ -221,7 +220,7 @@ def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Fra
     }
 
 
-WRONG = {  # what is wrong, and the scale of the declared rope
+WRONG = {  # the fault, and the scale of the declared rope
     "nothing": 1.0,
     "no rope": 1.0,
     "two ropes": 1.0,
@@ -235,7 +234,7 @@ WRONG = {  # what is wrong, and the scale of the declared rope
 
 
 def reported(wrong: str, seed: int, folder: Path) -> dict[str, Any]:
-    """Track a video of 4 s with a wrong set-up; return what is reported, and how far the free end is off at the end."""
+    """Track a video of 4 s with a wrong set-up; return the report, and the final error of the free end."""
     case, rng = Case(cast=wrong.startswith("mirrored")), np.random.default_rng((seed, 9))
     motion, scale = motion_of(case, seed), 800.0 if "view" in wrong else SCALE
     camera = Camera.facing((1280, 720), pixels_per_metre=scale, origin=(640.0, 60.0), exposure=case.exposure)
@@ -271,10 +270,10 @@ def reported(wrong: str, seed: int, folder: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run what is asked for, and write a line for each; or the page."""
+    """Run the chosen cases and write a line for each, or write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("seeds", help="how many seeds, or: wrong, page")
-    parser.add_argument("--case", default="", help="those whose name contains it")
+    parser.add_argument("--case", default="", help="cases whose name contains this text")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--videos", type=Path, help="folder that keeps the videos of runs")
     parser.add_argument("--out", type=Path, default=RESULTS)
@@ -299,9 +298,8 @@ def page(rows: list[log.Row]) -> str:
     kept = {(row["case"], row["seed"]): row for row in rows}
     lines = ["# A plain rope, tracked without markers", "", __doc__.split("\n\n")[2].replace("\n", " ").strip(), ""]
     lines.append(
-        "| case | seeds | fastest, m/s | curve rms, mm (worst seed) | asked | tip rms, mm (worst seed) | asked | "
-        "curve within the stated 90 %, % (from - to) | tip, % (from - to) | lost | doubted | "
-        "ms a frame (slowest of 100) |"
+        "| case | seeds | fastest, m/s | curve rms, mm (worst seed) | goal | tip rms, mm (worst seed) | goal | curve "
+        "within the stated 90 %, % (from - to) | tip, % (from - to) | lost | doubted | ms a frame (slowest of 100) |"
     )
     lines.append("|---" * 12 + "|")
     for name, case in CASES.items():
@@ -331,7 +329,13 @@ def page(rows: list[log.Row]) -> str:
         lines.append(f"| {' | '.join(map(str, cells))} |")
     wrong = [row for row in kept.values() if row["case"] in WRONG]
     if wrong:
-        lines += ["", "## Wrong set-ups: what is reported", "", "| wrong | reported | end off, m |", "|---|---|---|"]
+        lines += [
+            "",
+            "## Wrong set-ups: what is reported",
+            "",
+            "| fault | reported | error of the end, m |",
+            "|---|---|---|",
+        ]
     for row in wrong:
         off = "-" if row["off"] is None else f"{row['off']:.2g}"
         lines.append(f"| {row['case']} | {row['reported'] or '-'} | {off} |")

@@ -1,9 +1,9 @@
-"""What parts of identification give: the same fresh cases with one part as it is, and switched off.
+"""Ablation of parts of identification: the same fresh cases with one part switched on and off.
 
 python -m benchmarks.mechanisms --seed 914             all parts; some 3 min of processor time
-python -m benchmarks.mechanisms --seed 914 --only starts --count 6 --out -    a look; nothing is written
+python -m benchmarks.mechanisms --seed 914 --only starts --count 6 --out -    short; writes nothing
 
-A part is worth its lines where fewer faults are named without it, more results are wrong or cases missed, or the time
+A part is useful if, without it, fewer faults are identified, more results are wrong, more cases are missed, or the time
 grows. Rows are kept in mechanisms.jsonl. All simulated.
 """
 
@@ -48,7 +48,8 @@ def recorded_as(kind: str, run: hf.Trajectory, random: np.random.Generator, nois
 
 
 def outcome(seen: hf.Recording, rope: hf.Rope, kind: Kind) -> str:
-    """Fit, and return whether the first finding is of a kind, or how many deviations the ratios are off."""
+    """Fit, and return whether the first finding has the expected kind, or the error of the ratios in standard
+    deviations."""
     guess = rope.replace(inertia=1.3 * rope.inertia, com=0.9 * rope.com, friction=1e-3)
     free = FREE if rope.n_links > 1 else ["inertia", "friction"]
     found = hf.identify(seen, guess, free, options=hf.FitOptions(**BOUNDED))
@@ -58,7 +59,7 @@ def outcome(seen: hf.Recording, rope: hf.Rope, kind: Kind) -> str:
         return "do not use, another cause"
     true = hf.identification.ratios(rope)
     off = [np.abs(found.ratios[name] - true[name]) > 2.0 * found.ratio_std[name] for name in ("J/p1", "p/p1")]
-    wrong = rope.n_links > 1 and bool(np.concatenate(off).any())  # of one link the held com is wrong here
+    wrong = rope.n_links > 1 and bool(np.concatenate(off).any())  # for one link, the fixed com is wrong here
     return "usable and wrong" if wrong else "usable, within its interval"
 
 
@@ -84,7 +85,7 @@ def pictures(random: np.random.Generator, k: int) -> str:
 
 
 def samples(random: np.random.Generator, k: int) -> str:
-    """A zero that moves by 0.1 rad or 3 cm, and 0.1 to 0.6 s of frames that are missing: found before a fit."""
+    """A zero that moves by 0.1 rad or 3 cm, and 0.1 to 0.6 s of missing frames, found before a fit."""
     kind, n = ("angles", "markers")[k // 2 % 2], int(random.choice([1, 2, 2, 3, 8]))
     rate, start = float(random.choice([25, 30, 60, 100, 240])), random.choice([0.3, 0.8, 1.5, 2.8])
     rope, t = drawn(random, n), np.arange(int(rate * random.uniform(5.0, 15.0))) / rate
@@ -100,7 +101,7 @@ def samples(random: np.random.Generator, k: int) -> str:
 
 
 def starts(random: np.random.Generator, k: int) -> str:
-    """Guesses within a factor of 4: does the fit end where one from the truth does?"""
+    """Guesses within a factor of 4: does the fit end at the result of a fit from the truth?"""
     n, kind, rate = 1 + k % 3, ("angles", "markers")[k // 3 % 2], float(random.choice([60, 120, 240]))
     rope, t = drawn(random, n), np.arange(int(6.0 * rate)) / rate
     q0 = random.choice([0.8, 1.6, 2.6]) * random.uniform(0.7, 1.0, n)
@@ -114,7 +115,7 @@ def starts(random: np.random.Generator, k: int) -> str:
 
 
 class Part(NamedTuple):
-    """A part of identification: cases that show it, how many, and how it is switched off."""
+    """A part of identification: its cases, their number, and how to switch it off."""
 
     what: str
     case: Callable[[np.random.Generator, int], str]
@@ -153,7 +154,7 @@ PARTS = {
 
 
 def measure(name: str, seed: int, count: int, off: bool) -> dict[str, Any]:
-    """Return how the cases of a part end, with it or without it, and their processor time, s."""
+    """Return the results of the cases of a part, with or without it, and their processor time, s."""
     part, ends, began = PARTS[name], Counter[str](), time.process_time()
     with part.off() if off else nullcontext():
         for k in range(count):
@@ -164,7 +165,7 @@ def measure(name: str, seed: int, count: int, off: bool) -> dict[str, Any]:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Return a Markdown table of all rows."""
-    text = "| part | cases | | how they end | s |\n|---|---|---|---|---|\n"
+    text = "| part | cases | | results | s |\n|---|---|---|---|---|\n"
     for row in rows:
         ends = ", ".join(f"{count} {end}" for end, count in row["ends"].items())
         about = f"{PARTS[row['part']].what} | {PARTS[row['part']].case.__doc__}"
@@ -191,13 +192,13 @@ def main() -> None:
                     lines.append(path, rows[-1])
     if path is not None:
         about = machine.sentence(machine.describe())
-        page = f"# What parts of identification give\n\n{PAGE}\n\n{table(rows)}\n{about}\n"
+        page = f"# Ablation of parts of identification\n\n{PAGE}\n\n{table(rows)}\n{about}\n"
         files.write_text(path.with_suffix(".md"), page)
 
 
-PAGE = """Fresh cases with a part of identification as it is, and switched off; processor time. A part is worth its
-lines where fewer faults are named without it, more results are wrong or cases missed, or the time grows.
-`python -m benchmarks.mechanisms` makes these rows. All simulated."""
+PAGE = """Fresh cases with one part of identification switched on and off; processor times. A part is useful if, without
+it, fewer faults are identified, more results are wrong, more cases are missed, or the time grows. `python -m
+benchmarks.mechanisms` makes these rows. All simulated."""
 
 if __name__ == "__main__":
     main()

@@ -21,8 +21,8 @@ ARM = (
 )
 DRIVE = "torque on a heavy rotor"
 AXIS = np.array([0.0, 0.0, 1.0])
-# (scheme, largest step, accuracy; None: a fixed step). Fixed steps of radau3 reach 1 mm in less than half the time that
-# its error control takes.
+# (scheme, largest step, accuracy; None: a fixed step). Fixed steps of radau3 reach 1 mm in less than half the time of
+# its error control.
 SETTINGS = (
     ("radau3", 0.02, None),
     ("radau3", 0.0125, None),
@@ -89,7 +89,7 @@ class Rig:
 
 
 def contestants(cast: Cast, quick: bool) -> Iterator[Contestant]:
-    """The integrators that came closest; radau1, velocity_implicit_euler, runge_kutta5 and cenic were no match."""
+    """The fastest integrators; radau1, velocity_implicit_euler, runge_kutta5 and cenic were much slower."""
     rig = Rig(cast.rope, cast.arm)
     settings = list(SETTINGS[1:2] if quick else SETTINGS)
     if not quick:

@@ -1,4 +1,4 @@
-"""hyperflex itself, as a user calls it: checks, output, energies and the energy guard are part of the time."""
+"""hyperflex, called as by a user: the time includes checks, output, energies and the energy guard."""
 
 from collections.abc import Iterator
 
@@ -31,7 +31,7 @@ def steps(cast: Cast, tol: float) -> int:
 
 
 def contestants(cast: Cast, quick: bool) -> Iterator[Contestant]:
-    """The tolerance is the only knob; and classical Runge-Kutta on the same kernel, to part method from kernel."""
+    """The tolerance is the only option. Classical Runge-Kutta on the same kernel separates method from kernel."""
     for tol in TOLERANCES[1:3] if quick else TOLERANCES:
         yield Contestant(NAME, "extrapolation", f"tol {tol:g} m", lambda tol=tol: run(cast, tol=tol), adaptive=True)
     step = 0.99 * runge_kutta_limit(cast.rope.chain())

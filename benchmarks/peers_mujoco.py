@@ -55,7 +55,7 @@ def run(cast: Cast, compiled: mujoco.MjModel, longest: float) -> Array:
 
 
 def contestants(cast: Cast, quick: bool) -> Iterator[Contestant]:
-    """RK4 at the edge of stability, and the first-order integrators with steps that friction does not limit."""
+    """RK4 at its stability limit, and the first-order integrators with steps that friction does not limit."""
     edge = 0.99 * runge_kutta_limit(cast.rope.chain())
     settings = [("RK4", edge), ("RK4", 0.8 * edge), *FIRST_ORDER]
     for integrator, step in settings[:1] if quick else settings:

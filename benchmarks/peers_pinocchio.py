@@ -1,8 +1,8 @@
-"""Pinocchio: its articulated-body algorithm (ABA), which comes without an integrator, inside two that we wrote.
+"""Pinocchio: its articulated-body algorithm (ABA), which has no integrator, in two integrators written here.
 
-One is classical Runge-Kutta at the edge of stability. The other is hyperflex's own method: ABA adds an armature to the
-diagonal of the mass matrix in relative angles, and an armature of step times friction makes friction implicit. So it
-tells how much of hyperflex's lead is the method and how much the kernel.
+One is classical Runge-Kutta at its stability limit. The other is hyperflex's method: ABA adds an armature to the
+diagonal of the mass matrix in relative angles, and an armature of step times friction makes friction implicit. The
+comparison separates the effects of method and kernel.
 """
 
 import math
@@ -84,7 +84,7 @@ class Rig:
         return np.array(tips)
 
     def runge_kutta(self, part: Stretch, starts: Array, h: float) -> Step:
-        """Classical Runge-Kutta; the arm's motion is worked out for all steps at once."""
+        """Classical Runge-Kutta; the arm's motion is computed for all steps at once."""
         g0, r0 = self.frames(part, starts)
         g1, r1 = self.frames(part, starts + 0.5 * h)
         g2, r2 = self.frames(part, starts + h)
@@ -143,7 +143,7 @@ class Loop:
 
 
 def contestants(cast: Cast, quick: bool) -> Iterator[Contestant]:
-    """Runge-Kutta at the edge of stability, and its ABAs alone; the extrapolated method with several steps."""
+    """Runge-Kutta at its stability limit, and its ABAs alone; the extrapolated method with several steps."""
     rig, edge = Rig(cast), 0.99 * runge_kutta_limit(cast.rope.chain())
     setting = f"dt {edge:.3g} s"
     yield Contestant(NAME, "RK4 on ABA", setting, lambda: rig.run(edge, rig.runge_kutta))

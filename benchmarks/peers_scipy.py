@@ -1,4 +1,4 @@
-"""scipy's integrators on hyperflex's own compiled accelerations: what the method alone is worth."""
+"""scipy's integrators on hyperflex's compiled accelerations: the effect of the method alone."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -30,7 +30,7 @@ RightHandSide = Callable[[float, Array, float], Array]
 
 
 def right_hand_side(cast: Cast) -> RightHandSide:
-    """Compile the time derivative of (angles, rates) (2 n,); its third argument picks the stretch by a time inside."""
+    """Compile the time derivative of (angles, rates) (2 n,); its third argument, a time, selects the interval."""
     chain, drive = cast.rope.chain(), Setup(cast.rope, cast.motion, cast.arm).drive()
     n, grip = cast.rope.n_links, np.ones(cast.rope.n_links)
 

@@ -1,15 +1,15 @@
-"""Real double pendulum: how far off are markers that an estimator was not shown, through full rotations?
+"""Real double pendulum: errors of predicted markers that were withheld from an estimator, through full rotations.
 
 python -m benchmarks.pendulum_tracking --data FOLDER              both runs, three frame rates, three estimators
-python -m benchmarks.pendulum_tracking --data FOLDER --quick      the first eighth of each run; nothing is written
+python -m benchmarks.pendulum_tracking --data FOLDER --quick      the first eighth of each run; writes nothing
 
 FOLDER has run06_500Hz.csv and run16_500Hz.csv: t, x0, y0, x1, y1, x2, y2 in s and m, y up, made from the IBM
 double-pendulum recordings (Asseman, Kornuta and Ozcan 2018, Learning beyond simulated physics; CDLA-Sharing-1.0).
 
-A fifth of the samples is withheld, and besides a tenth of the frames altogether. What an estimator expects there is
-compared with what was measured. Inertias are those of independent fits, as ratios; friction, camera roll, place of the
-pivot, lengths and places of the markers are estimated along with the state. The first second is left out: rates are
-not known then.
+A fifth of the samples and a tenth of the complete frames are withheld. The estimator's predictions for them are
+compared with the measurements. The ratios of inertias are those of independent fits; friction, camera roll, position of
+the pivot, lengths and positions of the markers are estimated with the state. The first second is omitted, because the
+rates are unknown then.
 """
 
 import argparse
@@ -50,7 +50,7 @@ class Recording(NamedTuple):
     withheld: Array
 
     def observations(self) -> list[Observations]:
-        """What an estimator is shown."""
+        """The measurements that an estimator gets."""
         shown = np.where(self.withheld[:, :, None], np.nan, self.places)
         return [Observations(float(t), each, NOISE) for t, each in zip(self.t, shown, strict=True)]
 
@@ -64,13 +64,13 @@ def pendulum() -> hf.Rope:
 
 
 def estimator(kind: Callable[..., RopeFilter]) -> Any:
-    """One that knows the pendulum nearly."""
+    """An estimator that knows the pendulum approximately."""
     parameters = [EstimatedParameter(name, std) for name, std in SPREAD.items()]
     return kind(pendulum(), np.cumsum(LENGTHS), parameters=parameters)
 
 
 def read(folder: Path, run: int, rate: float, duration: float, seed: int) -> Recording:
-    """Read a run's first seconds at a frame rate, and withhold some of it by chance, but not of the first frame."""
+    """Read a run's first seconds at a frame rate, and withhold random samples except in the first frame."""
     table = np.loadtxt(folder / f"run{run:02d}_{SAMPLED}Hz.csv", delimiter=",", skiprows=1)
     table = table[table[:, 0] < duration][:: round(SAMPLED / rate)]
     rng = np.random.default_rng((seed, run))
@@ -81,7 +81,7 @@ def read(folder: Path, run: int, rate: float, duration: float, seed: int) -> Rec
 
 
 def follow(tracker: RopeFilter, recording: Recording) -> tuple[Array, Array]:
-    """Return errors (T, 2) of the markers, m, and their stated standard deviations, before anything later is seen."""
+    """Return errors (T, 2) of the markers, m, and their stated standard deviations, before any later measurement."""
     errors, stated = np.zeros(recording.withheld.shape), np.zeros(recording.withheld.shape)
     for k, seen in enumerate(recording.observations()):
         tracker.update(seen)
@@ -92,7 +92,7 @@ def follow(tracker: RopeFilter, recording: Recording) -> tuple[Array, Array]:
 
 
 def counted(recording: Recording) -> Array:
-    """Which markers (T, 2) are withheld, after the first second."""
+    """Withheld markers (T, 2) after the first second."""
     return recording.withheld & (recording.t >= SETTLED)[:, None]
 
 
@@ -156,11 +156,11 @@ def text(rows: list[dict[str, Any]]) -> str:
         cells += [f"{1e3 * ASKED[-rate]:g}", f"{np.median([row['ms'] for row in same]):.1f}"]
         lines.append(f"| {run:02d} | {-rate:g} | {name} | {' | '.join(cells)} |")
     return "\n".join(lines) + (
-        "\n\nWithheld markers: root mean square of the distance between what was expected and what was measured, mm, "
-        f"from the least to the greatest of the seeds that say what is withheld ({SAMPLES:.0%} of the samples, and "
-        f"{FRAMES:.0%} of the frames besides); the first {SETTLED:g} s are left out. Filter and moving horizon tell it "
-        "before they see anything later; the smoother has seen all else. Time is the processor's; the smoother's holds "
-        "that of the moving horizon, which goes before."
+        "\n\nWithheld markers: root mean square distance between predicted and measured positions, mm, least to "
+        f"greatest of the random seeds of withheld samples ({SAMPLES:.0%} of the samples, and {FRAMES:.0%} of the "
+        f"frames). The first {SETTLED:g} s are omitted. Filter and moving horizon predict before any later "
+        "measurement; the smoother uses all other measurements. Times are processor times; that of the smoother "
+        "includes the moving horizon, which precedes it."
     )
 
 
@@ -176,8 +176,8 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
-    parser.add_argument("--seeds", type=int, default=2, help="how many choices of what is withheld (2)")
-    parser.add_argument("--quick", action="store_true", help="the first eighth of each run; nothing is written")
+    parser.add_argument("--seeds", type=int, default=2, help="number of random choices of withheld samples (2)")
+    parser.add_argument("--quick", action="store_true", help="the first eighth of each run; writes nothing")
     options = parser.parse_args()
     about, rows = machine.describe(), []
     for rate in ASKED:
@@ -186,7 +186,7 @@ def main() -> None:
                 rows += measure(options.data, run, rate, 4.5 if options.quick else np.inf, seed)
                 print(*[f"{row['estimator']} {row['withheld_mm']:.2f} mm," for row in rows[-3:]], run, rate, flush=True)
     about["load after"] = machine.load()
-    page = f"# Real double pendulum: markers that were withheld\n\n{text(rows)}\n\n{machine.sentence(about)}\n"
+    page = f"# Real double pendulum: withheld markers\n\n{text(rows)}\n\n{machine.sentence(about)}\n"
     print(page)
     if not options.quick:
         data = {"machine": about, "rows": rows}

@@ -1,19 +1,19 @@
-"""A plain rope, filmed without markers, tracked and identified as the tutorial says: do intervals contain the truth?
+"""A plain rope, filmed without markers, tracked and identified as in the tutorial: do intervals contain the truth?
 
 python -m benchmarks.plain                      20 twins; to benchmarks/results/plain.jsonl and plain.md
-python -m benchmarks.plain --count 2 --out -    a look; nothing is written
+python -m benchmarks.plain --count 2 --out -    short; writes nothing
 python -m benchmarks.plain --markers            the same ropes with ten markers, for the widths
-python -m benchmarks.plain --count 0            the page from what there is
+python -m benchmarks.plain --count 0            the page from the existing rows
 
 Each twin is a uniform rope of 80 links, simulated with a tolerance of 1e-9 and filmed by the renderer for 10 s:
-1280x720, 30 frames/s, compressed, with the noise of a phone; the camera is rolled by some tenths of a degree. The
-user's part is done by the command line: `hyperflex track` with a length and answers (the clicks are off by a pixel),
-`hyperflex identify` with its first guess. With markers the camera, its roll too, is known exactly.
+1280x720, 30 frames/s, compressed, with the noise of a phone; the camera is rolled by a few tenths of a degree. The
+command line does the user's part: `hyperflex track` with a length and answers (clicks are off by a pixel), then
+`hyperflex identify` with its first guess. With markers, the camera and its roll are known exactly.
 
-What is fitted is a chain of 20 links. "Converted" is what `hf.with_links` makes of the finer rope: friction stands
-for the same bending viscosity, inertia is that of a straight link. "Best" is what the same fit finds in the exact
-places of the rope: links that are long differ from a smooth rope, and their inertia makes up for a part of it, so that
-no other inertia is true of such a chain. Mass is not known: what is compared is friction, inertia and drag over mass.
+The fitted model is a chain of 20 links. "Converted" is the result of `hf.with_links` for the finer rope: friction of
+the same bending viscosity, inertia of straight links. "Best" is the result of the same fit to the exact positions of
+the rope: long links differ from a smooth rope, and their inertia compensates a part of the difference, so the best
+value is the true inertia of such a chain. Mass is unknown: friction, inertia and drag are compared relative to mass.
 The exit code is 1 if an interval of friction or inertia misses the best value in more than one twin of 20.
 """
 
@@ -45,7 +45,8 @@ DENSITY = 0.0625  # kg/m, of the guess
 
 
 def rope(rng: np.random.Generator) -> hf.Rope:
-    """A rope of 1.4 to 2 m, 5 mm thick, of 40 to 90 g/m, half to twice as viscous for its mass as the paper's cable."""
+    """A rope of 1.4 to 2 m, 5 mm thick, 40 to 90 g/m, with 0.5 to 2 times the viscosity over mass of the paper's
+    cable."""
     length = float(rng.uniform(1.4, 2.0))
     mass = float(rng.uniform(0.04, 0.09)) * length
     friction = float(np.exp(rng.uniform(-0.7, 0.7))) * 2e-5 * LINKS / length * mass / length / DENSITY
@@ -77,7 +78,7 @@ def film(motion: RopeMotion, arcs: Array, seed: int, path: Path) -> Camera:
 
 
 def examine(seed: int, markers: int, folder: Path) -> dict[str, Any]:
-    """Film a twin, do what the tutorial says, and compare."""
+    """Film a twin, follow the tutorial, and compare."""
     rng = np.random.default_rng((seed, 0))
     line = rope(rng)
     length, motion = line.total_length, swing(line, seed)
@@ -111,7 +112,7 @@ def examine(seed: int, markers: int, folder: Path) -> dict[str, Any]:
 
 
 def best(motion: RopeMotion, folder: Path) -> dict[str, float]:
-    """What the same fit finds in the exact places at the same times, as often seen and with the same weights."""
+    """Result of the same fit to the exact positions at the same times, with the same weights."""
     seen = hf.read_recording(folder / "markers.nc")
     arcs = np.asarray(files.read_netcdf(folder / "markers.nc").attributes["arc_lengths"])
     places = motion.places(seen.t, arcs)[:, :, :2].reshape(seen.data.shape)
@@ -127,7 +128,7 @@ def best(motion: RopeMotion, folder: Path) -> dict[str, float]:
 
 
 def freed() -> list[str]:
-    """What is free: the camera is level to some tenths of a degree only."""
+    """Free parameters: the camera is level only to a few tenths of a degree."""
     return [*(f"{name}:shared" for name in FREE), "gravity_angle"]
 
 
@@ -147,8 +148,8 @@ def spent() -> float:
 
 
 def summary(rows: list[log.Row]) -> list[str]:
-    """Rows of a table: of each number of markers and each parameter, in how many twins its interval holds."""
-    held = "interval holds the best one | the converted one"
+    """Rows of a table: the number of twins whose interval contains the value, by number of markers and parameter."""
+    held = "interval contains the best one | the converted one"
     lines = [f"| points | twins | value | {held} | width, median | best over converted |"]
     lines.append("|---" * 7 + "|")
     for markers, points in ((0, "curve, 12 places"), (MARKERS, f"{MARKERS} markers")):
@@ -164,7 +165,7 @@ def summary(rows: list[log.Row]) -> list[str]:
 
 
 def main() -> int:
-    """Run what is asked for, and write a line for each; then the page."""
+    """Run the twins, write a line for each, then the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--seed", type=int, default=0, help="first seed")
@@ -202,7 +203,7 @@ def page(rows: list[log.Row], table: list[str]) -> str:
         late = f"{1e3 * readout['value']:.1f}" if readout else "-"
         cells = [row["seed"], row["markers"], row["grade"], kinds, round(row["seconds"]), late]
         lines.append(f"| {' | '.join(map(str, cells))} |")
-    lines += ["", "The pictures are exposed at once, so that a readout other than 0 is an error.", ""]
+    lines += ["", "All rows of a picture are exposed at the same time, so a readout time other than 0 is an error.", ""]
     return "\n".join([*lines, f"{log.made(rows)} {machine.sentence(machine.describe())}\n"])
 
 
