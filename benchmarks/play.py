@@ -1,10 +1,10 @@
-"""The page of hyperflex play: frames, answers of a slider, cancelling, memory; at rest and while a cast is planned.
+"""The page of hyperflex play: frame rate, slider latency, cancelling, memory; idle and while a cast is planned.
 
 python benchmarks/play.py                  60 s of frames, a soak of 30 minutes; results in benchmarks/results/
-python benchmarks/play.py --seconds 20 --minutes 2   the short form; it says so
+python benchmarks/play.py --seconds 20 --minutes 2   the short form
 
-The server is a process of its own, as the command starts it; the page is in a chromium without a window, which paints
-without a graphics card. All on this machine.
+The server is a separate process, started by the command; the page runs in a headless chromium without a graphics card.
+All on one machine.
 """
 
 import argparse
@@ -26,7 +26,12 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from tests.browser import Browser, found
 
 RESULTS = Path(__file__).parent / "results"
-LINKS, PAUSE, PIECE, SETTLED = 200, 0.1, 15.0, 20.0  # s between two moves of the slider, of a look, before a soak
+LINKS, PAUSE, PIECE, SETTLED = (
+    200,
+    0.1,
+    15.0,
+    20.0,
+)  # s between moves of the slider, of a measurement, before a soak
 PATIENCE = 20.0  # s without a frame, after which the page has stopped
 AIM = {"delivered": 55.0, "painted": 20.0, "idle p95": 100.0, "planning p95": 200.0, "cancel": 1.0, "growth": 5.0}
 SLIDE = """(async () => {
@@ -69,23 +74,23 @@ class Measured:
         return int(status.partition("VmRSS:")[2].split()[0]) / 1024.0
 
     def processor(self) -> float:
-        """Processor time of the server, s, planning left out."""
+        """Processor time of the server without planning, s."""
         fields = Path(f"/proc/{self.server.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def plan(self) -> None:
-        """Begin to plan, again if the last search has ended."""
+        """Start planning, again if the last search has ended."""
         self.browser.evaluate("play.ask({ set: { time_budget: 120, target_x: -0.83, target_y: -1.07 } })")
         self.browser.evaluate("play.ask({ button: 'plan' })")
         self.wait("play.scene.planning && play.scene.planning.spent > 0")
 
     def cancel(self) -> float:
-        """Cancel; returns how long it took, s."""
+        """Cancel; return the time that it took, s."""
         took = "(async () => { const t = performance.now(); await play.ask({ button: 'cancel' }); "
         return float(self.browser.evaluate(took + "return performance.now() - t; })()")) / 1000.0
 
     def frames(self, seconds: float) -> dict[str, Any]:
-        """Count frames that came and were painted, and time a slider meanwhile."""
+        """Count delivered and painted frames, and measure the latency of a slider."""
         before, begin = self.browser.evaluate("[play.counts.frames, play.counts.painted]"), time.monotonic()
         took: list[float] = []
         used = self.processor()
@@ -105,7 +110,7 @@ class Measured:
 
 
 def ask(place: str, **message: Any) -> float:
-    """Ask something; returns how long the answer took, s."""
+    """Send a request; return the time until the answer, s."""
     begin, connection = time.monotonic(), http.client.HTTPConnection(place)
     connection.request("POST", "/do", json.dumps(message))
     connection.getresponse().read()
@@ -113,7 +118,7 @@ def ask(place: str, **message: Any) -> float:
 
 
 def read_frames(place: str, frames: list[float], ended: threading.Event) -> None:
-    """Note when frames come."""
+    """Record the arrival times of frames."""
     connection = http.client.HTTPConnection(place)
     connection.request("GET", "/stream")
     with connection.getresponse() as stream:
@@ -123,7 +128,7 @@ def read_frames(place: str, frames: list[float], ended: threading.Event) -> None
 
 
 def soak(page: Measured, minutes: float) -> dict[str, float]:
-    """A client without a picture moves the peg every second: memory, frames, answers."""
+    """Move the peg every second from a client without a display; measure memory, frames and latency."""
     place, frames, ended = page.address.removeprefix("http://").rstrip("/"), [time.monotonic()], threading.Event()
     reader = threading.Thread(target=read_frames, args=(place, frames, ended), daemon=True)
     reader.start()
@@ -190,27 +195,27 @@ def text(found: dict[str, Any]) -> str:
     aim = f"{AIM['idle p95']:g}; {AIM['planning p95']:g} while planning"
     for what, wanted, name in (
         (
-            "frames delivered, with those that moves of the slider bring (less than 10), 1/s",
+            "frames delivered, including those due to the slider (less than 10), 1/s",
             f"{AIM['delivered']:g}",
             "delivered",
         ),
         ("frames painted without a graphics card, 1/s", f"{AIM['painted']:g}", "painted"),
-        ("answer of a slider, p50, ms", "", "answer p50"),
-        ("answer of a slider, p95, ms", aim, "answer p95"),
-        ("processor time of the server a frame, ms", "", "processor"),
-        ("threads busy, all programs together", "", "load"),
+        ("slider latency, p50, ms", "", "answer p50"),
+        ("slider latency, p95, ms", aim, "answer p95"),
+        ("processor time of the server per frame, ms", "", "processor"),
+        ("busy threads of all programs", "", "load"),
     ):
         rows.append(f"| {what} | {wanted} | {idle[name]:.1f} | {busy[name]:.1f} |")
-    search = "the search went on all the while" if found["planned throughout"] else "the search ended before"
+    search = "the search ran throughout" if found["planned throughout"] else "the search ended earlier"
     grown = f"{long['first MB']:.0f} to {long['last MB']:.0f} MB, {long['growth %']:+.1f} %"
     answers = f"{long['answer p50']:.1f} ms (p50) and {long['answer p95']:.1f} ms (p95)"
     lines = [
-        f"A rope of {LINKS} links swings beside a peg and strikes it; {idle['seconds']:.0f} s each, {search}.",
-        f"Cancelling a search took {found['cancel s']:.2f} s at most of three (aim {AIM['cancel']:g} s).",
-        f"Memory of the server, {long['minutes']:g} minutes with a client that paints nothing and moves the peg:",
-        f"{grown} (aim +{AIM['growth']:g} % in 30 minutes). It got {long['delivered']:.1f} frames a second,",
-        f"and answers in {answers}; {long['stops']} times the rope was hung anew, since a frame took too long.",
-        f"Requests to other hosts: {found['foreign requests']}. Complaints in the console: {found['console']}.",
+        f"A rope of {LINKS} links swings near a peg and strikes it; {idle['seconds']:.0f} s for each column, {search}.",
+        f"Cancelling a search took at most {found['cancel s']:.2f} s in three attempts (aim {AIM['cancel']:g} s).",
+        f"Memory of the server in {long['minutes']:g} minutes with a client that moves the peg and has no display:",
+        f"{grown} (aim +{AIM['growth']:g} % in 30 minutes). It received {long['delivered']:.1f} frames a second,",
+        f"and answers in {answers}; the rope was reset {long['stops']} times because a frame took too long.",
+        f"Requests to other hosts: {found['foreign requests']}. Errors in the console: {found['console']}.",
     ]
     return "\n".join(rows) + "\n\n" + "\n".join(lines)
 
@@ -227,7 +232,7 @@ def main() -> None:
     short = given.seconds < 60.0 or given.minutes < 30.0
     words = f"\nThe short form: `--seconds {given.seconds:g} --minutes {given.minutes:g}`.\n" if short else ""
     page = f"# hyperflex play: frames, answers, memory\n\n{text(measured)}\n{words}\n{machine.sentence(about)}\n\n"
-    page += "`python benchmarks/play.py` makes this page again.\n"
+    page += "Reproduce: `python benchmarks/play.py`\n"
     sys.stdout.write(page)
     (RESULTS / "play.md").write_text(page, encoding="utf-8")
     content = {"machine": about, **measured}

@@ -1,10 +1,10 @@
-"""Pumping the paper's cable to |x| = 1.8 m: its rest, constant rests, the paper's timing rule, ours, a search.
+"""Pumping the paper's cable to |x| = 1.8 m: the paper's rest, constant rests, the paper's timing rule, ours, a search.
 
 python -m benchmarks.pumping             some minutes; results in benchmarks/results/
-python -m benchmarks.pumping --search    searches the rests anew as well, some minutes a path on an idle machine
+python -m benchmarks.pumping --search    repeats the search for rests; minutes for each path on an idle machine
 
-All with the same half turn of the arm: stroke pi, 0.73 s, bang-bang. The first starts at t = 0 with the rope hanging
-at rest. Physical friction, through the bottom and over the top. Simulated.
+All half turns of the arm are equal: stroke pi, 0.73 s, bang-bang. The first starts at t = 0 with the rope hanging at
+rest. Physical friction; the arm moves through the bottom or over the top. Simulated.
 """
 
 import argparse
@@ -23,20 +23,19 @@ from hyperflex.paper import T_REST, cable, casting_arm
 PATHS = ("under", "over")
 CONSTANTS = np.round(np.arange(0.30, 0.70, 0.002), 3)  # s; outside none is among the best
 LEADS = (-0.35, -0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)  # s; the paper has no negative ones
-NOTE = """
-The half turn of the arm is always the same (stroke, speed, acceleration). The search is over the rests alone; that it
-finds nothing 5 % sooner than the best constant rest through the bottom: [the bound](pumping-bound.md).
+NOTE = """ All half turns of the arm are equal (stroke, speed, acceleration); the search varies the rests only. It finds
+nothing 5 % faster than the best constant rest through the bottom: see [the bound](pumping-bound.md).
 
-t_b is the paper's: how long before the tip crosses x = 0 the arm starts. Negative, which the paper did not try, it
-starts after the crossing, and one that happens while the arm still moves counts. Counted from the first crossing after
-the arm has come to rest instead, a negative t_b pumps worse than 0 through the bottom."""
+t_b is that of the paper: the arm starts t_b before the tip crosses x = 0. With a negative t_b, which the paper did not
+try, it starts after the crossing, also after one that happens while the arm still moves. If the crossing must follow
+the arm's stop instead, a negative t_b pumps worse than 0 through the bottom."""
 ROPES = 8  # true ropes seen by the simulated camera
 
 
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--search", action="store_true", help="search the rests anew")
+    parser.add_argument("--search", action="store_true", help="repeat the search for rests")
     parser.add_argument("--ropes", type=int, default=ROPES, help="true ropes for the camera")
     parser.add_argument("--out", default=str(Path(__file__).parent / "results"), help="folder, or - for none")
     options = parser.parse_args()
@@ -51,7 +50,7 @@ def main() -> None:
 
 
 def measure(path: Any, search: bool, ropes: int) -> dict[str, Any]:
-    """Times of arrival, s, of every way to pump; None where the tip does not arrive."""
+    """Times of arrival, s, of each pumping method; None if the tip does not arrive."""
     times = constant_arrivals(path, CONSTANTS)
     best = int(np.argmin(times))
     rope, arm, model = cable(), casting_arm(), caster(path)
@@ -73,7 +72,8 @@ def measure(path: Any, search: bool, ropes: int) -> dict[str, Any]:
 
 
 def camera(path: Any, seed: int) -> dict[str, float | None]:
-    """Arrival, s, of a rope that differs from the model, seen late and noisily; and of the same plan, open loop."""
+    """Arrival, s, of a rope that differs from the model with delayed, noisy measurements; and of the plan in open
+    loop."""
     rope, arm = cable(), casting_arm()
     length, mass, friction = 1.0 + np.array([0.01, 0.02, 0.2]) * np.random.default_rng(seed).standard_normal(3)
     true = rope.replace(
@@ -92,7 +92,7 @@ def known(time: float) -> float | None:
 
 
 def text(rows: dict[str, dict[str, Any]]) -> str:
-    """Return the table, and what the camera did, as Markdown."""
+    """Return the table, and the results with the camera, as Markdown."""
     skip = ("constant", "rests", "rests anew", "camera")
     names = [name for name in rows["under"] if name not in skip]
     lines = ["| way | under, s | over, s |", "|---|---|---|"]

@@ -1,13 +1,14 @@
-"""How much sooner can pumping be? Global searches for rests that bring |x| to 1.8 m 5 % before the best constant rest.
+"""Bound on pumping: global searches for rests that bring |x| to 1.8 m 5 % faster than the best constant rest.
 
 python -m benchmarks.pumping_bound CMA-ES 60     60 restarts of CMA-ES; seeds from 1000 on (--first)
 python -m benchmarks.pumping_bound DE 3          differential evolution, 18,000 rollouts each
 python -m benchmarks.pumping_bound starts 2      the best 24 of 2,500 random points, each followed by CMA-ES
-python -m benchmarks.pumping_bound page          the page from what there is
+python -m benchmarks.pumping_bound page          the page from the existing rows
 
-Through the bottom, where free rests gain least. For a deadline the greatest |x| before it is sought, over the rests
-after the first half turn; the first starts at t = 0, and waiting there only shifts all. A search ends where it gets no
-farther. Each adds a line to benchmarks/results/pumping-bound.jsonl. On one core, minutes each. Simulated.
+The arm moves through the bottom, where free rests gain least. A search maximises |x| before a deadline over the rests
+after the first half turn, which starts at t = 0, because a first rest would only shift the motion. A search ends when
+it makes no progress. Each adds a line to benchmarks/results/pumping-bound.jsonl and takes minutes on one core.
+Simulated.
 """
 
 import argparse
@@ -37,7 +38,7 @@ NEAR = 2e-3  # m
 
 
 class Task:
-    """The greatest |x| of the tip before a deadline, and how often it was asked for."""
+    """The greatest |x| of the tip before a deadline, and the number of evaluations."""
 
     def __init__(self, deadline: float) -> None:
         self.deadline, self.rollouts = deadline, 0
@@ -56,7 +57,8 @@ class Task:
 
 
 class Manner(NamedTuple):
-    """How a climb goes: its longest, when it is idle, what a rest out of bounds costs, m/s^2, and where it is put."""
+    """Options of a climb: most generations, idle generations, cost of a rest out of bounds, m/s^2, and its
+    correction."""
 
     most: int
     idle: int
@@ -86,7 +88,7 @@ LONG, SHORT, LAST = (
 def climb(
     task: Task, begin: Array, spread: float, rng: np.random.Generator, members: int, manner: Manner
 ) -> tuple[float, Array]:
-    """CMA-ES until it is old enough or idle."""
+    """CMA-ES until the last generation or until it is idle."""
     search, best, idle = CmaEs(begin, spread, np.ones(begin.size), members, rng), (-1.0, begin), 0
     for _ in range(manner.most):
         points = np.array(search.ask())
@@ -135,7 +137,7 @@ def crowd(task: Task, seed: int) -> tuple[float, Array]:
 
 
 def starts(task: Task, seed: int) -> tuple[float, Array]:
-    """The 24 best of 2,500 random points that are not alike, a short climb from each, a longer one from the best 5."""
+    """The 24 best distinct ones of 2,500 random points, a short climb from each, a longer one from the best 5."""
     rng = np.random.default_rng([91, seed])
     points = rng.uniform(0.0, 0.9, (2500, int(rng.integers(5, 8))))
     kept: list[Array] = []
@@ -155,18 +157,18 @@ WORDS = {
 
 
 def rows() -> list[dict[str, Any]]:
-    """What was found until now."""
+    """The results of earlier searches."""
     return log.read(RESULTS)
 
 
 def page(found: list[dict[str, Any]]) -> str:
     """The results as Markdown."""
     words = (
-        f"The best constant rest brings |x| to {WANTED:g} m after {BEST_CONSTANT:.2f} s; 5 % sooner is "
-        f"{DEADLINE:.2f} s. Half turns of the arm are as in the paper (stroke, speed, acceleration), so all that is "
-        "free are the rests between them: a search for the greatest |x| before a deadline, over these. Simulated."
+        f"The best constant rest brings |x| to {WANTED:g} m after {BEST_CONSTANT:.2f} s; 5 % faster is {DEADLINE:.2f} "
+        "s. The arm's half turns are those of the paper (stroke, speed, acceleration), so only the rests between them "
+        "are free: a search maximises |x| before a deadline over the rests. Simulated."
     )
-    lines = ["# Can pumping be 5 % sooner through the bottom?", "", words]
+    lines = ["# Can pumping through the bottom be 5 % faster?", "", words]
     for deadline in sorted({row["deadline"] for row in found}):
         lines += [
             "",
@@ -187,10 +189,10 @@ def page(found: list[dict[str, Any]]) -> str:
                 lines.append(f"| {WORDS[kind]} | {len(those)} | {count} | {those[0]['reach']:.3f} | {near} | {rests} |")
     best = max(row["reach"] for row in found if row["deadline"] == DEADLINE)
     verdict = (
-        f"None gets to {WANTED:g} m before {DEADLINE:.2f} s; the best is {best:.3f} m at the end of a swing, "
+        f"None reaches {WANTED:g} m before {DEADLINE:.2f} s; the best reaches {best:.3f} m at the end of a swing, "
         f"{1e3 * (WANTED - best):.0f} mm short. The time of arrival jumps: a swing that just fails costs half a "
-        "period. A search cannot prove that there is nothing better; searches of different kinds from unlike starts "
-        "that end in the same rests make it unlikely."
+        "period. A search cannot prove that nothing better exists, but different searches from different starts that "
+        "end at the same rests make it unlikely."
     )
     kernels = ", ".join(sorted({row["kernels"] for row in found}))
     lines += ["", verdict, "", f"Kernels: {kernels}. {machine.sentence(machine.describe())}", ""]

@@ -16,8 +16,8 @@ WANTED = 1.8  # m, |x| of the tip
 LONGEST = 14.0  # s
 SAMPLE_TIME = 0.02  # s
 Path = Literal["under", "over"]
-# Rests after the first, second, ... half turn, s, that a search over free rests found: by evolution strategies from
-# several starts, for the greatest reach before a deadline; over the top then adjusted by coordinate search.
+# Rests after the first, second, ... half turn, s, found by a search over free rests: evolution strategies from several
+# starts maximised the reach before a deadline; over the top, a coordinate search adjusted them.
 BEST: dict[Path, tuple[float, ...]] = {
     "under": (0.294, 0.489, 0.581, 0.422, 0.587, 0.314),
     "over": (0.0, 0.380, 0.414, 0.334, 0.529, 1.060),
@@ -35,14 +35,15 @@ def motion_of(path: Path, rests: npt.ArrayLike) -> Motion:
 
 
 def arrival(motion: Motion, *, rope: Rope | None = None, duration: float = LONGEST, tol: float = 1e-6) -> float:
-    """Return when the tip first is at ``|x|`` = 1.8 m, s, for the paper's cable or another rope; inf if it is not."""
+    """Return the time at which the tip first reaches ``|x|`` = 1.8 m, s, for the paper's cable or another rope; else
+    inf."""
     t = np.arange(0.0, duration, 0.5 * SAMPLE_TIME)
     run = simulate(rope or cable(), motion, arm=casting_arm(), duration=duration, t_eval=t, tol=tol)
     return float(arrival_time(run.t, np.abs(run.tip[:, :1]).T, WANTED)[0])
 
 
 def constant_arrivals(path: Path, rests: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return when constant rests (m,), s, bring the tip to 1.8 m (m,), s."""
+    """Return the times (m,) at which constant rests (m,), s, bring the tip to 1.8 m, s."""
     count = int(LONGEST / T_MOVE)
     t = SAMPLE_TIME * np.arange(1.0, round(LONGEST / SAMPLE_TIME) + 1.0)
     motions = [motion_of(path, np.full(count, rest)) for rest in rests]
@@ -53,7 +54,7 @@ def constant_arrivals(path: Path, rests: npt.NDArray[np.float64]) -> npt.NDArray
 def closed_loop(
     path: Path, source: StateSource, plan: PumpingPlan | None = None, *, recheck_time: float = np.inf
 ) -> Motion:
-    """Return what the closed loop makes of a plan, by default the best one known, on a source of states."""
+    """Run the closed loop with a plan, by default the best known one, on a source of states."""
     model = caster(path)
     rests = np.array(BEST[path]) if plan is None else plan.rests
     reached = arrival(motion_of(path, rests)) if plan is None else plan.arrival_time

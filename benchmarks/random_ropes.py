@@ -1,15 +1,15 @@
-"""Casts with ropes drawn at random: how many targets called in reach are planned and held, and how long it takes.
+"""Casts with random ropes: share of the targets called in reach that are planned and held, and planning times.
 
 python -m benchmarks.random_ropes --seed 10                 20 ropes, 5 targets each; an hour
 python -m benchmarks.random_ropes --seed 10 --targets 1     a sample: the first target of each rope
 python -m benchmarks.random_ropes --seed 10 --rows 4        the first four rows that are missing
 
 Ropes are 0.5 to 4 m long, weigh 10 to 150 g/m, taper from 1:1 to 10:1 in mass, carry up to 40 % of their mass at the
-tip, bend with and without stiffness, have up to 5e-4 N m of dry friction at each joint, and hang from an arm of 5 to
-15 % of their length. Targets are uniform in area within reach, 20 to 50 mm in radius, and pass the feasibility check.
-Each plan gets 40 s of processor time. A cast is held if it succeeds in a run with 2.5 times the links, half the
-contact step and a fifth of the tolerance, which no planner saw. The first targets of all ropes come first. Rows are
-kept in random-ropes-seed-N.jsonl: the same command goes on where it stopped. All simulated.
+tip, bend with and without stiffness, have up to 5e-4 N m of dry friction at each joint, and hang from an arm of 5 to 15
+% of their length. Targets are uniform in area within reach, 20 to 50 mm in radius, and pass the feasibility check. Each
+plan gets 40 s of processor time. A cast is held if it succeeds in an independent run with 2.5 times the links, half the
+contact step and a fifth of the tolerance. The first targets of all ropes come first. Rows are kept in
+random-ropes-seed-N.jsonl: the same command continues an interrupted run. All simulated.
 """
 
 import argparse
@@ -37,11 +37,11 @@ FINER = 2.5  # times the links in the independent run
 
 
 def rope_and_arm(seed: int, number: int, finer: float = 1.0) -> tuple[hf.Rope, hf.Arm]:
-    """Draw rope `number` of a seed, and its arm; the same rope as `finer` times as many links.
+    """Draw rope `number` of a seed, and its arm; with `finer` times as many links.
 
-    Damping and stiffness are those of a length of rope, but the hinge at the arm keeps its own, as
-    :func:`hyperflex.model.divided` has it; dry friction is a bending moment, the same at each joint. The mass per
-    length is one line along the rope, through the taper's values at the middles of its first and last drawn link.
+    Damping and stiffness are per length of rope, except those of the hinge at the arm, as in
+    :func:`hyperflex.model.divided`; dry friction is a bending moment, equal at each joint. The mass per length is a
+    line along the rope through the taper's values at the middles of its first and last drawn link.
     """
     rng = np.random.default_rng([seed, number])
 
@@ -70,7 +70,7 @@ def rope_and_arm(seed: int, number: int, finer: float = 1.0) -> tuple[hf.Rope, h
 
 
 def drawn(seed: int, number: int, rope: hf.Rope, arm: hf.Arm, count: int) -> Iterator[tuple[hf.Peg, bool]]:
-    """Draw targets, and say whether each is called in reach."""
+    """Draw targets, and return whether each is called in reach."""
     rng, problem = np.random.default_rng([seed, number, 1]), Problem(rope, arm, MotorLimits())
     reach = rope.total_length + arm.length
     for _ in range(count):
@@ -113,12 +113,12 @@ def page(seed: int, ropes: int, rows: list[dict[str, Any]], about: dict[str, str
     some = [each for number in range(ropes) for each in drawn(seed, number, *rope_and_arm(seed, number), 200)]
     share = np.mean([feasible for _, feasible in some])
     text = (
-        f"# Casts with ropes drawn at random: seed {seed}\n\nTargets called in reach, the first of each rope first: "
+        f"# Casts with random ropes: seed {seed}\n\nTargets called in reach, the first of each rope first: "
         f"{len(rows)}. Planned in {rows[0]['limit']:g} s of processor time: {planned}. Held in an independent run: "
-        f"{good}; asked for are 90 %. Median time, with no limit for those not held: {np.median(seconds):.1f} s. "
-        f"Of {len(some)} targets drawn for these ropes the feasibility check calls {100 * share:.0f} % in reach. "
-        "All simulated.\n\n"
-        "| rope | length, m | mass, g | arm, mm | target | x, m | y, m | radius, mm | planned | held | s | why not |\n"
+        f"{good}; the goal is 90 %. Median time, infinite for those not held: {np.median(seconds):.1f} s. The "
+        f"feasibility check calls {100 * share:.0f} % of {len(some)} targets drawn for these ropes in reach. All "
+        "simulated.\n\n| rope | length, m | mass, g | arm, mm | target | x, m | y, m | radius, mm | planned | held | "
+        "s | why not |\n"
     )
     text += "|---" * 12 + "|\n"
     for each in rows:

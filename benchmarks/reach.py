@@ -1,15 +1,14 @@
-"""What the criterion of reach is worth: random targets in reach and out of it, each searched for a throw all the same.
+"""Accuracy of the reachability check: random targets in reach and out of reach, each searched for a throw.
 
 python -m benchmarks.reach                       the paper's cable, 16 targets of each kind out of reach; 1.5 hours
-python -m benchmarks.reach --rope weighted       the same with 20 g at the tip
-python -m benchmarks.reach --count 4 --out -     a look; nothing is written
+python -m benchmarks.reach --rope weighted       with 20 g at the tip
+python -m benchmarks.reach --count 4 --out -     short; writes nothing
 
-Targets are those of ``benchmarks.casting`` from number 300 on, none of which that benchmark asks for. They are sorted
-by what the criterion says of them, and of each kind the first ones are planned for; a plan that stands (wound and held,
-also with shorter links) makes a target windable. How many targets are of each kind is counted on 10,000, so
-that the part of windable targets that are called out of reach follows. A search's time is the processor's, on one
-thread, so that other programs do not matter. Rows are kept in reach.jsonl: the same command goes on where it stopped.
-All simulated.
+Targets are those of ``benchmarks.casting`` from number 300 on, which that benchmark does not use. They are sorted by
+the result of the check, and casts are planned for the first ones of each kind; a target is windable if a plan succeeds
+(wound and held, also with shorter links). The share of each kind is counted on 10,000 targets, which gives the share of
+windable targets that are called out of reach. A search's time is processor time on one thread, so that other programs
+do not matter. Rows are kept in reach.jsonl: the same command continues an interrupted run. All simulated.
 """
 
 import argparse
@@ -30,7 +29,7 @@ from hyperflex.planning.feasibility import SWING as MODEL
 
 FIRST, COUNTED = 300, 10_000
 TIME_BUDGET, COUNT = 110.0, 16  # s, targets of a kind
-DRAWS = 10_000  # of the interval of the part called out of reach
+DRAWS = 10_000  # of the interval of the share called out of reach
 IN, ROPE, SWING, HIGH, NEVER = (
     "in reach",
     "too little rope",
@@ -42,7 +41,7 @@ KINDS = (ROPE, SWING, IN, HIGH)  # that are searched
 
 
 def kind(told: Feasibility) -> str:
-    """What the criterion says, in a word; of two reasons the one that forbids more."""
+    """The result of the check in one word; of two reasons the stronger one."""
     if told.impossible:
         return NEVER
     if told.feasible:
@@ -92,7 +91,7 @@ def wanted(kinds: dict[int, str], count: int) -> list[int]:
 
 
 def _many(one: str, count: int) -> int:
-    """Targets of a kind; fewer where the answer is nearly certain, or known from the benchmark itself."""
+    """Targets of a kind; fewer if the answer is nearly certain, or known from the benchmark."""
     return math.ceil(count / {IN: 2}.get(one, 1))
 
 
@@ -103,7 +102,7 @@ def read(log: Path | None, rope: str, time_budget: float) -> dict[int, dict[str,
 
 
 def planned(rope: str, number: int, time_budget: float) -> dict[str, Any]:
-    """A row: what a search finds for a target."""
+    """A row: the result of a search for a target."""
     who = problem(rope)
     plan = plan_cast(
         who.rope,
@@ -138,9 +137,12 @@ def text(kinds: dict[int, str], rows: dict[int, dict[str, Any]], options: argpar
         lines.append(f"| {one} | {shares[one]:.1%} | {len(found)} | {counts[one][0]} | {wound} |")
     lines.append(f"| {NEVER} | {shares[NEVER]:.1%} | 0 | | |")
     part, low, high = missed(shares, counts)
-    lines += ["", f"Of the targets that a search winds, {part:.1%} are called out of reach"]
-    lines[-1] += f" (95 % interval {low:.1%} to {high:.1%}); at most 10 % is asked."
-    lines += [f"A search is {options.time_budget:g} s of one processor at most; the benchmark's are 60 s of two.", ""]
+    lines += ["", f"{part:.1%} of the targets that a search winds are called out of reach"]
+    lines[-1] += f" (95 % interval {low:.1%} to {high:.1%}); the goal is at most 10 %."
+    lines += [
+        f"A search takes at most {options.time_budget:g} s on one processor; those of benchmarks.casting 60 s on two.",
+        "",
+    ]
     lines += ["| number | called | room | needed | energy | success | turns | s | why not |", "|" + "---|" * 9]
     for number, row in sorted(rows.items(), key=lambda pair: (KINDS.index(kinds[pair[0]]), pair[0])):
         told = check_feasibility(problem(options.rope), target(number))
@@ -157,7 +159,7 @@ def text(kinds: dict[int, str], rows: dict[int, dict[str, Any]], options: argpar
 
 
 def missed(shares: dict[str, float], counts: dict[str, tuple[int, int]]) -> tuple[float, float, float]:
-    """Part of the windable targets that are called out of reach, and a 95 % interval (Jeffreys, kind by kind)."""
+    """Share of the windable targets that are called out of reach, and a 95 % interval (Jeffreys, kind by kind)."""
     random = np.random.default_rng(0)
     drawn = {k: shares[k] * random.beta(won + 0.5, of - won + 0.5, DRAWS) for k, (won, of) in counts.items()}
     part = 1.0 - drawn[IN] / sum(drawn.values())

@@ -1,7 +1,7 @@
 """Demanding identifications: a real double pendulum, its tip alone, a rope on a measured arm, and one of few links.
 
 The recordings are those that the tests use: in the folder that ``HYPERFLEX_DATA`` names, or ``../shared/data``. Without
-them their rows are left out.
+them their rows are omitted.
 """
 
 import os
@@ -21,9 +21,9 @@ Row = dict[str, Any]
 DATA = Path(os.environ.get("HYPERFLEX_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 KNOWN = np.array([0.0905, 0.00686, 0.1019])  # J/p1 of both links, p/p1 of the second: independent fits of run 16
 FREE = ["inertia", "com", "friction"]
-FACTOR = 3.0  # within which a guess is of the best known value
+FACTOR = 3.0  # largest factor between a guess and the best known value
 SEED, GUESSES = 2, 20
-SAME = 1.02  # times the least residual: an optimum is the best known one
+SAME = 1.02  # times the least residual, up to which an optimum counts as the best known one
 TRUE_STIFFNESS, FRICTION = 4.5e-3, 2e-4  # N m/rad, N m s/rad: of the joints of 15 links
 ANGLE_NOISE = 3e-3  # rad
 
@@ -44,7 +44,7 @@ def _row(problem: str, seconds: float, clock: float, accuracy: str) -> Row:
 
 
 def _timed(fit: Callable[[], hf.Identification]) -> tuple[hf.Identification, float, float]:
-    """Return the second of two fits, the first of which compiles, and its times, s."""
+    """Return the second of two fits and its times, s; the first one compiles."""
     fit()
     times = Times()
     found = once(fit, times)
@@ -63,7 +63,7 @@ def figures(found: hf.Identification) -> np.ndarray:
 
 
 def real_double() -> tuple[float, float, str]:
-    """Return the times of a fit of 20 s, 500 frames a second, and how far its ratios are from those known."""
+    """Return the times of a fit of 20 s, 500 frames a second, and the errors of its ratios."""
     recording = run16(10.0, 30.0)
     guess = hf.Rope(length=recording.link_lengths(), mass=0.1, friction=1e-5)
     free = [*FREE, "dry_friction", "gravity_angle"]
@@ -74,7 +74,7 @@ def real_double() -> tuple[float, float, str]:
 
 
 def arm_driven() -> tuple[float, float, str]:
-    """Return the times of a fit to a rope on an arm whose motion was sampled, and how its values stand to the truth."""
+    """Return the times of a fit to a rope on an arm whose motion was sampled, and the errors of its values."""
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=15, radius=0.003, friction=FRICTION)
     rope = rope.replace(stiffness=np.append(0.0, np.full(14, TRUE_STIFFNESS)))
     t, random, arm = np.arange(800) / 100.0, np.random.default_rng(0), hf.Arm(length=0.1)
@@ -108,7 +108,7 @@ def coarse() -> tuple[float, float, str]:
         )
     )
     holds = 0.5 in found.intervals["stiffness:factor"]
-    words = "use more links" if found.has(Kind.LINKS_TOO_LONG) else "more links are not asked for"
+    words = "use more links" if found.has(Kind.LINKS_TOO_LONG) else "more links are not recommended"
     factor, std = 2.0 * float(found.values["stiffness:factor"]), 2.0 * float(found.std["stiffness:factor"])
     return (
         seconds,
@@ -148,7 +148,7 @@ def guesses(name: str, seen: slice, seed: int, count: int) -> Row:
 
 
 def drawn(best: hf.Rope, seed: int, count: int) -> Iterator[hf.Rope]:
-    """Yield ropes whose free values are the best ones times factors up to FACTOR, either way, each its own."""
+    """Yield ropes whose free values are the best ones times independent factors between 1 / FACTOR and FACTOR."""
     for number in range(count):
         random, wide = np.random.default_rng([seed, number]), np.log(FACTOR)
         factors = {name: np.exp(random.uniform(-wide, wide, best.n_links)) for name in FREE}

@@ -1,20 +1,19 @@
-"""Casting a rope that is not known exactly: what a plan states, what becomes of it, and what the closed loop adds.
+"""Casting a rope with uncertain parameters: stated and observed success, and the gain of the closed loop.
 
 python -m benchmarks.robust --count 30           the first 30 targets of benchmarks.casting; hours
 python -m benchmarks.robust --level 2            twice the standard deviations
-python -m benchmarks.robust --count 30 --fine 4  the first 4 judged on finer links too, in --fine-draws draws
-python -m benchmarks.robust --count 2 --out -    a look; nothing is written
+python -m benchmarks.robust --count 30 --fine 4  the first 4 also checked on finer links, in --fine-draws draws
+python -m benchmarks.robust --count 2 --out -    short; writes nothing
 
-Each target is planned twice: for uncertain parameters (--time-budget), and for the expected ones alone (--nominal), in
-seconds of processor time, on one thread.
-Both plans are then made in the same fresh draws of rope, peg, motor lag and timing, as a realistic identification
-leaves them (``hyperflex.planning.Uncertainty``), none of which a planner has seen; in open loop, and the robust plan in
-closed loop too (``hyperflex.planning.follow`` on the true state of the drawn rope; simulated time stands still while it
-decides). A draw is won as the stated success has it (``robust_page.definition``); whether the rope is also held is told
-beside it.
+Each target is planned twice: for uncertain parameters (--time-budget), and for the expected ones only (--nominal), in
+seconds of processor time on one thread. Both plans are then simulated in the same fresh draws of rope, peg, motor lag
+and timing, with the uncertainty of a realistic identification (``hyperflex.planning.Uncertainty``); in open loop, and
+the robust plan in closed loop too (``hyperflex.planning.follow`` on the true state of the drawn rope; simulated time
+stops while it decides). A draw succeeds by the same definition as the stated success (``robust_page.definition``);
+whether the rope is also held is reported separately.
 
-All simulated. What was planned and judged is kept line by line in robust.jsonl: the same command goes on where it
-stopped. A change of the planner is not noticed there: remove the file then.
+All simulated. Rows are kept in robust.jsonl: the same command continues an interrupted run. It does not detect a
+changed planner: remove the file then.
 """
 
 import argparse
@@ -55,13 +54,13 @@ from hyperflex.planning.rollouts import RolloutBatch, winding_scores
 from hyperflex.planning.uncertainty import Scenario
 
 RESULTS = Path(__file__).parent / "results"
-STREAM = 31337  # of the draws; planner, stated success and closed loop have others
-HELD_TOL, HELD_STEP = 1e-3, 1e-3  # m, s, where a hold is judged: finer than what tells whether a rope winds
+STREAM = 31337  # of the draws; planner, stated success and closed loop use other seeds
+HELD_TOL, HELD_STEP = 1e-3, 1e-3  # m, s, in checks of the hold, which require a finer run than checks of winding
 PLANS = ("robust", "nominal")
 
 
 def main() -> None:
-    """Plan, judge, print and write."""
+    """Plan, check, print and write."""
     options = arguments()
     about = machine.describe()
     log = Log(None if options.out == "-" else Path(options.out) / "robust.jsonl")
@@ -90,11 +89,11 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--level", type=float, default=1.0, help="factor on all standard deviations (1)")
     parser.add_argument("--time-budget", type=float, default=90.0, help="s of robust planning a target (90)")
     parser.add_argument("--nominal", type=float, default=30.0, help="s of nominal planning a target (30)")
-    parser.add_argument("--draws", type=int, default=40, help="worlds in which each plan is made (40)")
+    parser.add_argument("--draws", type=int, default=40, help="draws in which each plan is simulated (40)")
     parser.add_argument("--closed", type=int, default=30, help="targets where closed loops follow (the first 30)")
-    parser.add_argument("--closed-draws", type=int, default=40, help="of the worlds, in closed loop (40)")
+    parser.add_argument("--closed-draws", type=int, default=40, help="of the draws, in closed loop (40)")
     parser.add_argument("--closed-nominal", type=int, default=0, help="the same for the nominal plan (0)")
-    parser.add_argument("--fine", type=int, default=0, help="targets that are judged on finer links too (0)")
+    parser.add_argument("--fine", type=int, default=0, help="targets that are also checked on finer links (0)")
     parser.add_argument("--fine-draws", type=int, default=10, help="draws for that (10)")
     parser.add_argument("--threads", type=int, default=None, help="one a processor")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
@@ -102,7 +101,7 @@ def arguments() -> argparse.Namespace:
 
 
 class Log:
-    """What was done before, line by line in a file; None keeps nothing."""
+    """Earlier results in a file, one per line; None keeps nothing."""
 
     def __init__(self, path: Path | None) -> None:
         self.path, rows = path, lines.read(path)
@@ -112,7 +111,7 @@ class Log:
         self.made: list[dict[str, Any]] = []
 
     def once(self, key: dict[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Return what is known of a piece of work, or do it and keep it."""
+        """Return the kept result of a task, or compute and keep it."""
         name = _name(key)
         if name in self.old:
             self.used.append(self.old[name])
@@ -131,7 +130,7 @@ def _name(key: dict[str, Any]) -> str:
 
 @dataclass
 class Case:
-    """One target, planned in one of the two ways."""
+    """One target, planned with one of the two methods."""
 
     options: argparse.Namespace
     log: Log
@@ -167,7 +166,7 @@ class Case:
         return row
 
     def planned(self, time_budget: float) -> dict[str, Any]:
-        """The plan, and how often it wins by its own account."""
+        """The plan and its stated success probability."""
         known = self.uncertainty if self.plan == "robust" else None
         arm, threads = self.known.arm, self.options.threads
         budget = Budget(time_budget, threads=1, clock=time.process_time)
@@ -197,15 +196,15 @@ class Case:
         }
 
     def worlds(self, count: int, links: Problem | None = None) -> list[Scenario]:
-        """Fresh draws, the same for all plans of a target and for any number of links."""
+        """Fresh draws, equal for all plans of a target and for any number of links."""
         return self.uncertainty.sample(count, links or self.known, self.peg, seed=[STREAM, self.number])
 
     def open(self, throw: Moves, count: int) -> dict[str, Any]:
-        """Make a throw as planned."""
+        """Simulate a throw as planned."""
         return self.judged([(throw, world) for world in self.worlds(count)])
 
     def closed(self, throw: Moves, count: int) -> dict[str, Any]:
-        """Follow a throw on the true state of each drawn world; a throw that is given up has lost."""
+        """Follow a throw on the true state of each draw; an aborted throw is a failure."""
         begin, worlds = time.perf_counter(), self.worlds(count)
         plan = CastPlan(self.known, self.peg, check_feasibility(self.known, self.peg), throw)
 
@@ -227,7 +226,7 @@ class Case:
         return row | {"seconds": round(time.perf_counter() - begin, 1)}
 
     def judged(self, pairs: list[tuple[Moves, Scenario]]) -> dict[str, Any]:
-        """Which draws are won, and in which the rope is also held."""
+        """The draws that succeed, and those in which the rope is also held."""
         motions = [world.motion(moves, self.known) for moves, world in pairs]
         ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]
         batch = RolloutBatch.from_start(self.known, ropes, pegs, motions)
@@ -236,7 +235,7 @@ class Case:
         return {"won": won.astype(int).tolist(), "held": self.each(lambda pair: self.held(*pair), pairs)}
 
     def held(self, throw: Moves, world: Scenario) -> bool:
-        """Whether the rope winds and slips by less than 5 mm in 2 s, on links as coarse as those of the judge."""
+        """Whether the rope winds and slips by less than 5 mm in 2 s, with the links of the check."""
         motion, known = world.motion(throw, self.known), replace(self.known, rope=world.rope)
         stop = float(motion.breaks[-1])
         t = np.arange(0.0, stop + known.criteria.settle + known.criteria.watch, SAMPLE_TIME)
@@ -257,7 +256,7 @@ class Case:
         return evaluate_cast(known, world.peg, run, stop).success
 
     def fine(self, throw: Moves, count: int) -> dict[str, Any]:
-        """Judge a throw in the first draws with 2.5 times the links, refined beside the peg, and shorter steps."""
+        """Check a throw in the first draws with 2.5 times the links, refined near the peg, and shorter steps."""
         known = problem(self.options.rope, FINER)
 
         def one(world: Scenario) -> tuple[bool, bool]:
@@ -269,13 +268,13 @@ class Case:
         return {"won": [int(wound) for wound, _ in found], "held": [int(held) for _, held in found]}
 
     def each(self, what: Callable[[Any], Any], over: list[Any]) -> list[Any]:
-        """Do something with each of several, on threads."""
+        """Apply a function to several items on threads."""
         with ThreadPoolExecutor(self.options.threads or os.cpu_count()) as pool:
             return list(pool.map(what, over))
 
 
 def uncertainty(level: float) -> Uncertainty:
-    """What a realistic identification leaves, its standard deviations times `level`."""
+    """The uncertainty of a realistic identification, its standard deviations times `level`."""
     return Uncertainty(**{name: level * std for name, std in vars(Uncertainty()).items() if isinstance(std, float)})
 
 
@@ -290,7 +289,7 @@ def read(numbers: dict[str, Any]) -> Moves:
 
 
 def line(number: int, row: dict[str, Any]) -> str:
-    """What became of a target, in short."""
+    """A short result of a target."""
     told = []
     for plan, found in row.items():
         parts = [f"{plan} {found['seconds']:.0f} s"]

@@ -1,4 +1,4 @@
-"""The page of benchmarks.robust: stated and observed success, their difference, and what the closed loop adds."""
+"""The page of benchmarks.robust: stated and observed success, their difference, and the gain of the closed loop."""
 
 import math
 from collections.abc import Iterator
@@ -18,15 +18,15 @@ Rows = list[dict[str, Any]]
 def page(rows: Rows, options: dict[str, Any]) -> str:
     """Return the results as Markdown."""
     goals = (
-        f"Goals: {AIM:.0%} overall; 0 inside the 95 % interval of stated less observed for at least {AGREES:.0%} of "
-        f"the targets, and less than {100 * APART:.0f} points apart overall; closed less open above 0."
+        f"Goals: {AIM:.0%} overall; the 95 % interval of stated minus observed contains 0 for at least {AGREES:.0%} of "
+        f"the targets, and their overall difference is below {100 * APART:.0f} points; closed minus open above 0."
     )
     spread = (
         f"Standard deviations times {options['level']:g}: length 1 %, mass 2 %, joint friction 20 %, friction on "
         "the peg 10 %, motor lag 10 ms, timing 2 ms. Simulated throughout."
     )
     parts = [
-        f"# Casting a rope that is not known exactly: {options['rope']} rope",
+        f"# Casting a rope with uncertain parameters: {options['rope']} rope",
         f"{len(rows)} targets of seed {options['seed']}. {spread}",
         definition(),
         "\n".join(overall(rows)),
@@ -40,20 +40,20 @@ def page(rows: Rows, options: dict[str, Any]) -> str:
 
 
 def definition() -> str:
-    """What counts."""
+    """The definition of success."""
     usual = WindCriteria()
     return (
-        f"Won: the rope makes {usual.turns:g} turns or more from the arm's tip to its end and keeps them over the last "
-        f"{MODEL.last:g} s of the {1.5 + usual.settle:g} s after the arm has stopped, clear of arm and shaft, in a "
-        "run on links as coarse as those of the search. Stated and observed success both require this, in separate "
-        f"draws. Whether the rope also slips by less than {1e3 * usual.max_slip:g} mm in {usual.watch:g} s is reported "
-        "as held. A throw that is given up, and a target without any throw, has lost."
+        f"Success: the rope makes {usual.turns:g} turns or more from the arm's tip to its end and keeps them over the "
+        f"last {MODEL.last:g} s of the {1.5 + usual.settle:g} s after the arm has stopped, clear of arm and shaft, in "
+        "a run with the search's links. Stated and observed success both require this, in separate draws. Whether the "
+        f"rope also slips by less than {1e3 * usual.max_slip:g} mm in {usual.watch:g} s is reported as held. An "
+        "aborted throw and a target without a throw are failures."
     )
 
 
 def overall(rows: Rows) -> Iterator[str]:
-    """A line for each way of making a cast."""
-    yield "| plan | loop | targets | stated | observed | 95 % | held too | stated - observed, points | 0 inside |"
+    """A line for each combination of plan and loop."""
+    yield "| plan | loop | targets | stated | observed | 95 % | also held | stated - observed, points | 0 inside |"
     yield "|---|---|---|---|---|---|---|---|---|"
     for plan, loop in WAYS:
         some = [row[plan] for row in rows if row[plan]["throw"] is None or loop in row[plan]]
@@ -79,28 +79,28 @@ def paired(rows: Rows) -> Iterator[str]:
         if both:
             gain = np.array([gained(one) for one in both])
             yield (
-                f"Closed less open loop, {plan} plan, in the same draws: {points(gain)} points. "
-                f"Given up: {sum(one['closed']['aborted'] for one in both)} of "
-                f"{sum(len(one['closed']['won']) for one in both)} throws."
+                f"Closed minus open loop, {plan} plan, in the same draws: {points(gain)} points. Aborted: "
+                f"{sum(one['closed']['aborted'] for one in both)} of {sum(len(one['closed']['won']) for one in both)} "
+                "throws."
             )
     gain = np.array([rate(row["robust"], "open") - rate(row["nominal"], "open") for row in rows])
-    yield f"Robust less nominal plan, open loop, in the same draws: {points(gain)} points."
+    yield f"Robust minus nominal plan, open loop, in the same draws: {points(gain)} points."
     yield "Intervals (95 %) are by bootstrap over targets."
 
 
 def effort(rows: Rows, options: dict[str, Any]) -> str:
-    """What planning took."""
+    """Planning times."""
     told = []
     for plan, time_budget in (("robust", options["time_budget"]), ("nominal", options["nominal"])):
         seconds = [row[plan]["seconds"] for row in rows]
         told.append(
             f"{plan} (time budget {time_budget:g} s) median {np.median(seconds):.0f} s, at most {max(seconds):.0f} s"
         )
-    return f"Planning, in processor time, with what is stated or verified after it: {'; '.join(told)} a target."
+    return f"Processor time of planning a target, including the final estimate or verification: {'; '.join(told)}."
 
 
 def fine(rows: Rows) -> Iterator[str]:
-    """Whether coarse runs flatter."""
+    """The bias of coarse runs."""
     pairs = [
         (name, row[plan]["open"][name][: len(row[plan]["fine"][name])], row[plan]["fine"][name])
         for row in rows
@@ -112,8 +112,8 @@ def fine(rows: Rows) -> Iterator[str]:
         coarse, finer = (np.concatenate([pair[k] for pair in pairs if pair[0] == name]) for k in (1, 2))
         yield (
             f"- {name} in the same {coarse.size} draws, open loop, both plans: {percent(coarse.mean())} on coarse "
-            f"links, {percent(finer.mean())} with 2.5 times the links, refined beside the peg, and shorter steps; the "
-            f"same in {percent((coarse == finer).mean())}."
+            f"links, {percent(finer.mean())} with 2.5 times the links, refined near the peg, and shorter steps; equal "
+            f"in {percent((coarse == finer).mean())} of the draws."
         )
 
 
@@ -135,29 +135,29 @@ def each(rows: Rows) -> Iterator[str]:
 
 
 def rate(one: dict[str, Any], loop: str, name: str = "won") -> float:
-    """Part of the draws; 0 where there is no throw."""
+    """Share of the draws; 0 without a throw."""
     return float(np.mean(one[loop][name])) if loop in one else 0.0
 
 
 def gained(one: dict[str, Any]) -> float:
-    """Closed less open loop, in the draws that both were made in."""
+    """Closed minus open loop, in their common draws."""
     closed = np.array(one["closed"]["won"])
     return float((closed - np.array(one["open"]["won"])[: closed.size]).mean())
 
 
 def apart(one: dict[str, Any]) -> tuple[float, float]:
-    """95 % interval of stated less observed."""
+    """95 % interval of stated minus observed."""
     return probability_difference(
         SuccessProbability(*one["stated"]), SuccessProbability(sum(one["open"]["won"]), len(one["open"]["won"]))
     )
 
 
 def probability_difference(one: SuccessProbability, other: SuccessProbability) -> tuple[float, float]:
-    """Return the 95 % confidence interval of `one` less `other`, from independent samples.
+    """Return the 95 % confidence interval of `one` minus `other`, from independent samples.
 
     Notes
     -----
-    Newcombe (1998), method 10: at either end, the distances to the ends of both Wilson intervals add up as squares.
+    Newcombe (1998), method 10: at each end, the squares of the distances to the ends of both Wilson intervals add up.
     """
     (low, high), (low_other, high_other) = one.interval, other.interval
     p, q = one.estimate, other.estimate
@@ -165,7 +165,7 @@ def probability_difference(one: SuccessProbability, other: SuccessProbability) -
 
 
 def agrees(one: dict[str, Any]) -> bool:
-    """Whether that holds 0."""
+    """Whether this interval contains 0."""
     low, high = apart(one)
     return low <= 0.0 <= high
 

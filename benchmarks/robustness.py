@@ -1,13 +1,13 @@
 """Random ropes of every kind: does each run keep its tolerance, or end in an error that names the reason?
 
 python -m benchmarks.robustness --workers 2          2,000 ropes, an hour or two; results in benchmarks/results/
-python -m benchmarks.robustness --time-budget 900       those that were too slow for less once more
-python -m benchmarks.robustness --count 100 --out -  a look; nothing is written
-python -m benchmarks.robustness --only-index 42      one of them again, in words
+python -m benchmarks.robustness --time-budget 900       repeats ropes that were too slow for a smaller budget
+python -m benchmarks.robustness --count 100 --out -  short; writes nothing
+python -m benchmarks.robustness --only-index 42      one of them again, in detail
 
-What is drawn stands in tests/reference/random_ropes.py, what is promised, and how it is measured, in judging.py there.
-Each row is kept in robustness.jsonl at once: the same command goes on where an interrupted one stopped. The exit code
-is 1 if a run was silently wrong, or errors were more than allowed.
+tests/reference/random_ropes.py defines the draws, tests/reference/judging.py the bound and its measurement. Each row is
+kept in robustness.jsonl at once: the same command continues an interrupted run. The exit code is 1 if a run was wrong
+without a warning, or there were more errors than allowed.
 """
 
 import argparse
@@ -37,18 +37,18 @@ from tests.reference.random_ropes import Case, draw, draw_stuck
 
 RESULTS = Path(__file__).parent / "results"
 TIME_BUDGET = 120.0  # s of processor time for a run and its tighter ones by default
-ALLOWED_FAILURES, MOST = 0.01, 0.99  # parts of all: errors, and errors within USUAL tol growth
-ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction withstands more than it must
-STICKING = 10  # one rope that should stick for so many others
+ALLOWED_FAILURES, MOST = 0.01, 0.99  # shares of all ropes: errors, and errors within USUAL tol growth
+ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction exceeds its load
+STICKING = 10  # other ropes for each rope that should stick
 SLOWEST = 8
 SLOW = OutOfPatience.status
 TrackingTask = tuple[str, int, int, float]  # "rope" or "stuck", seed, number, time_budget
 ORDINARY = "at most 100 links, eta / (m l^2) within two decades of the paper's"
-PROMISE = """\
-A run is **accurate** if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
-a hundredth of that tolerance; `growth` is that of two nudged runs, one in the angles and one in the rates. It is
-**wrong** if it does not and does not say so. **Unchecked**: it ended well, a tighter one did not, or not in time.
-**Failed**: it ended in an error, or took too long."""
+ACCURACY = """\
+A run is **accurate** if, within the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with a hundredth
+of its tolerance; `growth` is that of two perturbed runs, one in the angles and one in the rates. It is **wrong** if it
+does not and gives no warning. **Unchecked**: the run succeeded, but one with a tighter tolerance did not, or not in
+time. **Failed**: it ended with an error, or took too long."""
 
 
 def parse() -> argparse.Namespace:
@@ -58,7 +58,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=1, help="processes (1)")
     parser.add_argument("--seed", type=int, default=1, help="of all draws (1)")
     parser.add_argument("--time-budget", type=float, default=TIME_BUDGET, help="s of processor time for a rope (120)")
-    parser.add_argument("--only-index", type=int, metavar="INDEX", help="run this rope alone and show all about it")
+    parser.add_argument("--only-index", type=int, metavar="INDEX", help="run this rope only and show its details")
     parser.add_argument("--out", default=str(RESULTS), metavar="FOLDER", help="for JSON and Markdown; - writes nothing")
     return parser.parse_args()
 
@@ -85,7 +85,7 @@ def main() -> int:
 
 
 def sweep(options: argparse.Namespace, numbers: range) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows of the ropes and of the stuck ones that are there, known or new; Ctrl-C keeps what is done."""
+    """Rows of the ropes and of the stuck ones, kept or new; Ctrl-C keeps the finished ones."""
     log, unkept = Path(options.out) / "robustness.jsonl", options.out == "-"
     known = {} if unkept else read(log, options.seed, options.time_budget)
     jobs = [(what, number) for number in numbers for what in kinds(number) if (what, number) not in known]
@@ -99,7 +99,7 @@ def sweep(options: argparse.Namespace, numbers: range) -> tuple[list[dict[str, A
                     lines.append(log, {"seed": options.seed, "kernels": SOURCE_HASH, **row})
                 bar.update(task, advance=1, description=summary(known.values()))
         except KeyboardInterrupt:
-            bar.console.print("interrupted; the rows that are done follow")
+            bar.console.print("interrupted; the finished rows follow")
     rows = [known[key] for key in sorted(known) if key[1] in numbers]
     return [row for row in rows if row["what"] == "rope"], [row for row in rows if row["what"] == "stuck"]
 
@@ -109,7 +109,7 @@ def kinds(number: int) -> list[str]:
 
 
 def done(tasks: list[TrackingTask], workers: int) -> Iterator[dict[str, Any]]:
-    """Rows as they come, from this process or from several."""
+    """Rows in order of completion, from this process or from several."""
     if workers == 1:
         be_ready()
         yield from map(work, tasks)
@@ -125,7 +125,7 @@ def work(task: TrackingTask) -> dict[str, Any]:
 
 
 def be_ready() -> None:
-    """Compile for both friction models before any clock runs, and let time be counted."""
+    """Compile for both friction models before timing."""
     signal.signal(signal.SIGVTALRM, _out_of_time)
     for model in ("relative", "printed"):
         rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=2, friction_model=model)
@@ -133,7 +133,7 @@ def be_ready() -> None:
 
 
 def read(log: Path, seed: int, time_budget: float) -> dict[tuple[str, int], dict[str, Any]]:
-    """Rows of an earlier sweep with the same seed and kernels, but for those that a larger budget may help."""
+    """Rows of an earlier sweep with the same seed and kernels, except those that a larger budget may change."""
     same = [row for row in lines.read(log) if row.pop("seed") == seed and row.pop("kernels") == SOURCE_HASH]
     latest = {(row["what"], row["number"]): row for row in same}
     hasty = [
@@ -143,7 +143,7 @@ def read(log: Path, seed: int, time_budget: float) -> dict[tuple[str, int], dict
 
 
 def table(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Rows as columns, which name each quantity once."""
+    """Rows as columns, so that each quantity is named once."""
     return {name: [row.get(name) for row in rows] for name in dict.fromkeys(name for row in rows for name in row)}
 
 
@@ -161,13 +161,13 @@ def stay(case: Case, time_budget: float) -> dict[str, Any]:
 
 
 def sticking(rows: list[dict[str, Any]]) -> str:
-    """What became of the ropes that should stick, in a sentence."""
+    """Describe the results of the ropes that should stick."""
     if not rows:
         return ""
     most = max((row["drift"] for row in rows if "drift" in row), default=math.nan)
     return (
-        f"{len(rows)} more ropes, bent and at rest, whose dry friction withstands their weight: {summary(rows)} "
-        f"(drift of at most {ALLOWED_DRIFT:g} rad in 10 s); the greatest drift is {most:.2g} rad."
+        f"{len(rows)} more ropes, bent and at rest, whose dry friction carries their weight: {summary(rows)} (drift of "
+        f"at most {ALLOWED_DRIFT:g} rad in 10 s); the greatest drift is {most:.2g} rad."
     )
 
 
@@ -176,7 +176,7 @@ def _out_of_time(*_: Any) -> None:
 
 
 def examine(seed: int, number: int, time_budget: float) -> dict[str, Any]:
-    """Judge the case of a seed and a number with a time budget, s."""
+    """Check the case of a seed and a number with a time budget, s."""
     case = draw(seed, number)
     signal.setitimer(signal.ITIMER_VIRTUAL, time_budget)
     try:
@@ -187,7 +187,7 @@ def examine(seed: int, number: int, time_budget: float) -> dict[str, Any]:
 
 
 def plain(row: dict[str, Any]) -> dict[str, Any]:
-    """Numbers that JSON knows, four digits of each."""
+    """Numbers for JSON, with four digits."""
     return {name: _short(value) for name, value in row.items()}
 
 
@@ -202,9 +202,9 @@ def summary(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def passed(rows: list[dict[str, Any]]) -> bool:
-    """Nothing silently wrong; few errors or runs that nothing could be compared with, and none of an ordinary rope.
+    """No wrong run without a warning; few errors or unchecked runs, and none of an ordinary rope.
 
-    The promise is wide, so that no rope breaks it by chance; that nearly all ropes stay far below it is asked too.
+    The bound is wide, so that no rope exceeds it by chance; nearly all ropes must also stay far below it.
     """
     outcomes = Counter(row["outcome"] for row in rows)
     ordinary = any(row["ordinary"] and row["outcome"] != "accurate" for row in rows)
@@ -214,7 +214,7 @@ def passed(rows: list[dict[str, Any]]) -> bool:
 
 
 def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
-    """Results as Markdown, of ropes of these numbers as far as they are there."""
+    """Results as Markdown, of the ropes of these numbers that have rows."""
     good = [row for row in rows if row["outcome"] in ("accurate", "wrong")]
     missing = sorted(set(numbers) - {row["number"] for row in rows})
     ordinary = [row for row in rows if row["ordinary"]]
@@ -223,25 +223,25 @@ def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
     timed = Counter(row["event"] for row in good if row["event"])
     events = ", ".join(f"{count} {name}" for name, count in sorted(timed.items()))
     shares = f"{np.mean(factor <= USUAL):.1%} stay below {USUAL:g} tol growth."
-    checked = f"{sum(row['checked'] for row in good)} were checked against Runge and Kutta's method as well."
+    checked = f"{sum(row['checked'] for row in good)} were also checked against the Runge-Kutta method."
     lines = [
-        f"{len(rows)} ropes, seed {seed}: {summary(rows)}.",
-        *([f"The sweep was stopped; still to come: {span(missing)}."] if missing else []),
-        f"Of these {len(ordinary)} are ordinary ({ORDINARY}): {summary(ordinary)}.",
+        f"{len(rows)} random ropes, seed {seed}: {summary(rows)}.",
+        *([f"The sweep was stopped; missing: {span(missing)}."] if missing else []),
+        f"{len(ordinary)} of them are ordinary ({ORDINARY}): {summary(ordinary)}.",
         "",
-        PROMISE,
+        ACCURACY,
         "",
         "| | median | 90 % | 99 % | greatest |",
         "|---|---|---|---|---|",
-        quantiles("error / what is promised", promise),
+        quantiles("error / bound", promise),
         quantiles("error / (tol growth)", factor),
         quantiles("horizon / duration", reached),
-        quantiles("error of an event's time / what is promised", column(good, "lateness")),
+        quantiles("error of an event's time / bound", column(good, "lateness")),
         quantiles("error of an event's time, s", column(good, "late")),
         quantiles("processor time of a run, ms", 1e3 * column(rows, "seconds")),
         "",
         f"{shares} {checked}",
-        f"Runs that ended at an event: {events}; what moves it is what the state may err, and {LOCATED:g} s beside it.",
+        f"Runs that ended at an event: {events}; the bound of its time is the effect of the state's bound + {LOCATED:g} s.",
         "",
         *listing("Wrong", [row for row in rows if row["outcome"] == "wrong"]),
         *listing("Failed", [row for row in rows if row["outcome"] == "failed"]),
@@ -252,12 +252,12 @@ def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
 
 
 def span(numbers: list[int]) -> str:
-    """Some numbers in words."""
+    """Describe a range of numbers."""
     return ", ".join(map(str, numbers)) if len(numbers) <= SLOWEST else f"{len(numbers)} from number {numbers[0]} on"
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Any:
-    """Numbers that are there."""
+    """Numbers that have rows."""
     return np.array([row[name] for row in rows if row[name] is not None])
 
 
@@ -267,11 +267,12 @@ def quantiles(name: str, values: Any) -> str:
 
 
 def listing(title: str, rows: list[dict[str, Any]]) -> list[str]:
-    """A table of single cases; nothing if there are none."""
+    """A table of single cases; empty without cases."""
     names = ("number", "reason", "promise", "factor", "seconds", "links", "tol", "eta", "stiffness", "dry", "drive")
     if not rows:
         return []
-    head = [f"## {title}", "", "| " + " | ".join(names) + " |", "|" + "---|" * len(names)]
+    titles = " | ".join(names).replace("promise", "error / bound")
+    head = [f"## {title}", "", f"| {titles} |", "|" + "---|" * len(names)]
     return [*head, *("| " + " | ".join(_cell(row[name]) for name in names) + " |" for row in rows), ""]
 
 

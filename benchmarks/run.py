@@ -1,8 +1,8 @@
-"""Speed beside accuracy: hyperflex and its peers on one rope, in one run on one machine.
+"""Speed and accuracy of hyperflex and its peers on one rope, in one run on one machine.
 
-pip install -e '.[bench]'        the peers; those that are not installed are left out, and said so
+pip install -e '.[bench]'        the peers; missing ones are omitted and reported
 python benchmarks/run.py         everything, about ten minutes; results in benchmarks/results/
-python benchmarks/run.py --quick a look in less than a minute; nothing is written
+python benchmarks/run.py --quick less than a minute; writes nothing
 python benchmarks/run.py --only work-precision accelerations
 """
 
@@ -17,12 +17,12 @@ from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
 PARTS = {
-    "work-precision": "The paper's cast: error beside time",
+    "work-precision": "The paper's cast: error against time",
     "accelerations": "One acceleration against the number of links",
     "scaling": "A simulated second against the number of links",
     "costs": "The paper's cast with one thing changed: cost and error",
     "batches": "Many ropes at once: throughput at settings checked for every member",
-    "stepper": "Interval by interval: what a step costs, and whether it is the run's",
+    "stepper": "Stepwise runs: cost of a step, and agreement with one run",
     "gradients": "Cost of exact derivatives in units of a plain rollout",
     "identification": "From a recording to a rope: time and error",
     "starting": "Imports, compilation and first calls",
@@ -46,8 +46,8 @@ def main() -> None:
     """Measure, print and write."""
     options = parse()
     repeats = options.repeats or (3 if options.quick else 5)
-    if options.only != ["identification"]:  # which sees to its threads itself, and is timed as a user finds it
-        for name in THREADS:  # read by linear algebra when it is imported
+    if options.only != ["identification"]:  # which sets its own threads, and is timed as for a user
+        for name in THREADS:  # read by the linear algebra library on import
             os.environ[name] = "1"
     import machine
 

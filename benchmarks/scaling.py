@@ -16,9 +16,9 @@ from hyperflex.checks import Array
 
 SIZES = (10, 20, 50, 100, 200, 400, 1000, 2000)
 QUICK = (10, 50, 200)
-TOL, TIGHT = 1e-4, 1e-9  # m, of the run that is timed and of the one that it is compared with
+TOL, TIGHT = 1e-4, 1e-9  # m, of the timed run and of its reference
 TIMES = (2.0, 5.0)
-PEER_TIMES = (2.0,)  # their cost grows so fast that two seconds are enough
+PEER_TIMES = (2.0,)  # shorter, because their cost grows fast
 MUJOCO_STEP = 1.93e-4  # s: 1 mm at 2 s and n = 50; friction does not limit it
 PEER_SIZES = {"mujoco": (10, 20, 50, 100, 200), "scipy": (10, 20, 50, 100, 200)}
 FIXED, SCALED = "friction per joint fixed", "friction scaled"
@@ -26,13 +26,13 @@ FIXED, SCALED = "friction per joint fixed", "friction scaled"
 
 @dataclass
 class Entry:
-    """One thing to time on one rope."""
+    """One timing on one rope."""
 
     what: str
     links: int
     cast: Cast
     run: Callable[[], Array]
-    steps: int | None = None  # that it takes for the cast, rejected ones too, where we can count them
+    steps: int | None = None  # steps of the cast, including rejected ones, where available
 
 
 def own(n: int, *, scaled: bool) -> Entry:
@@ -42,7 +42,7 @@ def own(n: int, *, scaled: bool) -> Entry:
 
 
 def mujoco(peer: ModuleType, n: int) -> Entry:
-    """MuJoCo with a step that its implicit friction leaves free."""
+    """MuJoCo with a step that its implicit friction does not limit."""
     cast = paper_cast(n, PEER_TIMES)
     compiled = peer.model(cast.rope, cast.arm, "implicitfast", MUJOCO_STEP)
     what = f"MuJoCo, {FIXED}"
@@ -99,12 +99,11 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
         lines.append(f"| {what} | {' | '.join(rates)} |")
     return "\n".join(lines) + (
         f"\n\nhyperflex: {TIMES[-1]:g} s of casting at tol {TOL:g} m. MuJoCo (implicitfast, dt {MUJOCO_STEP:g} s) and "
-        f"scipy (rtol 1e-4, atol 1e-3): {PEER_TIMES[-1]:g} s. Errors are "
-        f"against hyperflex at tol {TIGHT:g} m. Power of n with which the cost grows from n = 50 on: "
-        f"{'; '.join(powers)}. Friction scaled: friction of a joint times length of a link is kept, so that all n are "
-        f"cuts of one continuous cable; the two agree at n = {PAPER_LINKS}. With friction per joint fixed a finer "
-        "cable is a softer one, which moves in another way. Steps are counted with those that were rejected; an "
-        f"explicit method's would grow with the third power of n (docs/models.md). {NOTE}"
+        f"scipy (rtol 1e-4, atol 1e-3): {PEER_TIMES[-1]:g} s. Errors are against hyperflex at tol {TIGHT:g} m. "
+        f"Exponent of n in the cost from n = 50 on: {'; '.join(powers)}. Friction scaled: joint friction times link "
+        f"length is constant, so that all n represent one continuous cable; both agree at n = {PAPER_LINKS}. With "
+        "fixed friction per joint, a finer cable is softer and moves differently. The number of steps includes "
+        f"rejected ones; that of an explicit method would grow with the third power of n (docs/models.md). {NOTE}"
     )
 
 
