@@ -241,7 +241,7 @@ def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
         quantiles("processor time of a run, ms", 1e3 * column(rows, "seconds")),
         "",
         f"{shares} {checked}",
-        f"Runs that ended at an event: {events}; the bound of its time is the effect of the state's bound + {LOCATED:g} s.",
+        f"Runs that ended at an event: {events}; bound of its time: effect of the state's bound + {LOCATED:g} s.",
         "",
         *listing("Wrong", [row for row in rows if row["outcome"] == "wrong"]),
         *listing("Failed", [row for row in rows if row["outcome"] == "failed"]),

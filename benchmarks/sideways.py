@@ -1,24 +1,24 @@
-"""Planned casts begun out of their plane: predicted by ``hyperflex.sideways``, flown and wound in MuJoCo in space.
+"""Planned casts that start out of their plane: predicted by ``hyperflex.sideways`` and simulated in MuJoCo in space.
 
 python -m benchmarks.sideways FOLDER [FOLDER ...]     plans (``cast.toml``) in them: cost, strike and casts
-python -m benchmarks.sideways FOLDER --part casts     one part; rows that are there are not made again
+python -m benchmarks.sideways FOLDER --part casts     one part; existing rows are not repeated
 
 The chain is that of ``casts_mujoco``, but each joint is two hinges, across the plane and across the link (or a ball, as
-a check). Links are thin rods. The target is a long cylinder: a rope that lies on it further from the plane than half of
-a width would not be held by a target of that width.
+a check). Links are thin rods. The target is a long cylinder: a rope that lies on it farther from the plane than half a
+width would miss a target of that width.
 
-- cost: processor time of the planar run, with a sample every 10 ms, and of one tilt.
-- strike: MuJoCo flies the rope with its own links, which are not cut near the target, until the planned first touch,
-  without contact: from LEAD s before it, in the state of such a run here that began a little out of the plane, so that
-  no link leans by more than LEAN, and in that of one that began 1 degree out of it. Distances from the plane are
-  compared, of the rope from the place that strikes to its end. Where the planar runs are then more than 1 % of the
-  rope's length apart, the two programs do not fly the same cast.
-- start: the same from the start, for the small tilt.
-- casts: MuJoCo takes over 20 ms before the first touch, in the predicted state, and winds the rope; where a link leans
-  by more than 20 degrees before, it takes over there, where the first order still holds, and flies the rest too (with
-  armature, since pairs of hinges are singular where a link is bent by 90 degrees to the side). A cast winds if it
-  makes 1.25 turns in the planned direction for 0.3 s, until 1.3 s after the planar run first has them. One whose links
-  lean by more than 90 degrees (to first order) and that misses with 1 degree is not flown with more: it counts as lost.
+- cost: processor times of the planar run, with a sample every 10 ms, and of one tilt.
+- strike: MuJoCo simulates the rope, without divided links, until the planned first touch, without contact. It starts
+  LEAD s before the touch with the state of a hyperflex run that began slightly out of the plane, so that no link leans
+  by more than LEAN, and of one that began 1 degree out of it. Distances from the plane are compared, from the striking
+  point to the rope's end. If the planar runs then differ by more than 1 % of the rope's length, the two programs do not
+  simulate the same cast.
+- start: like strike, but from the start of the cast, for the small tilt.
+- casts: MuJoCo starts 20 ms before the first touch, with the predicted state, and winds the rope. If a link leans by
+  more than 20 degrees earlier, MuJoCo starts there, while the first order is still accurate (with armature, because
+  pairs of hinges are singular if a link is bent by 90 degrees to the side). A cast winds if it makes 1.25 turns in the
+  planned direction for 0.3 s, within 1.3 s after the planar run first has them. A cast whose links lean by more than 90
+  degrees (to first order) and that misses with 1 degree is not simulated with larger tilts: it counts as a failure.
 """
 
 import argparse
@@ -42,13 +42,13 @@ from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import WindCriteria
 
 RESULTS = Path(__file__).parent / "results"
-TILTS = (1.0, 2.0, 3.0)  # degrees; without any, MuJoCo's run stays planar: ``casts_mujoco``
-SMALL, LEAN = 0.1, 5.0  # degrees: tilt of which the first order holds, unless a link leans by more than LEAN
+TILTS = (1.0, 2.0, 3.0)  # degrees; without a tilt, MuJoCo's run stays planar: ``casts_mujoco``
+SMALL, LEAN = 0.1, 5.0  # degrees: tilt for which the first order is accurate, unless a link leans by more than LEAN
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # m, of the target
 STAY = 30  # samples with the turns required, in which a cast counts as wound
-BEFORE = 0.02  # s before the first touch at which MuJoCo takes over
+BEFORE = 0.02  # s before the first touch at which MuJoCo starts
 LATE = 1.3  # s, after which a cast is given up
-HOLDS = 20.0  # degrees, up to which a link may lean for the first order to be 5 % off at most
+HOLDS = 20.0  # degrees, lean of a link up to which the first order errs by at most 5 %
 STEP = 2.0 * planar.STEP  # s, of casts: turns and places on the target are then those of the planar step to 1 %
 LEAD, SAMPLE = 2.0, 2.5e-3  # s
 FLIGHT = 1e-4  # s, step of a flight without armature
@@ -116,7 +116,7 @@ class Flight:
 
     @property
     def stable(self) -> bool:
-        """Whether MuJoCo has met no state beyond bounds, from which it starts anew."""
+        """Whether MuJoCo has not reset the simulation because of an unstable state."""
         kinds = self.mujoco.mjtWarning
         bad = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
         return not any(self.data.warning[int(kind)].number for kind in bad)
@@ -162,17 +162,17 @@ def predicted(path: Path) -> tuple[hf.Trajectory, hf.Sideways, int]:
     touching = run.contact_force.any(axis=2)
     first = int(touching.any(axis=1).argmax())
     link = int(touching[first].argmax())
-    for share in np.linspace(1.0, 0.1, 10):  # what grows beyond all bounds is known for a while only
+    for share in np.linspace(1.0, 0.1, 10):  # a solution that grows without bound is available only up to some time
         known = run if share == 1.0 else hf.simulate(setup, t_eval=t[: int(share * first)])
         try:
             return run, hf.sideways(known, tilt=1.0), link
         except (hf.errors.InvalidInput, hf.errors.SimulationError) as error:
             print(f"{path}: {error}")
-    raise ValueError(f"{path}: no motion out of the plane is known")
+    raise ValueError(f"{path}: no motion out of the plane is available")
 
 
 def strike(path: Path, name: str, step: float, tilt: float, lead: float = LEAD) -> dict[str, Any]:
-    """Return distances from the plane at the first touch, m, here and in MuJoCo, of a flight of `lead` s."""
+    """Return distances from the plane at the first touch, m, in hyperflex and MuJoCo, after a flight of `lead` s."""
     whole, known, link = predicted(path)
     cut, plan = whole.setup, hf.read_plan(path)
     assert isinstance(plan, hf.CastPlan)
@@ -213,7 +213,7 @@ def strike(path: Path, name: str, step: float, tilt: float, lead: float = LEAD) 
 
 
 def cast(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
-    """Return turns in MuJoCo, and how far from the plane the rope then lies on the target, m."""
+    """Return turns in MuJoCo, and the distance from the plane at which the rope then lies on the target, m."""
     run, found, link = predicted(path)
     setup, lean, t = run.setup, math.radians(tilt), found.t
     assert run.contact_force is not None
@@ -226,7 +226,7 @@ def cast(path: Path, name: str, step: float, tilt: float) -> dict[str, Any]:
     enough = np.flatnonzero(turns * np.sign(expected) >= WindCriteria.turns)
     q, qd = found.run.q[k], found.run.qd[k]
     flight = Flight(setup, step, float(t[k]), (q, qd, lean * found.angles[k], lean * found.rates[k]))
-    if touch - BEFORE > t[k]:  # as planar casts fly
+    if touch - BEFORE > t[k]:  # as for planar casts
         flight.model.opt.timestep, whole = planar.STEP, flight.model.opt.integrator
         flight.model.opt.integrator = flight.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         flight.run(touch - BEFORE)
@@ -279,7 +279,7 @@ def least(work: Any) -> float:
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, help="folders, looked through, or set-ups of plans")
+    parser.add_argument("folders", nargs="+", type=Path, help="folders to search, or set-ups of plans")
     parser.add_argument("--part", choices=PARTS, help="by default all")
     parser.add_argument("--step", type=float, help=f"of MuJoCo, s ({STEP:g}; flights {FLIGHT:g})")
     parser.add_argument("--count", type=int, default=1000, help="casts at most of each part")
@@ -302,7 +302,7 @@ def main() -> None:
             begin = time.process_time()
             try:
                 row = {"part": part, "name": name, "tilt": tilt, **measure(paths[name], name, step, tilt)}
-            except (hf.InvalidInput, hf.errors.SimulationError) as error:  # it grows too fast for the samples
+            except (hf.InvalidInput, hf.errors.SimulationError) as error:  # the solution grows too fast for the samples
                 print(f"{name}: {error}")
                 continue
             row |= {"seconds": time.process_time() - begin, "kernels": SOURCE_HASH}
@@ -329,20 +329,20 @@ def page(rows: list[dict[str, Any]]) -> str:
         text += [
             "## Cost",
             "",
-            f"Processor time of one tilt over that of the planar run, {len(some)} casts: {shown}.",
+            f"Processor time of one tilt divided by that of the planar run, {len(some)} casts: {shown}.",
             "",
         ]
-    text += struck(by["strike"], f"MuJoCo flies the last {LEAD:g} s") + struck(
-        by["start"], "MuJoCo flies from the start"
+    text += struck(by["strike"], f"MuJoCo simulates the last {LEAD:g} s") + struck(
+        by["start"], "MuJoCo simulates from the start"
     )
     if some := by["casts"]:
         text += [
             "## Do casts still wind?",
             "",
-            "Casts that wind in MuJoCo, by the tilt at the start and the target's width. Here a cast counts that makes",
-            "1.25 turns for 0.3 s: weaker than the criterion of [planar casts in MuJoCo](casts-mujoco.md), whose",
-            "row is that without a tilt. A long target is 1 m wide. A few casts were not simulated because of their",
-            "computing time: as many more may wind than are counted.",
+            "Casts that wind in MuJoCo, by the tilt at the start and the target's width. Here a cast winds if it makes",
+            "1.25 turns for 0.3 s. This is weaker than for [planar casts in MuJoCo](casts-mujoco.md), whose result is",
+            "the row without a tilt. A long target is 1 m wide. A few casts were not simulated because of their",
+            "computing time, so up to as many more may wind.",
         ]
         text += [
             "",
@@ -366,14 +366,14 @@ def page(rows: list[dict[str, Any]]) -> str:
         never = sorted({f"{row['name']} ({row['tilt']:g})" for row in some if not row["winds"]})
         text += [
             "",
-            f"On no width (degrees): {', '.join(never) or 'none'}.",
+            f"Casts that do not wind on any width (tilt in degrees): {', '.join(never) or 'none'}.",
             "",
         ]
     return "\n".join([*text, lines.made(rows), "", "Again: `python -m benchmarks.sideways FOLDER`", ""])
 
 
 def lost(rows: list[dict[str, Any]]) -> set[str]:
-    """Return the casts that lean so far with the least tilt that they miss: with more they are not flown."""
+    """Return the casts that lean so far with the least tilt that they miss: larger tilts are not simulated."""
     casts = [row for row in rows if row["part"] == "casts" and row["tilt"] == TILTS[0]]
     return {row["name"] for row in casts if not row["winds"] and row["lean"] > 90.0}
 
@@ -404,7 +404,7 @@ def struck(rows: list[dict[str, Any]], words: str) -> list[str]:
     same, others = ([row for row in small.values() if row["same"] is each] for each in (True, False))
     text += [
         "",
-        f"Small tilts: in {len(same)} of {len(small)} casts the two programs fly the same cast. {spread(same)}",
+        f"Small tilts: in {len(same)} of {len(small)} casts the two programs simulate the same cast. {spread(same)}",
     ]
     text += (
         [f"The other {len(others)}, {', '.join(row['name'] for row in others)}, are not predictable."] if others else []
@@ -418,15 +418,15 @@ def struck(rows: list[dict[str, Any]], words: str) -> list[str]:
 
 
 def error(row: dict[str, Any]) -> float:
-    """Return the part of MuJoCo's distance from the plane by which that here is wrong."""
+    """Return the error of the distance from the plane as a fraction of MuJoCo's."""
     return abs(row["aside"] / row["aside in MuJoCo"] - 1.0) if row["stable"] else math.inf
 
 
 def spread(rows: list[dict[str, Any]]) -> str:
-    """Return how wrong distances are, in a sentence."""
+    """Describe the errors of the distances."""
     off = np.array([error(row) for row in rows])
-    most = f"{100 * np.median(off):.2g} % wrong (median), {100 * off.max():.2g} % at most"
-    return f"Distances are {most}; {int((off <= 0.1).sum())} of {off.size} are right to 10 %."
+    most = f"{100 * np.median(off):.2g} % (median), {100 * off.max():.2g} % at most"
+    return f"Errors of the distances: {most}; {int((off <= 0.1).sum())} of {off.size} are within 10 %."
 
 
 if __name__ == "__main__":

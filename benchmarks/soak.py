@@ -1,7 +1,7 @@
-"""A soak: a thousand calls or more of simulate, identify, plan_cast and others in one process, and what they leave.
+"""A soak test: resources left by a thousand calls or more of simulate, identify, plan_cast and others in one process.
 
 python benchmarks/soak.py                          ten minutes; the page goes to benchmarks/results/soak.md
-python benchmarks/soak.py --calls 200 --minutes 0  a shorter one, printed alone
+python benchmarks/soak.py --calls 200 --minutes 0  shorter; prints only
 """
 
 import argparse
@@ -19,7 +19,7 @@ import hyperflex as hf
 
 PAGE = Path(__file__).parent / "results" / "soak.md"
 CALLS, MINUTES = 1000, 10.0  # at least
-WARM, ALLOWED = 100, 20.0  # calls before them, that fill caches; growth of memory, MB
+WARM, ALLOWED = 100, 20.0  # earlier calls that fill caches; growth of memory, MB
 CABLE = hf.Rope.uniform(length=1.0, mass=0.05, n_links=12, radius=0.0025, friction=5e-4)
 ARM, PEG = hf.Arm(length=0.1), hf.Peg(-0.4, -0.5, 0.03)
 ROD = hf.Rope(length=[0.3], mass=[0.1], friction=2e-4)
@@ -33,7 +33,7 @@ def free(folder: Path, seed: int) -> None:
 
 
 def contact(_: Path, seed: int) -> None:
-    """A run beside a peg."""
+    """A run in contact with a peg."""
     hf.simulate(CABLE, hf.arm_swings(t_rest=0.4 + 0.001 * seed), arm=ARM, pegs=[PEG], duration=0.5, tol=1e-3)
 
 
@@ -72,7 +72,7 @@ ROUND: tuple[Callable[[Path, int], None], ...] = (free, contact, batch, free, re
 
 
 def held() -> dict[str, float]:
-    """Memory, MB, and how many threads, open files and temporary files and folders there are."""
+    """Memory, MB, and the numbers of threads, open files, and temporary files and folders."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return {
@@ -84,11 +84,11 @@ def held() -> dict[str, float]:
 
 
 def soak(calls: int, minutes: float) -> list[tuple[int, dict[str, float]]]:
-    """Make so many calls, and more until the time is over; return what the process holds after each tenth of them."""
+    """Make at least `calls` calls until the time is over; return the resources of the process after each tenth."""
     rows: list[tuple[int, dict[str, float]]] = []
     part, begin, number = max(1, calls // 10), time.monotonic(), 0
     with tempfile.TemporaryDirectory(prefix="hyperflex-soak-") as folder:
-        tempfile.tempdir = folder  # what anybody leaves is seen
+        tempfile.tempdir = folder  # leaks of any kind are detected
         os.environ["TMPDIR"] = folder
         while not rows or rows[-1][0] < calls or time.monotonic() < begin + 60.0 * minutes:
             ROUND[number % len(ROUND)](Path(folder), number)
@@ -103,18 +103,18 @@ def soak(calls: int, minutes: float) -> list[tuple[int, dict[str, float]]]:
 def text(rows: list[tuple[int, dict[str, float]]], seconds: float) -> str:
     """Return the page."""
     names = list(rows[0][1])
-    lines = ["# What a thousand calls leave in a process", "", "| calls | " + " | ".join(names) + " |"]
+    lines = ["# Resources after a thousand calls in one process", "", "| calls | " + " | ".join(names) + " |"]
     lines += ["|" + "---|" * (len(names) + 1)]
     lines += [f"| {calls} | " + " | ".join(f"{row[name]:.4g}" for name in names) + " |" for calls, row in rows]
     grown = rows[-1][1]["memory, MB"] - rows[0][1]["memory, MB"]
     shares = {each.__name__: 10 * ROUND.count(each) for each in ROUND}
     lines += [
         "",
-        f"Memory grew by {grown:.1f} MB ({ALLOWED:g} allowed). One process, after {WARM} calls that filled its caches; "
-        f"in {seconds / 60.0:.0f} minutes. Of a hundred calls "
-        + ", ".join(f"{share} are `{name}`" for name, share in shares.items())
-        + " (see `benchmarks/soak.py`). Temporaries: files and folders below the folder of temporary files; the one is "
-        "the run that `free` writes anew.",
+        f"Memory grew by {grown:.1f} MB ({ALLOWED:g} allowed) in {seconds / 60.0:.0f} minutes, after {WARM} calls that "
+        "filled the caches of the process. Calls of each kind per hundred: "
+        + ", ".join(f"{share} `{name}`" for name, share in shares.items())
+        + " (see `benchmarks/soak.py`). Temporaries: files and folders in the folder of temporary files; the one that "
+        "remains is the run that `free` overwrites.",
         "",
         machine.sentence(machine.describe()),
     ]
@@ -135,7 +135,7 @@ def main() -> None:
         PAGE.write_text(page, "utf-8")
     first, last = rows[0][1], rows[-1][1]
     assert last["memory, MB"] - first["memory, MB"] < ALLOWED, "memory grows"
-    assert all(last[name] <= first[name] for name in first if name != "memory, MB"), "something is left"
+    assert all(last[name] <= first[name] for name in first if name != "memory, MB"), "resources were not released"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a user waits for before the first result: imports, compilation cold and cached, the command line."""
+"""Waiting time before the first result: imports, compilation cold and cached, the command line."""
 
 import importlib.util
 import json
@@ -18,7 +18,7 @@ from cast import paper_cast
 import hyperflex
 from hyperflex.model import Setup
 
-# Numba's own cache in place of hyperflex.core.compiler: every kernel is optimised and kept for itself
+# Numba's own cache in place of hyperflex.core.compiler: every kernel is optimised and kept separately
 NUMBA_ALONE = """
 import numba
 from hyperflex.core import jit
@@ -44,7 +44,7 @@ IMPORTS = {"mujoco": "mujoco", "pinocchio": "pinocchio", "drake": "pydrake.all"}
 
 
 def measure(quick: bool, repeats: int, peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
-    """Rows of {what, seconds: [...]}; `quick` leaves out the cold start."""
+    """Rows of {what, seconds: [...]}; `quick` omits the cold start."""
     rounds = 1 if quick else max(3, repeats)
     with tempfile.TemporaryDirectory(prefix="hyperflex-bench-") as folder:
         cache = {} if quick else {"HYPERFLEX_CACHE_DIR": folder}
@@ -91,7 +91,7 @@ def _first_call(environment: dict[str, str], before: str = "") -> tuple[float, .
 
 
 def _commands(environment: dict[str, str], rounds: int) -> list[float]:
-    """Seconds of ``hyperflex simulate`` on the paper's cast, NetCDF file and all; one more, the first, is left out."""
+    """Seconds of ``hyperflex simulate`` on the paper's cast, including its NetCDF file; the first one is omitted."""
     cast = paper_cast()
     program = "from hyperflex.cli import main; main()"
     with tempfile.TemporaryDirectory(prefix="hyperflex-bench-") as folder:
@@ -102,11 +102,11 @@ def _commands(environment: dict[str, str], rounds: int) -> list[float]:
 
 
 def _run(command: list[str], environment: dict[str, str]) -> tuple[float, str]:
-    """Seconds by the clock of a process, and what it printed."""
+    """Elapsed seconds of a process, and its output."""
     source = str(Path(hyperflex.__file__).parents[1])
     path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
     surroundings = {**os.environ, "PYTHONPATH": path, **environment}
-    surroundings.pop("PYTHONDONTWRITEBYTECODE", None)  # pip keeps an installation's bytecode; so does this
+    surroundings.pop("PYTHONDONTWRITEBYTECODE", None)  # keep bytecode, as pip does for an installation
     begin = time.perf_counter()
     done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True)
     return time.perf_counter() - begin, done.stdout
@@ -120,9 +120,9 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
         spread = f"{statistics.median(seconds):.3g} ({min(seconds):.3g}-{max(seconds):.3g})"
         lines.append(f"| {row['what']} | {spread} |")
     return "\n".join(lines) + (
-        "\n\nWhat a user waits for: seconds by the clock, fresh processes. Nothing compiled: HYPERFLEX_CACHE_DIR was "
-        "an empty folder, once; cached: the same folder afterwards. Numba's own cache: `cache=True` in place of "
+        "\n\nWaiting times of a user: elapsed seconds in fresh processes. Nothing compiled: HYPERFLEX_CACHE_DIR was an "
+        "empty folder (one run); cached: the same folder afterwards. Numba's own cache: `cache=True` in place of "
         "hyperflex.core.compiler, which translates a kernel once, links it into its callers, and makes machine code "
-        "only of what Python calls. `simulate` is asked for the paper's cast with 1001 "
-        "outputs; the whole command also reads a TOML file and writes a NetCDF file."
+        "only of what Python calls. `simulate` computes the paper's cast with 1001 outputs; the whole command also "
+        "reads a TOML file and writes a NetCDF file."
     )

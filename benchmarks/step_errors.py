@@ -1,11 +1,11 @@
-"""Wild chains without friction: do steps err by more than they may, and do errors fall with the tolerance?
+"""Wild chains without friction: are errors of steps within the allowed ones, and do they fall with the tolerance?
 
 python -m benchmarks.step_errors                  3,000 chains, an hour; benchmarks/results/step-errors.md
 python -m benchmarks.step_errors --count 100      the first ones; rows are kept in step-errors.jsonl
 
 Chains of two to eight unlike links, half of them with springs, thrown out of random postures for 0.8 s at four
 tolerances. Each step is compared with a run at 1e-11 m from where it began, and the end of each run with Dormand and
-Prince's method (scipy's DOP853 at 1e-12). Errors are in units of what the step control allows a step.
+Prince's method (scipy's DOP853 at 1e-12). Errors are in units of the error that the step control allows.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from tests.reference.step_errors import apart, error, steps, wild
 RESULTS = Path(__file__).parent / "results"
 COUNT, SEED = 3000, 100_000  # of the first chain; the seeds of tests are others
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7)  # m
-EXCESS = (1.0, 2.0, 4.0, 8.0)  # times what is allowed
+EXCESS = (1.0, 2.0, 4.0, 8.0)  # times the allowed error
 SMALL = 0.01  # of the chain's length: beyond, errors no longer grow in proportion
 
 
@@ -79,7 +79,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         shares = [f"{each / count[0]:.1e}" for each in count[1:]]
         lines.append(f"| {tol:g} | {count[0]} | {' | '.join(shares)} | {worst.max():.1f} | {np.sum(worst > 4.0)} |")
     ends, small = np.array([row["end"] for row in good]), SMALL * np.array([row["length"] for row in good])
-    falls = ["| tol, m | ends compared | median fall of the error | ends whose error grows |", "|---" * 4 + "|"]
+    falls = ["| tol, m | ends compared | median ratio of the errors | ends whose error grows |", "|---" * 4 + "|"]
     for k in range(1, len(TOLERANCES)):
         pair = ends[ends[:, k - 1] < small, k - 1 : k + 1]
         ratio = pair[:, 0] / pair[:, 1]
@@ -89,15 +89,15 @@ def page(rows: list[dict[str, Any]]) -> str:
     repeated = sum(np.sum(np.array(row["worst"]) > EXCESS[2]) > 1 for row in good)
     beyond, much, chains = (
         f"{every[1] / every[0]:.1%}",
-        f"{every[3]} by more than {EXCESS[2]:g} times as much",
+        f"{every[3]} exceed it more than {EXCESS[2]:g} times",
         len(rows),
     )
     text = (
-        f"{chains} chains of 2 to 8 links without friction; of {chains - len(good)} the comparison failed. Of "
-        f"{every[0]} steps {beyond} err by more than is allowed, {much}; {repeated} chains have such steps at two "
-        "tolerances. Shares of all steps, in units of what is allowed; then errors at the end of 0.8 s against DOP853, "
-        "where the looser run is within a hundredth of the chain's length. An error that grows as the tolerance falls "
-        "is one of a looser run that errs little by chance."
+        f"{chains} chains of 2 to 8 links without friction; the comparison failed for {chains - len(good)}. Of "
+        f"{every[0]} steps {beyond} exceed the allowed error, {much}; {repeated} chains have such steps at two "
+        "tolerances. The first table gives shares of all steps, in units of the allowed error; the second compares "
+        "errors at the end of 0.8 s against DOP853, if the looser run is within a hundredth of the chain's length. An "
+        "error that grows when the tolerance falls means that the looser run's error was small by chance."
     )
     return "\n".join(["# Errors of steps", "", text, "", *lines, "", *falls, ""])
 

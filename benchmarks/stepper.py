@@ -1,4 +1,4 @@
-"""Runs taken interval by interval: what a step costs beyond its part of one long run, and whether it is the same."""
+"""Stepwise runs: cost of a step beyond its share of one long run, and the difference of the results."""
 
 import statistics
 from collections.abc import Callable
@@ -21,14 +21,15 @@ SIZES = {"acceleration": 12.0, "torque": 0.02}  # rad/s^2, N m
 LINKS, QUICK_LINKS = (10, 20, PAPER_LINKS, 100, 200), (PAPER_LINKS,)
 MEMBERS, BATCH_LINKS, RATE, BATCH_SECONDS = 256, 20, 50.0, 2.0  # Hz, s
 THREADS = (1, 2)
-TIGHT = 1e-9  # m, tolerance of what errors are measured against
+TIGHT = 1e-9  # m, tolerance of the reference for errors
 BUDGET = 6.0  # s of processor time for one entry
-AIM, BATCH_AIM = 60.0, 50_000.0  # us a step beyond the run's own, at 50 links; member-steps/s
+AIM, BATCH_AIM = 60.0, 50_000.0  # us a step beyond its share of one run, at 50 links; member-steps/s
 
 
 @dataclass(frozen=True)
 class Ride:
-    """A rope on an arm under commands (K,), one an interval: as a stepper, and as one run with the same switches."""
+    """A rope on an arm under commands (K,), one for each interval: as a stepper, and as one run with the same
+    switches."""
 
     rope: hf.Rope
     command: str
@@ -36,7 +37,7 @@ class Ride:
     pegs: tuple[hf.Peg, ...] = ()
 
     def steps(self, tol: float = 1e-5) -> Callable[[], hf.State]:
-        """Return what takes all steps."""
+        """Return a function that takes all steps."""
         stepper = hf.Stepper(self.rope, arm=ARM, command=self.command, tol=tol, pegs=self.pegs, refine=False)
         start = stepper.start()
         stepper.step(start, 0.0, DT)  # loads the kernels
@@ -50,7 +51,7 @@ class Ride:
         return run
 
     def setup(self) -> hf.Setup:
-        """Return the same as one run."""
+        """Return the set-up as one run."""
         coef, angle, rate = np.zeros((self.given.size, 4, 6)), 0.0, 0.0
         for piece, u in zip(coef, self.given, strict=True):
             if self.command == "torque":
@@ -63,7 +64,7 @@ class Ride:
         return hf.Setup(self.rope, arm=ARM, duration=DT * self.given.size, pegs=self.pegs, **driven)
 
     def whole(self) -> Callable[[], Array]:
-        """Return what runs it in one go, on plain arrays where there is no peg, and returns the angles at the end."""
+        """Return a function that computes one run, on plain arrays without a peg, and returns the angles at the end."""
         setup = self.setup()
         end = setup.duration
         if self.pegs:
@@ -84,7 +85,7 @@ def tip(rope: hf.Rope, q: Array) -> Array:
 
 
 def rides(quick: bool) -> dict[str, Ride]:
-    """All that are timed, by name."""
+    """All timed cases, by name."""
     count = round(SECONDS / DT)
     sense = 1.0 - 2.0 * (np.floor(DT * np.arange(count) / SWITCH + 0.5) % 2)
     found = {}
@@ -94,7 +95,7 @@ def rides(quick: bool) -> dict[str, Ride]:
                 found[f"{n} links, {command}"] = Ride(cable(n, scaled=True), command, size * sense)
     dry = cable(20, scaled=True).replace(dry_friction=1e-3)
     found["20 links, acceleration, dry friction"] = Ride(dry, "acceleration", SIZES["acceleration"] * sense)
-    found["20 links, acceleration, beside a peg"] = Ride(
+    found["20 links, acceleration, with a peg"] = Ride(
         cable(20, scaled=True), "acceleration", 12.0 * sense[:60], (PEG,)
     )
     return found
@@ -177,7 +178,7 @@ def batches(quick: bool, repeats: int) -> list[dict[str, Any]]:
 
 def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
     """Return the Markdown tables."""
-    titles = ("rope and command", "step, µs (least-most)", "in one run, µs", "beyond it, µs", "gap, mm", "error, mm")
+    titles = ("rope and command", "step, µs (least-most)", "in one run, µs", "difference, µs", "gap, mm", "error, mm")
     lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     for row in rows:
         if row["kind"] == "single":
@@ -204,13 +205,13 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
     ]
     return "\n".join(lines) + (
         f"\n\nThe paper's cable, friction scaled with n from {FRICTION:g} N m s/rad at {PAPER_LINKS} links, on an arm "
-        f"of {1e3 * ARM.length:g} mm, {SECONDS:g} s at {1 / DT:.0f} Hz (beside a peg 2 s): commands that change "
-        f"their sense every {SWITCH:g} s, by `hf.Stepper` at the default tolerance. Beside it one run with the same "
-        "switches, on plain arrays (with a peg: `simulate`, whose energies at the end are in its time). The gap is "
+        f"of {1e3 * ARM.length:g} mm, {SECONDS:g} s at {1 / DT:.0f} Hz (with a peg 2 s): commands that change their "
+        f"sign every {SWITCH:g} s, by `hf.Stepper` at the default tolerance, compared with one run with the same "
+        "switches on plain arrays (with a peg: `simulate`, including its final energies). The gap is the distance "
         f"between the two tips at the end; the error is that of the tip against the stepper at {TIGHT:g} m. Aim: at "
-        f"most {AIM:g} µs a step beyond the run's own at {PAPER_LINKS} links. "
+        f"most {AIM:g} µs a step beyond its share of one run at {PAPER_LINKS} links. "
         + (f"A step with its derivatives A and B: {', '.join(slopes)}. " if slopes else "")
-        + f"Batches by `hf.BatchStepper` at {RATE:g} Hz for {BATCH_SECONDS:g} s, each member with commands of its own, "
-        f"by the clock; errors of every member against a stepper of its own at {TIGHT:g} m. Aim: at least "
-        f"{BATCH_AIM:,.0f} member-steps/s on two threads. {NOTE}"
+        + f"Batches by `hf.BatchStepper` at {RATE:g} Hz for {BATCH_SECONDS:g} s, each member with its own commands, "
+        f"elapsed time; errors of every member against a single stepper at {TIGHT:g} m. Aim: at least {BATCH_AIM:,.0f} "
+        f"member-steps/s on two threads. {NOTE}"
     )
