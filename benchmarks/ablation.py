@@ -135,7 +135,7 @@ def page(rows: list[dict[str, Any]], about: dict[str, str]) -> str:
     for (random, seed, limit), some in sets.items():
         ropes = "random ropes, variants on targets that as-is plans" if random else "the five ropes"
         text += f"\n## Seed {seed}, {ropes}, {limit:g} s\n\n{table(some)}\n{lines.made(some, 'planner')}\n"
-    return f"{text}\n{machine.sentence(about)}\n\nAgain: `python -m benchmarks.ablation`\n"
+    return f"{text}\n{machine.sentence(about)}\n\nReproduce: `python -m benchmarks.ablation`\n"
 
 
 def table(rows: list[dict[str, Any]]) -> str:

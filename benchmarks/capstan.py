@@ -42,7 +42,7 @@ POSITIONS = 6
 RATE = 1e-4  # m/s, slip rate in the convergence study
 SLOW = 0.0075  # 1/s, growth of the pull over the limit in the convergence study
 NARROW, WIDE = (0.97, 1.03), (0.86, 1.06)  # of the limit, between which it grows; the second with links above LONG
-LONG, ROUGH = 0.5, 0.8  # radii of the axis; links above ROUGH are left out of the order
+LONG, ROUGH = 0.5, 0.8  # radii of the axis; links above ROUGH are omitted from the order
 
 
 def onset(mu: float, turns: float, ratio: float) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def page(found: dict[str, Any]) -> str:
             "",
             f"{machine.sentence(found['machine'])}",
             "",
-            "Again: `python -m benchmarks.capstan`",
+            "Reproduce: `python -m benchmarks.capstan`",
             "",
         ]
     )
@@ -164,7 +164,7 @@ def order(rows: list[dict[str, Any]]) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one case of each; nothing is written")
+    parser.add_argument("--quick", action="store_true", help="one case of each; writes nothing")
     parser.add_argument("--peers", action="store_true", help="MuJoCo as well")
     parser.add_argument("--out", default=str(RESULTS / "capstan.json"), metavar="FILE", help="- writes nothing")
     options = parser.parse_args()

@@ -217,7 +217,7 @@ def main() -> None:
             "",
             f"{machine.sentence(about)} {lines.made(rows)}",
             "",
-            "Again: `python -m benchmarks.casts_mujoco FOLDER`",
+            "Reproduce: `python -m benchmarks.casts_mujoco FOLDER`",
             "",
         ]
     )

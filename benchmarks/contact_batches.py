@@ -68,7 +68,7 @@ def page(found: dict[str, Any]) -> str:
             "",
             f"Load of the machine before and after: {found['load']}. {machine.sentence(found['machine'])}",
             "",
-            "Again: `python -m benchmarks.contact_batches`",
+            "Reproduce: `python -m benchmarks.contact_batches`",
             "",
         ]
     )

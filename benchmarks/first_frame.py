@@ -253,7 +253,7 @@ def main() -> None:
     rows = [row for row in log.read(options.out) if row["seed"] == options.seed]
     made = f"{machine.sentence(machine.describe())} {log.made(rows)}"
     again = f"`python -m benchmarks.first_frame --seed {options.seed} --others {options.others}`, and with `--length`"
-    text = page(rows) + f"\nSeed {options.seed}. {made}\n\nAgain: {again}\n"
+    text = page(rows) + f"\nSeed {options.seed}. {made}\n\nReproduce: {again}\n"
     print(text)
     files.write_text(options.out.with_suffix(".md"), text)
 

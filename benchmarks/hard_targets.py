@@ -126,7 +126,7 @@ def page(rows: list[dict[str, Any]], busy: int) -> str:
         f"give neither a plan nor a reason (goal 0), and {sum(row['planned'] for row in rows)} give a plan."
     )
     head = ("# Casts to extreme targets", "", told, "", "| case | budget, s | excess, s | outcome |")
-    again = "Again: `python -m benchmarks.hard_targets`"
+    again = "Reproduce: `python -m benchmarks.hard_targets`"
     return "\n".join([*head, "|---|---|---|---|", *map(line, rows), "", again, ""])
 
 

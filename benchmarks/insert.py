@@ -1,10 +1,10 @@
 """Insertions: 30 random slots in reach, planned, checked with finer links, and tried in fresh scenarios.
 
-python -m benchmarks.insert               results in benchmarks/results/insert.json and .md; interrupted, it goes on
-                                          where it was (insert.jsonl)
-python -m benchmarks.insert --count 12    the first ones alone
+python -m benchmarks.insert               results in benchmarks/results/insert.json and .md; the same command
+                                          continues an interrupted run (insert.jsonl)
+python -m benchmarks.insert --count 12    the first ones only
 python -m benchmarks.insert --only 7      one of them again
-python -m benchmarks.insert --slots 5     draws the slots anew, with seed 5
+python -m benchmarks.insert --slots 5     draws new slots, with seed 5
 
 The paper's cable and motor. Slots of 15 to 30 mm are uniform over the region that the rope could touch, in any
 direction, between walls of 0.1 m; those called in reach are kept. The tip must enter by 50 mm before the rope touches a
@@ -151,7 +151,9 @@ def page(found: dict[str, Any]) -> str:
         f"Planning took {told['median seconds']:.1f} s of processor time in the median, {TIME_BUDGET:g} s at most."
     )
     where = machine.sentence(found["machine"])
-    return "\n".join(["# Insertions", "", text, "", *lines, "", where, "", "Again: `python -m benchmarks.insert`", ""])
+    return "\n".join(
+        ["# Insertions", "", text, "", *lines, "", where, "", "Reproduce: `python -m benchmarks.insert`", ""]
+    )
 
 
 def main() -> None:

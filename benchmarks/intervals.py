@@ -233,7 +233,7 @@ def main() -> int:
         sys.stderr.write("interrupted: the finished recordings are shown\n")
     about["load after"] = machine.load()
     head = f"# Intervals of regular swings\n\nSimulated recordings, seed {options.seed}."
-    command = f"Command: `python -m benchmarks.intervals {' '.join(sys.argv[1:])}`"
+    command = f"Reproduce: `python -m benchmarks.intervals {' '.join(sys.argv[1:])}`"
     page = f"{head}\n\n{text(rows)}\n\n{machine.sentence(about)}\n\n{command}\n"
     print(page)
     if options.out != "-":

@@ -127,7 +127,7 @@ def page(seed: int, ropes: int, rows: list[dict[str, Any]], about: dict[str, str
         found = each["planned"], each["held"], f"{each['seconds']:.0f}", each["reason"]
         text += f"| {' | '.join(map(str, (each['rope'], *sizes, each['target'], *place, *found)))} |\n"
     text += f"\n{lines.made(rows)} {lines.made(rows, 'planner')} {machine.sentence(about)}\n\n"
-    return f"{text}Again: `python -m benchmarks.random_ropes --seed {seed}`\n"
+    return f"{text}Reproduce: `python -m benchmarks.random_ropes --seed {seed}`\n"
 
 
 def main() -> None:

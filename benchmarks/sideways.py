@@ -369,7 +369,7 @@ def page(rows: list[dict[str, Any]]) -> str:
             f"Casts that do not wind on any width (tilt in degrees): {', '.join(never) or 'none'}.",
             "",
         ]
-    return "\n".join([*text, lines.made(rows), "", "Again: `python -m benchmarks.sideways FOLDER`", ""])
+    return "\n".join([*text, lines.made(rows), "", "Reproduce: `python -m benchmarks.sideways FOLDER`", ""])
 
 
 def lost(rows: list[dict[str, Any]]) -> set[str]:

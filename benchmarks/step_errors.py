@@ -111,7 +111,7 @@ def main() -> None:
     about = machine.describe()
     marks = list(range(SEED, SEED + options.count))
     rows = log.go_on(Path(options.out).with_suffix(".jsonl"), marks, measure)
-    text = f"{page(rows)}\n{machine.sentence(about)}\n\nAgain: `python -m benchmarks.step_errors`\n"
+    text = f"{page(rows)}\n{machine.sentence(about)}\n\nReproduce: `python -m benchmarks.step_errors`\n"
     files.write_text(options.out, text)
     print(text)
 

@@ -1,16 +1,16 @@
-"""Switches behind the edge of a wall: 30 random ones, whipped past the wall, and judged with finer links.
+"""Whips to 30 random switches behind the edge of a wall, checked with finer links.
 
-python -m benchmarks.switches               results in benchmarks/results/switches.json and .md; interrupted, it goes on
-                                            where it was (switches.jsonl)
-python -m benchmarks.switches --count 12    the first ones alone
+python -m benchmarks.switches               results in benchmarks/results/switches.json and .md; the same command
+                                            continues an interrupted run (switches.jsonl)
+python -m benchmarks.switches --count 12    the first ones only
 python -m benchmarks.switches --only 7      one of them again
-python -m benchmarks.switches --switches 8  draws walls and switches anew, with seed 8
+python -m benchmarks.switches --switches 8  draws new walls and switches, with seed 8
 
-A rope of 1 m and 32 links, the paper's motor. A wall stands beside the motor up to an edge; the switch is 5 to 20 cm
-behind it and 3 to 20 cm below the edge. Those are kept that the tip reaches at a peak of its speed in some of 1,024
-random swings that are not the planner's, while the rope keeps 15 mm from the wall until then. The tip is to be as fast
-as in that swing, less a fifth. A switch is struck if, with 2.5 times the links and a fifth of the tolerance, the rope
-touches nothing before, and the tip comes within 10 mm and is the first to touch a peg of 10 mm there. All simulated.
+A rope of 1 m and 32 links, the paper's motor. A wall next to the motor ends at an edge; the switch is 5 to 20 cm behind
+it and 3 to 20 cm below the edge. A switch is kept if, in one of 1,024 random swings that the planner does not use, the
+tip reaches it at a peak of its speed while the rope stays 15 mm away from the wall. The required speed of the tip is
+that of this swing less a fifth. A switch is struck if, with 2.5 times the links and a fifth of the tolerance, the tip
+comes within 10 mm and is the first part of the rope that touches anything, a peg of 10 mm at the switch. All simulated.
 """
 
 import argparse
@@ -37,12 +37,12 @@ from hyperflex.planning.tasks.whip import find_peaks, verify_whip
 RESULTS = Path(__file__).parent / "results"
 SWITCHES = Path(__file__).parent / "switch-targets.json"
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=32, radius=0.0025, friction=2e-4)
-ARM, LIMITS, TIME = hf.Arm(length=0.105), MotorLimits(), 5.6  # s, within which the tip strikes
+ARM, LIMITS, TIME = hf.Arm(length=0.105), MotorLimits(), 5.6  # s, until the strike
 COUNT, SWINGS = 30, 1024
-WALLS, EDGES, FLOOR = (0.25, 0.7), (-1.0, -0.3), -1.5  # m: beside the motor; of upper and lower ends
+WALLS, EDGES, FLOOR = (0.25, 0.7), (-1.0, -0.3), -1.5  # m: next to the motor; of upper and lower ends
 BEHIND, BELOW, APART = (0.05, 0.2), (0.03, 0.2), 0.015  # m
-SLOWEST, SLOWER = 1.5, 0.8  # m/s, of a swing; of its speed, that is asked
-TIME_BUDGET, TOL, FINER = 30.0, 2e-8, 2.5  # s of processor time; m, of the judge; times the links
+SLOWEST, SLOWER = 1.5, 0.8  # m/s, of a swing; required fraction of its speed
+TIME_BUDGET, TOL, FINER = 30.0, 2e-8, 2.5  # s of processor time; m, tolerance of the check; times the links
 SWITCH = 0.01  # m, radius of the peg, and greatest miss
 
 
@@ -53,9 +53,9 @@ def switches() -> list[dict[str, float]]:
 
 
 def draw(seed: int) -> list[dict[str, float]]:
-    """Walls and switches that some random swing strikes without a touch of the wall."""
+    """Walls and switches that a random swing strikes without touching the wall."""
     problem, rng = Problem(ROPE, ARM, LIMITS, TIME), np.random.default_rng(seed)
-    swings = random_swings(problem, 2 * SWINGS)[SWINGS:]  # the planner's are the first ones
+    swings = random_swings(problem, 2 * SWINGS)[SWINGS:]  # the planner uses the first ones
     flights = Flights(problem, swings, np.arange(0.0, problem.time, OPTIONS.sample_time), Budget())
     peaks = find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity)
     last = samples_clear_of_arm(ROPE, ARM, flights.q, flights.joints[:, :, 0], 0.0)
@@ -84,7 +84,7 @@ def draw(seed: int) -> list[dict[str, float]]:
 
 
 def judge(plan: WhipPlan) -> str:
-    """Why a plan does not strike its switch with a finer rope; empty if it does."""
+    """The reason why a plan does not strike its switch with a finer rope, or an empty text."""
     assert plan.outcome is not None
     assert plan.motion is not None
     finer = replace(plan.problem, rope=finer_rope(ROPE))
@@ -98,7 +98,7 @@ def judge(plan: WhipPlan) -> str:
 
 
 def measure(index: int, mark: dict[str, float]) -> dict[str, Any]:
-    """What becomes of a switch."""
+    """Plan and check a whip to a switch."""
     wall = hf.Wall(mark["wall"], FLOOR, mark["wall"], mark["edge"])
     plan = plan_whip(
         ROPE,
@@ -118,7 +118,7 @@ def measure(index: int, mark: dict[str, float]) -> dict[str, Any]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """How many switches are struck, planned and judged."""
+    """The numbers of switches, plans and strikes."""
     return {
         "switches": len(rows),
         "planned": sum(row["success"] for row in rows),
@@ -140,25 +140,36 @@ def page(found: dict[str, Any]) -> str:
         place = f"{1e2 * abs(mark['x'] - mark['wall']):.0f} | {1e2 * (mark['edge'] - mark['y']):.0f}"
         lines.append(f"| {row['index']} | {place} | {outcome} | {' | '.join(parts)} | {row['seconds']:.0f} |")
     text = (
-        f"A rope of 1 m with {ROPE.n_links} links, the paper's motor, a wall beside it, and a switch behind its upper "
-        f"edge; each was struck by a random swing that the planner does not know. Of {told['switches']} switches "
-        f"{told['planned']} are planned within {TIME_BUDGET:g} s of processor time, {told['median seconds']:.0f} s in "
-        f"the median, and {told['struck']} are struck under the judge ({FINER:g} times the links, a fifth of the "
-        f"tolerance): the rope touches nothing before, and the tip comes within {1e3 * SWITCH:g} mm and is the "
-        f"first to touch a peg there."
+        f"A rope of 1 m with {ROPE.n_links} links, the paper's motor, a wall next to it, and a switch behind its upper "
+        f"edge; a random swing that the planner does not use strikes each. {told['planned']} of {told['switches']} "
+        f"switches are planned within {TIME_BUDGET:g} s of processor time (median {told['median seconds']:.0f} s), and "
+        f"{told['struck']} are struck in the independent check ({FINER:g} times the links, a fifth of the tolerance): "
+        f"the tip comes within {1e3 * SWITCH:g} mm and is the first part of the rope that touches anything, a peg at "
+        "the switch."
     )
     where = machine.sentence(found["machine"])
     return "\n".join(
-        ["# Switches behind an edge", "", text, "", *lines, "", where, "", "Again: `python -m benchmarks.switches`", ""]
+        [
+            "# Switches behind an edge",
+            "",
+            text,
+            "",
+            *lines,
+            "",
+            where,
+            "",
+            "Reproduce: `python -m benchmarks.switches`",
+            "",
+        ]
     )
 
 
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", type=int, metavar="INDEX", help="this switch alone; nothing is written")
-    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first switches alone")
-    parser.add_argument("--switches", type=int, metavar="SEED", help="draw walls and switches anew")
+    parser.add_argument("--only", type=int, metavar="INDEX", help="this switch only; writes nothing")
+    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first switches only")
+    parser.add_argument("--switches", type=int, metavar="SEED", help="draw new walls and switches")
     parser.add_argument("--out", default=str(RESULTS / "switches.json"), metavar="FILE")
     options = parser.parse_args()
     if options.switches is not None:

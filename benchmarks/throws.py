@@ -1,15 +1,15 @@
-"""Random throws of a cable at pegs, arm at rest: does energy grow, does the rope enter a peg, are steps left unsolved?
+"""Random throws of a cable at pegs, arm at rest: energy growth, penetration of pegs, unsolved steps.
 
 python -m benchmarks.throws                      1,000 throws; results in benchmarks/results/throws.json and .md;
-                                                 interrupted, it goes on where it was (throws.jsonl)
-python -m benchmarks.throws --count 50 --out -   a look; nothing is written
+                                                 the same command continues an interrupted run (throws.jsonl)
+python -m benchmarks.throws --count 50 --out -   short; writes nothing
 python -m benchmarks.throws --only 17            one of them again
 python -m benchmarks.throws --max-bend 0.8 --count 60 --out -    with joint limits, rad (the first joint is a hinge)
 
 Half of the throws have joint friction from 1e-4 to 5e-3 N m s/rad, half from 0 to 1e-4. The goals: total energy
 (mechanical plus dissipated) rises by at most 1e-5 J and 1e-3 J, penetration stays below 0.2 mm, unsolved steps below
-0.5 %. Contact must not give energy back either: what it has taken may fall by no more than that. No joint passes its
-limit by more than 1e-3 rad.
+0.5 %. The energy absorbed by contact may decrease by no more than that. No joint exceeds its limit by more than 1e-3
+rad.
 """
 
 import argparse
@@ -31,10 +31,10 @@ from tests.reference.random_throws import draw
 RESULTS = Path(__file__).parent / "results"
 DURATION = 2.0  # s
 ALLOWED = {"rubbed": 1e-5, "free": 1e-3}  # J
-GOALS = ("above the goal", "too deep", "too many unsolved", "past a limit")  # lists of throws that miss one
+GOALS = ("above the goal", "too deep", "too many unsolved", "past a limit")  # lists of throws that miss a goal
 HEAD = (
-    "| joint friction, N m s/rad | throws | touch a peg | worst rise, J | limit, J | given, J | deepest, mm "
-    "| unsolved, % of steps | broken | simulated s per s, in all | median |"
+    "| joint friction, N m s/rad | throws | touch a peg | worst rise, J | limit, J | returned, J | deepest, mm | "
+    "unsolved, % of steps | missed | simulated s per s, in all | median |"
 )
 PENETRATION, UNSOLVED = 2e-4, 0.005  # m; part of the steps of a throw
 PASSED = 1e-3  # rad
@@ -47,7 +47,7 @@ def rise(values: np.ndarray) -> float:
 def throw(index: int, fine: bool, max_bend: float = np.inf) -> dict[str, Any]:
     kind, rope, how = draw(index, DURATION)
     rope = rope.replace(max_bend=np.append(np.inf, np.full(rope.n_links - 1, max_bend)))
-    begin = time.process_time()  # other work on the machine does not count
+    begin = time.process_time()  # independent of other work on the machine
     found: dict[str, Any] = {"index": index, "kind": kind, "friction": float(rope.friction[0]), "mu": how["pegs"][0].mu}
     try:
         run = hf.simulate(rope, refine=fine, **how)
@@ -70,7 +70,7 @@ def throw(index: int, fine: bool, max_bend: float = np.inf) -> dict[str, Any]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Worst values of each kind, and how many throws break a goal."""
+    """Worst values of each kind, and the number of throws that miss a goal."""
     result: dict[str, Any] = {"throws": len(rows), "failed": [r["index"] for r in rows if r["status"] != "success"]}
     for kind, allowed in ALLOWED.items():
         those = [r for r in rows if r["kind"] == kind and r["status"] == "success"]
@@ -110,9 +110,9 @@ def page(found: dict[str, Any]) -> str:
             "# Random throws at pegs",
             "",
             f"{rows['throws']} throws of the paper's cable ({found['links']}), {DURATION:g} s each, at one to three",
-            "pegs of 20 to 50 mm, arm at rest, mu from 0 to 1; simulated. Rise: the most by which mechanical plus",
-            "dissipated energy rose above what it had been. Given: the most that contact gave back of what it took.",
-            "Broken: throws that miss a goal (the limit of the rise, 0.2 mm, 0.5 % of steps unsolved).",
+            "pegs of 20 to 50 mm, arm at rest, mu from 0 to 1; simulated. Rise: largest increase of mechanical plus",
+            "dissipated energy. Returned: largest energy returned by contacts after they had absorbed it.",
+            "Missed: throws that miss a goal (the limit of the rise, 0.2 mm, 0.5 % of steps unsolved).",
             "",
             HEAD,
             "|---|---|---|---|---|---|---|---|---|---|---|",
@@ -120,14 +120,15 @@ def page(found: dict[str, Any]) -> str:
             "",
             f"Failed: {rows['failed'] or 'none'}. {machine.sentence(found['machine'])} {found['kernels']}",
             "",
-            "Again: `python -m benchmarks.throws`",
+            "Reproduce: `python -m benchmarks.throws`",
             "",
         ]
     )
 
 
 def done(path: Path | None, kind: dict[str, Any]) -> list[dict[str, Any]]:
-    """Throws of such ropes that an interrupted run has finished; rows that say nothing are coarse, without limits."""
+    """Throws of the given ropes that an interrupted run has finished; by default rows have coarse links and no
+    limits."""
     plain = {"fine": False, "max_bend": None}
     return [row for row in log.read(path) if all(row.get(name, plain[name]) == kind[name] for name in kind)]
 
@@ -135,8 +136,8 @@ def done(path: Path | None, kind: dict[str, Any]) -> list[dict[str, Any]]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--only", type=int, metavar="INDEX", help="this throw alone")
-    parser.add_argument("--fine", action="store_true", help="links cut as simulate cuts them for the pegs")
+    parser.add_argument("--only", type=int, metavar="INDEX", help="this throw only")
+    parser.add_argument("--fine", action="store_true", help="links divided as simulate divides them for the pegs")
     parser.add_argument("--max-bend", type=float, metavar="RAD", help="limit of all joints but the first")
     parser.add_argument("--out", default=str(RESULTS / "throws.json"), metavar="FILE", help="- writes nothing")
     options = parser.parse_args()
@@ -157,7 +158,7 @@ def main() -> int:
             log.append(notes, rows[-1])
         else:
             print(json.dumps(rows[-1]), flush=True)
-    links = "links cut as the pegs need it" if options.fine else "50 links of 40 mm"
+    links = "links divided for the pegs" if options.fine else "50 links of 40 mm"
     links += "" if options.max_bend is None else f", joints limited to {options.max_bend:g} rad"
     found = {"machine": machine.describe(), "links": links, "kernels": log.made(rows), "summary": summary(rows)}
     print(json.dumps(found["summary"], indent=1))

@@ -1,14 +1,14 @@
-"""How a rope's filter keeps what it says: consistency, tests for changes, and parameters that are wrong by a little.
+"""Consistency of a rope's filter, its tests for changes, and slightly wrong parameters.
 
-python -m benchmarks.tracking consistency 100    100 runs of each kind: the model right, and a rope of 100 links
+python -m benchmarks.tracking consistency 100    100 runs of each kind: a right model, and a rope of 100 links
 python -m benchmarks.tracking changes 10         touches and masses at the tip, 10 of each kind
 python -m benchmarks.tracking false-alarms 60    an hour of a rope of 100 links
 python -m benchmarks.tracking starts 1000        starts with a length 1 % off, 20 links
-python -m benchmarks.tracking friction 20        joint friction, beside the Cramer-Rao bound
-python -m benchmarks.tracking page               the page from what there is
+python -m benchmarks.tracking friction 20        joint friction, compared with the Cramer-Rao bound
+python -m benchmarks.tracking page               the page from the existing rows
 
-Markers in metres (10, 1.5 mm off), 30 frames/s, and which is which is known; the filter has 50 links. All data are
-simulated. Each run adds a line to benchmarks/results/tracking.jsonl (--out); on one core a run takes 5 to 15 s.
+10 markers in metres (noise 1.5 mm), 30 frames/s, known identities; the filter has 50 links. All data are simulated.
+Each run adds a line to benchmarks/results/tracking.jsonl (--out); on one core a run takes 5 to 15 s.
 """
 
 import argparse
@@ -43,17 +43,17 @@ from tests.estimate.runs import (
 RESULTS = Path(__file__).parent / "results"
 LINKS, FRAMES, NOISE = 50, 30.0, 0.0015
 DENSITY = (0.5, 1.0)  # rad/s^2 per square root of Hz, disturbances of the runs in which the model is right
-# of a marker's noise (in 0.1 s, of velocities), added to covariances, which vanish along a taut rope: what is of second
-# order in the errors, and by how much links of 4 cm differ from those of 2 cm
+# of a marker's noise (in 0.1 s, of velocities), added to covariances, which vanish along a taut rope: second-order
+# errors, and the difference between links of 4 cm and of 2 cm
 FLOOR, FINE_FLOOR = 0.005, 0.02
-QUIET = 0.02  # rad/s^2 per square root of Hz, first guess of a filter that is told that there is little disturbance
+QUIET = 0.02  # rad/s^2 per square root of Hz, first guess of a filter that expects little disturbance
 SINCE = 1.0  # s, from which errors count
 NAMES = ("places", "velocities", "tip", "tip velocity")
 Row = dict[str, Any]
 
 
 def bounds(truth: Truth, moved: bool, density: tuple[float, float]) -> dict[str, float]:
-    """Posterior Cramer-Rao bound (Tichavsky et al. 1998) of a run: rms of what is seen after `SINCE`, SI units.
+    """Posterior Cramer-Rao bound (Tichavsky et al. 1998) of a run: rms after `SINCE`, SI units.
 
     With disturbances that enter linearly it is the covariance of the filter whose derivatives are taken at the truth.
     """
@@ -81,7 +81,7 @@ def bounds(truth: Truth, moved: bool, density: tuple[float, float]) -> dict[str,
 
 
 def consistency(seed: int) -> Iterator[Row]:
-    """One run of each kind: free and pumped, the model right (with disturbances that it assumes) and a finer truth."""
+    """One run of each kind: free and pumped, with a right model (and the assumed disturbances) and a finer truth."""
     for moved in (False, True):
         for right in (True, False):
             truth = disturbed(
@@ -101,7 +101,7 @@ def consistency(seed: int) -> Iterator[Row]:
 
 
 def judged(found: Tracked, floor_part: float) -> Row:
-    """Mean NEES over dimension, part of the 90 % regions that hold, rms, and whiteness of the innovations."""
+    """Mean NEES over dimension, coverage of the 90 % regions, rms, and whiteness of the innovations."""
     row: Row = {}
     late = [k for k, t in enumerate(found.t) if t >= SINCE]
     for name in NAMES:
@@ -140,7 +140,7 @@ HAPPENINGS: dict[str, Row] = {
 
 
 def changes(seed: int) -> Iterator[Row]:
-    """What is noticed, when, and as what; then the estimate of a mass at the tip 5 s later."""
+    """Detected changes, their delays and names; then the estimate of a mass at the tip 5 s later."""
     rng = np.random.default_rng((seed, 5))
     for name, what in HAPPENINGS.items():
         moved, at = what["moved"], float(rng.uniform(3.0, 6.0) if what["moved"] else rng.uniform(2.5, 4.0))
@@ -173,7 +173,7 @@ def changes(seed: int) -> Iterator[Row]:
 
 
 def false_alarms(seed: int) -> Iterator[Row]:
-    """A minute of a finer rope to which nothing happens: a free swing of half a minute, and three casts."""
+    """A minute of a finer rope without changes: a free swing of half a minute, and three casts."""
     for k in range(4):
         moved = k > 0
         truth = disturbed(moved=moved, duration=10.4 if moved else 30.4, at=1.0, seed=4 * seed + k)
@@ -191,7 +191,7 @@ def false_alarms(seed: int) -> Iterator[Row]:
 
 
 def starts(seed: int) -> Iterator[Row]:
-    """A length 1 % off, from a random shape: does it stay finite, and where is it after 5 s."""
+    """A length 1 % off, from a random shape: whether the filter stays finite, and its errors after 5 s."""
     rng = np.random.default_rng((seed, 11))
     moved, long = bool(seed % 2), seed % 20 < 2  # two in twenty are followed for 5 s
     scale, n, frames = (
@@ -217,7 +217,7 @@ def starts(seed: int) -> Iterator[Row]:
 
 
 def friction(seed: int) -> Iterator[Row]:
-    """Joint friction from 5 s of a rope of as many links as the filter, beside what any estimate could be off by."""
+    """Joint friction from 5 s of a rope with the links of the filter, and the lower bound of its error."""
     for moved in (False, True):
         truth = disturbed(moved=moved, n=LINKS, duration=5.2, at=0.1, seed=seed)
         parameters = [EstimatedParameter("friction", 0.5)]
@@ -256,10 +256,11 @@ def page(found: list[Row]) -> str:
     for row in found:
         of.setdefault(row["kind"], []).append(row)
     words = (
-        f"A rope of 2 m, 10 markers {1e3 * NOISE:g} mm off in metres, {FRAMES:g} frames/s, a filter of {LINKS} links; "
-        f"free swings of 1.2 m, and casts (the arm swings to and fro). A finer truth has {FINE} links. Simulated."
+        f"A rope of 2 m, 10 markers in metres with {1e3 * NOISE:g} mm of noise, {FRAMES:g} frames/s, a filter of "
+        f"{LINKS} links; free swings of 1.2 m, and casts (the arm swings to and fro). A finer truth has {FINE} links. "
+        "Simulated."
     )
-    lines = ["# Tracking: is the filter as sure as it says, and what does it notice?", "", words]
+    lines = ["# Tracking: consistency of the filter, and detected changes", "", words]
     for kind, write in PAGES.items():
         if kind in of:
             lines += ["", *write(of[kind])]
@@ -270,19 +271,18 @@ def page(found: list[Row]) -> str:
 
 def consistency_page(found: list[Row]) -> list[str]:
     words = (
-        "The model right: with disturbances as the filter assumes them, whose size it has to find. NEES over "
-        "dimension, part of the frames in which the stated 90 % regions hold, and rms over the posterior "
-        f"Cramer-Rao bound, after {SINCE:g} s of 8 s. "
-        f"To each covariance the square of {FLOOR:g} ({FINE_FLOOR:g} with the finer truth) of a "
-        "marker's noise is added, in 0.1 s for velocities: along a taut rope covariances vanish, and links of 4 cm "
-        "lie that far from those of 2 cm."
+        "Right model: disturbances as the filter assumes them; it estimates their size. NEES over dimension, share of "
+        "the frames in which the stated 90 % regions contain the truth, and rms over the posterior Cramer-Rao bound, "
+        f"after {SINCE:g} s of 8 s. The square of {FLOOR:g} ({FINE_FLOOR:g} with the finer truth) of a marker's noise "
+        "is added to each covariance, divided by 0.1 s for velocities: covariances vanish along a taut rope, and "
+        "links of 4 cm differ by that much from links of 2 cm."
     )
     lines = [
         "## Consistency",
         "",
         words,
         "",
-        "| truth | runs | " + " | ".join(f"{name}: NEES, held, over bound" for name in NAMES) + " | NIS | lag 1 |",
+        "| truth | runs | " + " | ".join(f"{name}: NEES, coverage, over bound" for name in NAMES) + " | NIS | lag 1 |",
         "|---" * (4 + len(NAMES)) + "|",
     ]
     for right in (True, False):
@@ -297,7 +297,7 @@ def consistency_page(found: list[Row]) -> list[str]:
                 rms = sum(row[name]["rms"] ** 2 for row in bounded)
                 ratio = f"{np.sqrt(rms / sum(row['bound'][name] ** 2 for row in bounded)):.2f}" if bounded else "-"
                 cells.append(f"{nees:.2f}, {100.0 * held:.1f} %, {ratio}")
-            what = f"{'the model right' if right else 'finer'}, {'casts' if moved else 'free swings'}"
+            what = f"{'right model' if right else 'finer'}, {'casts' if moved else 'free swings'}"
             lag, std = np.mean([row["lag 1"] for row in those]), those[0]["lag 1 std"] / np.sqrt(len(those))
             white = f"{np.mean([row['nis'] for row in those]):.3f} | {lag:.4f} ± {std:.4f}"
             lines.append(f"| {what} | {len(those)} | {' | '.join(cells)} | {white} |")
@@ -308,9 +308,9 @@ def changes_page(found: list[Row]) -> list[str]:
     lines = [
         "## Changes",
         "",
-        "Touches are across the rope, at random places and times. One false alarm in 600 s is allowed, of all tests.",
+        "Touches push across the rope, at random positions and times. Tests may give one false alarm in 600 s.",
         "",
-        "| what | runs | noticed | after, s: median, longest | named right after, s: median, longest |",
+        "| change | runs | detected | delay, s: median, longest | delay of the right name, s: median, longest |",
         "|---|---|---|---|---|",
     ]
     for what in HAPPENINGS:
@@ -323,7 +323,7 @@ def changes_page(found: list[Row]) -> list[str]:
     if masses:
         error = np.array([row["value"] - 5e-3 for row in masses])
         rms, worst = 1e3 * np.sqrt((error**2).mean()), 1e3 * np.abs(error).max()
-        lines += ["", f"The mass 5 s later: off by {rms:.2f} g rms, {worst:.2f} g at most, of 5 g."]
+        lines += ["", f"Error of the estimated mass 5 s later: {rms:.2f} g rms, {worst:.2f} g at most, of 5 g."]
     return lines
 
 
@@ -331,8 +331,8 @@ def false_alarms_page(found: list[Row]) -> list[str]:
     tested, count = sum(row["tested"] for row in found), sum(len(row["all"]) for row in found)
     bend = max(row["largest bend"] for row in found)
     words = (
-        f"{count} in {tested / 60.0:.1f} minutes of the finer truth, to which nothing happens (one in 10 minutes is "
-        f"allowed). It bends by up to {bend:.2f} rad from link to link."
+        f"{count} in {tested / 60.0:.1f} minutes of the finer truth without changes (one in 10 minutes is allowed). It "
+        f"bends by up to {bend:.2f} rad between links."
     )
     return ["## False alarms", "", words]
 
@@ -342,8 +342,8 @@ def starts_page(found: list[Row]) -> list[str]:
     short = [row["tip"] for row in found]
     words = (
         f"{len(found)} starts of 20 links (truth 40), 1 mm of noise, 7.5, 15 or 30 frames/s, from random shapes: "
-        f"{sum(not row['finite'] for row in found)} not finite; tip at the end {1e3 * np.median(short):.2f} mm in the "
-        f"median, {1e3 * max(short):.1f} mm at most."
+        f"{sum(not row['finite'] for row in found)} not finite; final tip error {1e3 * np.median(short):.2f} mm "
+        f"(median), {1e3 * max(short):.1f} mm at most."
     )
     if long.size:
         words += f" After 6 s ({long.size} of them) the length is off by {1e2 * np.abs(long).max():.3f} % at most."
@@ -352,9 +352,9 @@ def starts_page(found: list[Row]) -> list[str]:
 
 def friction_page(found: list[Row]) -> list[str]:
     words = (
-        "Relative error; the model right, without disturbances. The Cramer-Rao bound knows nothing of the start but "
-        f"the filter's prior. It expects friction to 50 %, and disturbances of {QUIET:g} rad/s^2/sqrt(Hz) to begin "
-        "with: what is lost while it learns that there are none (1 by default) is lost for good."
+        "Relative error with a right model, without disturbances. The Cramer-Rao bound starts from the filter's prior. "
+        f"The filter expects friction to 50 % and initial disturbances of {QUIET:g} rad/s^2/sqrt(Hz) (1 by default): "
+        "information lost while it learns that there are none cannot be recovered."
     )
     lines = ["## Joint friction in 5 s", "", words, "", "| | runs | rms | stated | bound | rms over bound |"]
     lines.append("|---|---|---|---|---|---|")

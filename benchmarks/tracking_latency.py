@@ -1,9 +1,9 @@
 """Latency of tracking a rope in video, frame by frame, and memory over a long run (simulated video).
 
 python benchmarks/tracking_latency.py          about five minutes; results in benchmarks/results/
-python benchmarks/tracking_latency.py --quick  a look in a minute; nothing is written
+python benchmarks/tracking_latency.py --quick  a minute; writes nothing
 
-One thread: it begins itself anew with 1 for the numbers of BLAS threads, which count when numpy is loaded.
+One thread: the script restarts itself with one BLAS thread, which must be set before numpy is loaded.
 """
 
 import argparse
@@ -34,20 +34,20 @@ LINKS, FINE, LENGTH, RATE = 50, 100, 2.0, 30.0
 ARCS = np.linspace(0.2, LENGTH, 10)
 SIZE = (1280, 720)
 ARM, SWINGS = hf.Arm(length=0.105), hf.arm_swings(t_move=0.73, t_rest=0.53)
-SECONDS, ROUNDS = 8.0, 5  # of the cast; how often it is tracked
-SOAK, SETTLED = 18_000, 900  # frames; those after which memory is looked at first
+SECONDS, ROUNDS = 8.0, 5  # of the cast; number of repetitions
+SOAK, SETTLED = 18_000, 900  # frames; those before the first memory measurement
 GENTLE = hf.arm_swings(t_move=1.5, t_rest=1.0)
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 AIM = {"median": 4.0, "p99": 10.0, "packet p99": 20.0, "growth": 5.0}  # ms, ms, ms, MB
 
 
 def camera(**timing: float) -> Camera:
-    """The view: the whole rope wherever it goes."""
+    """A view that contains the whole rope at all times."""
     return Camera.facing(SIZE, pixels_per_metre=150.0, origin=(640.0, 330.0), **timing)
 
 
 def moving(motion: hf.Motion, seconds: float, rate: float) -> tuple[hf.Trajectory, RopeMotion]:
-    """A finer rope on the arm, and what the camera is shown of it."""
+    """A finer rope on the arm, and its camera."""
     t = np.arange(0.0, seconds, 1.0 / rate)
     run = hf.simulate(cable(FINE, scaled=True), motion, arm=ARM, duration=seconds, t_eval=t)
     angle, turning = motion.angle(t), motion.rate(t)
@@ -57,13 +57,13 @@ def moving(motion: hf.Motion, seconds: float, rate: float) -> tuple[hf.Trajector
 
 
 def tracker(motion: hf.Motion, colour: MarkerColour, lens: Camera, tests: ChangeTests | None = None) -> RopeTracker:
-    """What is timed, at its beginning."""
+    """The tracker in its initial state."""
     estimator = RopeFilter(cable(LINKS, scaled=True), ARCS, motion=motion, arm=ARM, camera=lens, tests=tests)
     return RopeTracker(estimator, MarkerMeasurement(MarkerDetector(colour)))
 
 
 def latency(rounds: int) -> dict[str, Any]:
-    """Times of each frame of a cast, ms: of a look at a decoded frame, and from the packet to the shared state."""
+    """Times of each frame of a cast, ms: tracking of a decoded frame, and from the packet to the shared state."""
     lens = camera(exposure=0.004)
     _, shown = moving(SWINGS, SECONDS + 0.5, 600.0)
     with tempfile.TemporaryDirectory(prefix="hyperflex-bench-") as folder:
@@ -119,7 +119,7 @@ def _quantiles(times: list[float]) -> dict[str, float]:
 
 
 class Drawn:
-    """A source of drawn frames: discs on a grey wall where the markers are, with some noise."""
+    """A source of drawn frames: discs at the markers on a grey wall, with noise."""
 
     def __init__(self, pixels: np.ndarray) -> None:
         self.pixels, self.image_size, self.notes = pixels, SIZE, []
@@ -138,11 +138,11 @@ class Drawn:
             yield self.frame(k)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is no device to close."""
 
 
 def soak(frames: int) -> dict[str, Any]:
-    """A long run through all that ``hyperflex watch`` does but the pictures: memory, errors, times."""
+    """A long run through all parts of ``hyperflex watch`` except the camera: memory, errors, times."""
     lens = camera()
     run, _ = moving(GENTLE, frames / RATE, RATE)
     ends = np.linspace(0.0, LENGTH, FINE + 1)
@@ -177,7 +177,7 @@ def soak(frames: int) -> dict[str, Any]:
 
 
 def resident() -> float:
-    """Memory of this process, MB, after what is free has been given back: it would hide what grows."""
+    """Memory of this process, MB, after free memory is returned to the system, so that leaks are visible."""
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
@@ -194,9 +194,9 @@ def text(times: dict[str, Any], long: dict[str, Any] | None) -> str:
     ]
     labels = {
         "processor": ("look, processor time", f"median {AIM['median']:g}, p99 {AIM['p99']:g}"),
-        "clock": ("look, by the clock", f"median {AIM['median']:g}, p99 {AIM['p99']:g}"),
+        "clock": ("look, elapsed", f"median {AIM['median']:g}, p99 {AIM['p99']:g}"),
         "tested": ("look with tests for changes, processor time", ""),
-        "packet to state": ("packet to shared state, by the clock", f"p99 {AIM['packet p99']:g}"),
+        "packet to state": ("packet to shared state, elapsed", f"p99 {AIM['packet p99']:g}"),
     }
     for what, (label, aim) in labels.items():
         cells = [_spread([each[name] for each in times[what]]) for name in ("median", "p99")]
@@ -204,10 +204,9 @@ def text(times: dict[str, Any], long: dict[str, Any] | None) -> str:
     about = (
         f"Simulated video: the paper's cable of {LINKS} links ({FINE} in truth) on its arm, {ARCS.size} markers, "
         f"{SIZE[0]}x{SIZE[1]} at {RATE:g} frames/s, {times['frames']} frames of a cast tracked {times['rounds']} "
-        f"times; {100.0 * times['seen']:.1f} % of the markers were found. Look: what RopeTracker.look makes of a "
-        "decoded frame: prediction, search in gates, assignment, update. Packet to shared state: demuxing, decoding in "
-        "one thread, conversion of the whole picture to blue, green, red, look, and a write and a read of the shared "
-        "memory."
+        f"times; {100.0 * times['seen']:.1f} % of the markers were found. Look: RopeTracker.look on a decoded frame: "
+        "prediction, search in gates, assignment, update. Packet to shared state: demuxing, decoding in one thread, "
+        "conversion of the whole picture to blue, green, red, look, and a write and a read of the shared memory."
     )
     lines += ["", about]
     if long is not None:
@@ -220,10 +219,10 @@ def _soaked(long: dict[str, Any]) -> str:
     late = long["latency"]
     return (
         f"Soak: {long['frames']} drawn frames ({long['frames'] / RATE / 60.0:.0f} minutes at {RATE:g} frames/s) in "
-        f"{long['seconds']:.0f} s, as fast as they are looked at, through FrameThread, Watch and WatchLog. Memory grew "
-        f"by {long['growth_mb']:.2f} MB from frame {SETTLED} to the end, at most by {long['most_growth_mb']:.2f} MB on "
-        f"the way (aim: less than {AIM['growth']:g}); the log has {long['log_mb']:.0f} MB. "
-        f"Tip {long['tip_rms_mm']:.2f} mm rms, {100.0 * long['seen']:.2f} % of the markers found; latency, with the "
+        f"{long['seconds']:.0f} s, as fast as they are tracked, through FrameThread, Watch and WatchLog. Memory grew "
+        f"by {long['growth_mb']:.2f} MB from frame {SETTLED} to the end, at most by {long['most_growth_mb']:.2f} MB in "
+        f"between (aim: less than {AIM['growth']:g}); the log has {long['log_mb']:.0f} MB. Tip "
+        f"{long['tip_rms_mm']:.2f} mm rms, {100.0 * long['seen']:.2f} % of the markers found; latency, with the "
         f"drawing in another thread: median {late['median']:.2f} ms, p99 {late['p99']:.2f} ms."
     )
 
@@ -235,7 +234,7 @@ def _spread(values: list[float]) -> str:
 def main() -> None:
     """Measure, print, and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="two rounds, a short soak, nothing written")
+    parser.add_argument("--quick", action="store_true", help="two rounds, a short soak; writes nothing")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--no-soak", action="store_true")
     given = parser.parse_args()

@@ -1,14 +1,14 @@
-"""What a track states and what its error is: a rope filmed by a renderer of its own, tracked as the docs say.
+"""Stated and true errors of a track: a rope filmed by an independent renderer, tracked as the docs describe.
 
 python -m benchmarks.video_cases                   all cases
-python -m benchmarks.video_cases clean "flicker"   some of them; --seed for another rope, camera and calibration
-python -m benchmarks.video_cases page              the page from what there is
+python -m benchmarks.video_cases clean "flicker"   these cases; --seed for another rope, camera and calibration
+python -m benchmarks.video_cases page              the page from the existing rows
 
-Nothing of `hyperflex.vision` makes the pictures: the camera is written out here (pinhole, k1, k2), discs and rope are
-drawn in four times the resolution, the motion blur is the mean of sub-frames, boards are traced pixel by pixel. The
-user's part is done by the command line: `hyperflex calibrate` from a video of a board and a picture of it in the plane,
-the hook clicked to a whole pixel, then `hyperflex track`; if markers have two colours, one of each is clicked. The
-truth is a chain of 120 links, tracked with 24. Each seed has another rope, camera, frame rate, and number of markers.
+The pictures do not use `hyperflex.vision`: the benchmark implements the camera (pinhole, k1, k2), draws discs and rope
+at four times the resolution, averages sub-frames for the motion blur, and traces boards pixel by pixel. The command
+line does the user's part: `hyperflex calibrate` from a video of a board and a picture of it in the plane, with the hook
+clicked to a whole pixel, then `hyperflex track`; if markers have two colours, one of each is clicked. The truth is a
+chain of 120 links, tracked with 24. Each seed has another rope, camera, frame rate, and number of markers.
 """
 
 import argparse
@@ -58,17 +58,17 @@ class Scene:
         self.square = self.length / 15.0  # m, of the board
 
     def rope(self, n: int) -> hf.Rope:
-        """The rope of n links: friction of a joint grows with their number, so that the rope is the same."""
+        """The rope of n links: joint friction grows with n, so that it is the same rope."""
         mass, friction = 0.0625 * self.length, 1.4e-4 * self.length**2 * n / 24
         return hf.Rope.uniform(length=self.length, mass=mass, n_links=n, radius=0.002, friction=friction)
 
 
 @dataclass(frozen=True)
 class Case:
-    """What differs from the plain video."""
+    """Differences from the plain video."""
 
     tilt: float = 0.0  # degrees, of the swing plane about the vertical
-    jitter: float = 0.0  # s, by which frames come early or late
+    jitter: float = 0.0  # s, by which frames are early or late
     flicker: float = 0.0  # relative amplitude of the light, at 10.3 Hz, followed by an exposure that lags
     crf: int = 16
     shake: float = 0.0  # px rms, of the whole picture in each frame
@@ -76,7 +76,7 @@ class Case:
     colours: int = 1  # of the markers, by turns
     wood: bool = False  # a wall of the markers' hue, red things on it, and a person who walks by
     arm: float = 0.0  # m, of an arm that turns to and fro with the rope at its end, which the user does not declare
-    from_hook: bool = False  # whether the user takes the rope's first joint at the start for the origin, not the arm's
+    from_hook: bool = False  # whether the user chooses the rope's first joint at the start as the origin, not the arm's
     duration: float = 3.5
 
 
@@ -114,7 +114,7 @@ def places(case: Case, scene: Scene, times: Array) -> Array:
 
 
 class Lens:
-    """The camera, and where the swing plane is before it."""
+    """The camera and the pose of the swing plane."""
 
     def __init__(self, tilt: float, scene: Scene) -> None:
         rng = np.random.default_rng((scene.seed, 2))
@@ -144,7 +144,7 @@ def rays(focal: float) -> Array:
     v = (np.arange(SIZE[1])[:, None] + fine).ravel()
     target = (np.stack(np.meshgrid(u, v), axis=-1) - CENTRE) / focal
     ideal = target.copy()
-    for _ in range(8):  # errors fall by some 30 each
+    for _ in range(8):  # each iteration reduces the error by about 30
         square = (ideal**2).sum(axis=-1, keepdims=True)
         ideal = target / (1.0 + RADIAL[0] * square + RADIAL[1] * square**2)
     return np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=2)
@@ -172,7 +172,7 @@ def board_picture(
 
 
 def board_pattern(square: float) -> npt.NDArray[np.uint8]:
-    """Return the board as it is printed, 96 pixels a square."""
+    """Return the printed board, 96 pixels a square."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     board = cv2.aruco.CharucoBoard(SQUARES, square, 0.75 * square, dictionary)
     return np.asarray(board.generateImage((96 * SQUARES[0], 96 * SQUARES[1])))
@@ -242,7 +242,7 @@ def on_rope(joints: Array, scene: Scene) -> Array:
 
 
 def wall_of(case: Case, seed: int) -> Callable[[float, Array], Array]:
-    """Return what is behind the rope, at a time and shifted by some pixels."""
+    """Return the background at a time, shifted by some pixels."""
     rng = np.random.default_rng((seed, 5))
     width, height = SIZE[0] + 40, SIZE[1] + 40
     slope = np.linspace(-12.0, 12.0, width)[None, :, None]
@@ -259,7 +259,7 @@ def wall_of(case: Case, seed: int) -> Callable[[float, Array], Array]:
     def shown(time: float, shake: Array) -> Array:
         matrix = np.array([[1.0, 0.0, shake[0] - 20.0], [0.0, 1.0, shake[1] - 20.0]])
         picture = cv2.warpAffine(shade, matrix, SIZE, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        if case.wood:  # somebody walks by behind the rope
+        if case.wood:  # a person walks past behind the rope
             u = int(-60 + 220 * time)
             cv2.rectangle(picture, (u, 90), (u + 55, 480), (60.0, 55.0, 50.0), -1)
             cv2.circle(picture, (u + 27, 65), 25, (120.0, 150.0, 200.0), -1)
@@ -269,7 +269,8 @@ def wall_of(case: Case, seed: int) -> Callable[[float, Array], Array]:
 
 
 def draw(picture: Array, lens: Lens, joints: Array, shake: Array, colours: int) -> None:
-    """Draw the mean of some instants (S, n + 1, 3) of rope and markers on a picture: the share of each pixel counts."""
+    """Draw the mean of instants (S, n + 1, 3) of rope and markers on a picture, with the covered share of each
+    pixel."""
     scene, lines = lens.scene, lens.pixels(joints) + shake
     thickness = scene.focal * 0.004 / scene.away
     corner = np.maximum(np.floor(lines.min(axis=(0, 1))).astype(int) - 12, 0)
@@ -299,7 +300,7 @@ def draw(picture: Array, lens: Lens, joints: Array, shake: Array, colours: int) 
 
 
 def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
-    """Film a case, do what the docs say, and compare."""
+    """Film a case, follow the docs, and compare."""
     case, scene = CASES[name], Scene(seed)
     lens = Lens(case.tilt, scene)
     film_board(folder, lens)
@@ -346,7 +347,7 @@ def tracked(name: str, scene: Scene, folder: Path) -> dict[str, Any]:
 
 
 def command(folder: Path, *words: str) -> str:
-    """Run a command of hyperflex in a folder, and return what it prints."""
+    """Run a command of hyperflex in a folder, and return its output."""
     program = [sys.executable, "-m", "hyperflex", *words]
     done = subprocess.run(program, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -355,7 +356,7 @@ def command(folder: Path, *words: str) -> str:
 
 
 def main() -> None:
-    """Run what is asked for, and write a line for each; or the page."""
+    """Run the chosen cases and write a line for each, or write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join([*CASES, "page"]).replace("%", "%%"))
     parser.add_argument("--seed", type=int, default=0)
@@ -372,7 +373,7 @@ def page(rows: list[log.Row]) -> str:
     """The results as Markdown."""
     kept = {(row["case"], row["seed"]): row for row in rows}
     lines = [
-        "# What a track states, and what its error is",
+        "# Stated and true errors of a track",
         "",
         __doc__.split("\n\n")[2].replace("\n", " ").strip(),
         "",

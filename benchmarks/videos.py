@@ -1,12 +1,12 @@
-"""Following a rope by video: the paper's estimator, ours and a tracker without dynamics; and hard videos.
+"""Tracking a rope in video: the paper's estimator, ours and a tracker without dynamics; and difficult videos.
 
 python -m benchmarks.videos swings 5     free swings at 7.5 frames/s, as the paper's camera saw them: all four trackers
 python -m benchmarks.videos hard 10      pumped casts at 30 frames/s, 30 % occluded, clutter, a blackout of 0.5 s
-python -m benchmarks.videos half 10      the same without a blackout, 50 % occluded and no marker on the tip
-python -m benchmarks.videos page         the page from what there is
+python -m benchmarks.videos half 10      casts without a blackout, 50 % occluded and no marker on the tip
+python -m benchmarks.videos page         the page from the existing rows
 
 Ropes of 100 links, rendered; trackers have 50. Each run adds a line to benchmarks/results/videos.jsonl (--out); on one
-core a hard video takes a minute, most of it to be rendered and written as MP4.
+core a difficult video takes a minute, mainly for rendering and MP4 encoding.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from hyperflex.vision import VideoReader
 from tests.estimate.videos import HardVideo, follow
 
 RESULTS = Path(__file__).parent / "results"
-HARD = {  # columns of the page: name, unit, factor, what is asked
+HARD = {  # columns of the page: name, unit, factor, goal
     "tip": ("tip rms outside the blackout, mm", 1e3, "<= 10"),
     "tip, worst": ("worst, mm", 1e3, ""),
     "end of blackout": ("end of the blackout, mm", 1e3, "<= 60"),
@@ -47,17 +47,17 @@ SWING = {
 
 
 def hard(seed: int) -> dict[str, Any]:
-    """A cast with a blackout, later with each seed."""
+    """A cast with a blackout, which is later for each seed."""
     return video(HardVideo(seed, blackout=5.0 + 0.5 * seed))
 
 
 def half(seed: int) -> dict[str, Any]:
-    """A cast with half of the markers covered, and none on the tip."""
+    """A cast with half of the markers covered, and no marker on the tip."""
     return video(HardVideo(seed, occluded=0.5, on_tip=False))
 
 
 def video(subject: HardVideo) -> dict[str, Any]:
-    """Render, write as MP4, read and follow a cast."""
+    """Render, write as MP4, read and track a cast."""
     motion = subject.motion()
     renderer = subject.renderer(motion)
     with tempfile.TemporaryDirectory() as folder:
@@ -71,7 +71,7 @@ def video(subject: HardVideo) -> dict[str, Any]:
 
 
 def swings(seed: int) -> dict[str, Any]:
-    """A free swing, followed by each tracker, with a marker on the tip and without."""
+    """A free swing, tracked by each tracker, with and without a marker on the tip."""
     return {
         name + ("" if on_tip else ", none on the tip"): estimation.followed(name, seed, on_tip).summary()
         for on_tip in (True, False)
@@ -83,7 +83,7 @@ RUNS: dict[str, Callable[[int], dict[str, Any]]] = {"swings": swings, "hard": ha
 
 
 def main() -> None:
-    """Run what is asked for, and write a line for each; or the page."""
+    """Run the chosen videos and write a line for each, or write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=[*RUNS, "page"])
     parser.add_argument("runs", type=int, nargs="?", default=1)
@@ -103,13 +103,13 @@ def main() -> None:
 def page(rows: list[log.Row]) -> str:
     """The results as Markdown."""
     kept = {(row["kind"], row["seed"]): row for row in rows}
-    parts = ["# Following a rope by video\n", __doc__.split("\n\n")[2].replace("\n", " ").split(" Each run")[0] + "\n"]
+    parts = ["# Tracking a rope in video\n", __doc__.split("\n\n")[2].replace("\n", " ").split(" Each run")[0] + "\n"]
     own = [row for (kind, _), row in sorted(kept.items()) if kind == "swings"]
     if own:
         parts.append(f"## Free swing of 1.2 m, {estimation.RATE} frames/s, {len(own)} seeds\n\n{swing_table(own)}")
     titles = {
         "hard": "Pumped cast, 30 frames/s, 1/100 s, 30 % occluded, blackout of 0.5 s",
-        "half": "The same, 50 % occluded, no marker on the tip, no blackout",
+        "half": "Pumped cast, 50 % occluded, no marker on the tip, no blackout",
     }
     for name, title in titles.items():
         own = [row for (kind, _), row in sorted(kept.items()) if kind == name]
@@ -129,7 +129,7 @@ def swing_table(rows: list[log.Row]) -> str:
             worst = min if key == "captured" else max
             cells.append(f"{np.mean(values):.3g} ({worst(values):.3g})" if values else "-")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join([*lines, "", "Means over the seeds, in brackets the worst one.\n"])
+    return "\n".join([*lines, "", "Means over the seeds, with the worst one in brackets.\n"])
 
 
 def video_table(rows: list[log.Row]) -> str:
@@ -138,7 +138,7 @@ def video_table(rows: list[log.Row]) -> str:
     lines = ["| seed | fastest, m/s | " + " | ".join(HARD[key][0] for key in keys) + " |"]
     lines.append("|---" * (2 + len(keys)) + "|")
     if "end of blackout" in keys:
-        lines.append("| asked for | >= 12 | " + " | ".join(HARD[key][2] for key in keys) + " |")
+        lines.append("| goal | >= 12 | " + " | ".join(HARD[key][2] for key in keys) + " |")
     for row in rows:
         cells = []
         for key in keys:

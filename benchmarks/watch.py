@@ -1,13 +1,13 @@
-"""A plain rope that swings before an emulated camera: is it followed live from its first picture on?
+"""A plain rope that swings before an emulated camera: is it tracked live from the first picture on?
 
 python -m benchmarks.watch            a minute; to benchmarks/results/watch.md
 python -m benchmarks.watch --out -    nothing is written
-chrt -r 1 python -m benchmarks.watch  before other programs, where the machine is not quiet
+chrt -r 1 python -m benchmarks.watch  with priority over other programs on a busy machine
 
-The camera is emulated: a thread gives rendered pictures of 1280x720 pixels at 30 a second by the clock, whether they
-are taken or not. The rope (100 links, 2 m, 5 mm thick, 1/500 s) swings from the first of them on. It is tracked as
-`hyperflex watch --length 2.0` does, with 43 links and nine parameters, twice: pictures that come during the search are
-worked off, or left out for the newest one. Decoding is left out.
+The camera is emulated: a thread provides rendered pictures of 1280x720 pixels 30 times per second in real time, whether
+they are used or not. The rope (100 links, 2 m, 5 mm thick, 1/500 s) swings from the first picture on. It is tracked
+like `hyperflex watch --length 2.0`, with 43 links and nine parameters, twice: pictures that arrive during the search
+are processed later, or skipped in favour of the newest one. The times exclude decoding.
 """
 
 import argparse
@@ -34,7 +34,7 @@ SIZE, SETTLED = (1280, 720), 3.0  # px, s after the first picture
 
 
 class Filmed:
-    """A camera that gives pictures by the clock."""
+    """A camera that provides pictures in real time."""
 
     def __init__(self, images: list[Image]) -> None:
         self.images, self.image_size, self.notes = images, SIZE, list[str]()
@@ -46,11 +46,12 @@ class Filmed:
             yield Frame(BEGIN + k / RATE, image, k)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is no device to close."""
 
 
 def watched(task: TrackingTask, images: list[Image]) -> tuple[list[LiveEstimate], list[float], int]:
-    """Follow the rope until a picture before the last; return estimates, processor times, s, and frames left out."""
+    """Track the rope until shortly before the last picture; return estimates, processor times, s, and skipped
+    frames."""
     found, spent, source = list[LiveEstimate](), list[float](), Filmed(images)
     with FrameThread(lambda: source, live=True) as frames:
         follow = Watch(frames, task.tracker())
@@ -88,7 +89,7 @@ def row(rule: str, motion: RopeMotion, found: list[LiveEstimate], spent: list[fl
 
 
 def main() -> None:
-    """Render, follow, and write."""
+    """Render, track, and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default=str(RESULTS), help="page; -: none")
     out, about = parser.parse_args().out, machine.describe()
@@ -100,16 +101,16 @@ def main() -> None:
         plain = Plain(length=LENGTH, pivot=(640.0, 60.0), tip="found", size="rope", mass="unknown", exposure=0.002)
         task = Markers().plain_task(plain.scene(lambda _: images[0], Path(folder) / "camera-0"))
         task.rehearse()
-        rows = [row("are worked off", motion, *watched(task, images))]
+        rows = [row("are processed later", motion, *watched(task, images))]
         with patch.object(FrameThread, "catch_up", lambda _: 0):
-            rows.append(row("are left out", motion, *watched(task, images)))
+            rows.append(row("are skipped", motion, *watched(task, images)))
     about["load after"] = machine.load()
     head = (
-        "pictures that come during the search | taken, left out | greatest latency, ms | latency below a frame's time "
-        "after, s | latency from 3 s on, median, 99 %, ms | processor time of a picture, median, 99 %, ms | of the "
-        "first search, ms | free end off from then on, rms, mm |"
+        "pictures during the search | taken, skipped | greatest latency, ms | latency below a frame's time after, s | "
+        "latency from 3 s on, median, 99 %, ms | processor time of a picture, median, 99 %, ms | of the first search, "
+        "ms | error of the free end from 3 s on, rms, mm |"
     )
-    lines = ["# A plain rope, followed live", "", " ".join(str(__doc__).split("\n\n")[2].split()), "", f"| {head}"]
+    lines = ["# A plain rope, tracked live", "", " ".join(str(__doc__).split("\n\n")[2].split()), "", f"| {head}"]
     page = "\n".join([*lines, "|---" * 8 + "|", *rows, "", f"{machine.sentence(about)}\n"])
     print(page)
     if out != "-":

@@ -1,17 +1,17 @@
 """Whips: 30 random targets in reach, planned on the rope itself, and on a rope identified from one short recording.
 
-python -m benchmarks.whip                 results in benchmarks/results/whip.json and .md; interrupted, it goes on where
-                                          it was (whip.jsonl)
-python -m benchmarks.whip --nominal       nominal plans alone
-python -m benchmarks.whip --impacts       the blows of the nominal plans as well, on a peg of 10 mm at the target
-python -m benchmarks.whip --beyond        targets that are called out of reach as well, planned all the same
+python -m benchmarks.whip                 results in benchmarks/results/whip.json and .md; the same command
+                                          continues an interrupted run (whip.jsonl)
+python -m benchmarks.whip --nominal       nominal plans only
+python -m benchmarks.whip --impacts       also the impacts of the nominal plans on a peg of 10 mm at the target
+python -m benchmarks.whip --beyond        also plans for targets that are called out of reach
 python -m benchmarks.whip --only 7        one of them again
-python -m benchmarks.whip --targets 3     draws the targets anew, with seed 3
+python -m benchmarks.whip --targets 3     draws new targets, with seed 3
 
-Miss: distance of the tip from the target at its peak speed, which must be 5 m/s or more, at most 20 degrees from the
-asked direction. The goals: a median of at most 5 mm nominal, and of 30 mm on the identified rope. The peak is the
-greatest within 0.15 s of the planned time. On an identified rope the true motor starts each stroke a little early or
-late and follows with a lag that the plan does not know. All simulated.
+Miss: distance of the tip from the target at its peak speed, which must be at least 5 m/s, at most 20 degrees from the
+required direction. The goals: a median of at most 5 mm nominal, and of 30 mm on the identified rope. The peak is the
+greatest one within 0.15 s of the planned time. On an identified rope the true motor starts each stroke slightly early
+or late and follows with a lag that is not in the plan. All simulated.
 """
 
 import argparse
@@ -59,8 +59,8 @@ COUNT, SPEED, WITHIN = 30, 5.0, float(np.radians(20.0))
 TIME_BUDGET = 15.0  # s
 PERIODS = 3.0
 HEAD = (
-    "| planned on | targets | fast and directed as asked | median miss, mm | others as missed, mm | quartiles, mm "
-    "| goal, mm; median time, s |"
+    "| planned on | targets | fast and directed as required | median miss, mm | with the others as infinite, mm | "
+    "quartiles, mm | goal, mm; median time, s |"
 )
 GOALS = {"nominal": 5.0, "identified": 30.0, "identified, same links": 30.0, "identified, no tape": 30.0}  # mm, medians
 PIECES = {"identified": 2, "identified, same links": 1, "identified, no tape": 2}  # of each link of the true rope
@@ -68,14 +68,14 @@ NAMES = {
     "nominal": "the rope itself",
     "identified": "the identified rope, links of the true one half as long",
     "identified, same links": "the identified rope",
-    "identified, no tape": "the first identified one, its length fitted too",
+    "identified, no tape": "the first identified one, with a fitted length",
 }
-FEWER = {"identified, no tape": 15}  # of the targets: a fit of the length takes its time
-BEYOND = 30  # targets out of reach that are tried all the same
+FEWER = {"identified, no tape": 15}  # of the targets: fewer, because a fit of the length is slow
+BEYOND = 30  # targets out of reach that are tried
 BANDS = (OPTIONS.max_cost, 0.2, 0.3, 0.5, np.inf)  # m, of their cost
 SPREAD = {"length": 0.01, "mass": 0.02, "friction": 0.2}  # standard deviations of a true rope, relative
 TIMING, LAG = 2e-3, 0.010  # s: standard deviation of each rest of the motor; time constant of its first-order lag
-TAPE = 5e-4  # relative standard deviation of a length that a tape tells
+TAPE = 5e-4  # relative standard deviation of a length measured with a tape
 RATE, SECONDS, NOISE, MARKERS = 60.0, 3.0, 2e-3, 10  # Hz, s, m: the recording
 
 
@@ -94,7 +94,7 @@ def targets() -> list[TipTarget]:
 
 
 def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], TipFeasibility]]:
-    """Points and directions drawn evenly over all that the rope could touch, and whether they are in reach."""
+    """Uniform points and directions over the region that the rope could touch, and whether they are in reach."""
     rng, far = np.random.default_rng(seed), CABLE.total_length + ARM.length
     while True:
         r, a, direction = far * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
@@ -108,7 +108,7 @@ def draw(seed: int) -> list[dict[str, float]]:
 
 
 def true_rope(index: int, pieces: int) -> hf.Rope:
-    """A rope that differs from the cable as a real one does, each of its links in so many pieces."""
+    """A rope that differs from the cable like a real one, with each link divided into `pieces`."""
     rng = np.random.default_rng([5, index])
     length, mass, friction = (1.0 + std * rng.standard_normal() for std in SPREAD.values())
     rope = CABLE.replace(
@@ -133,16 +133,16 @@ def recorded(true: hf.Rope, index: int) -> tuple[hf.Recording, Any]:
 
 
 def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str, Any]]:
-    """The cable as one recording tells it: its friction, and its length unless a tape has measured that.
+    """The cable identified from one recording: its friction, and its length unless measured with a tape.
 
-    Markers are glued on at known parts of the rope.
+    Markers are at known fractions of the rope.
     """
     recording, joints = recorded(true, index)
     parts = np.cumsum(true.length)[joints - 1] / true.total_length
     measured = true.total_length * (1.0 + TAPE * np.random.default_rng([7, index]).standard_normal())
     rope = CABLE.replace(**stretched(CABLE, measured / CABLE.total_length * CABLE.length)) if tape else CABLE
     begin, status = time.perf_counter(), ""
-    # A marker's place does not grow with the rope's length in a fit: a second one starts where it has.
+    # A marker's position does not scale with the rope's length in a fit, so a second fit starts from the new length.
     for free in [["friction:factor"]] if tape else 2 * [["friction:factor", "length:factor"]]:
         arc_lengths = np.minimum(parts * rope.total_length, rope.total_length)
         found = identify(
@@ -163,13 +163,13 @@ def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str
 
 
 def moved_late(moves: Moves, index: int) -> Moves:
-    """The strokes as a motor makes them that is not quite in time."""
+    """The strokes of a motor with timing errors."""
     late = TIMING * np.random.default_rng([8, index]).standard_normal(moves.rests.size)
     return Moves(moves.side, moves.ends, moves.rests + late)
 
 
 def nominal(index: int, mark: TipTarget, known: WhipMap, **options: Any) -> dict[str, Any]:
-    """Plan on the cable itself; the miss is that of a run at a tight tolerance."""
+    """Plan for the cable itself; the miss is that of a run with a tight tolerance."""
     search = SearchOptions(index, **options)
     plan = plan_whip(CABLE, ARM, mark, whip_map=known, time_budget=seconds(), options=search)
     row: dict[str, Any] = {"success": plan.success, "reason": plan.message, "cost": plan.feasibility.cost}
@@ -188,8 +188,7 @@ def nominal(index: int, mark: TipTarget, known: WhipMap, **options: Any) -> dict
 
 
 def beyond(known: WhipMap) -> Iterator[tuple[dict[str, float], TipTarget, int]]:
-    """The first BEYOND targets drawn that are called out of reach but near a peak of the map of some cost, planned for
-    all the same; and how many were drawn until then."""
+    """Yield the first BEYOND targets called out of reach but near a peak of the map, and the number drawn so far."""
     count = 0
     for number, (row, told) in enumerate(drawn(3, known), start=1):
         if not told.feasible and np.isfinite(told.cost):
@@ -215,7 +214,7 @@ def blow(row: dict[str, Any], mark: TipTarget) -> dict[str, Any]:
 
 
 def on_identified(index: int, mark: TipTarget, kind: str) -> dict[str, Any]:
-    """Plan on an identified rope, throw the true one with a motor that is not quite in time and lags."""
+    """Plan for an identified rope, and simulate the true one with a motor that has timing errors and a lag."""
     true = true_rope(index, PIECES[kind])
     rope, row = identified(true, index, tape=kind != "identified, no tape")
     plan = plan_whip(
@@ -240,7 +239,7 @@ def on_identified(index: int, mark: TipTarget, kind: str) -> dict[str, Any]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Misses in mm, of each kind; a target without a whip counts as missed by infinity."""
+    """Misses of each kind, mm; infinite for a target without a plan."""
     found = {}
     for kind, goal in GOALS.items():
         those = [row for row in rows if row["kind"] == kind]
@@ -278,15 +277,14 @@ def page(found: dict[str, Any]) -> str:
             f"{r['seconds']:.0f} |"
         )
     text = (
-        f"The paper's cable and motor, targets drawn evenly over all that the rope could touch in any direction, those "
-        f"in reach kept; at least {SPEED:g} m/s, at most {np.degrees(WITHIN):.0f} degrees off. {TIME_BUDGET:g} s of "
-        f"searching a target. Identified: length 1 %, mass 2 %, friction 20 % off (standard deviations); "
-        f"free swing of {SECONDS:g} s, {MARKERS} markers at {RATE:g} Hz with {1e3 * NOISE:g} mm of "
-        f"noise at known parts of the rope; friction is fitted, length is told by a tape ({100 * TAPE:g} %) or fitted "
-        f"too, mass is not known better. The motor's rests are {1e3 * TIMING:g} ms off, and it follows with a "
-        f"first-order lag of {1e3 * LAG:g} ms that the plan does not know. Targets that the rope drawn cannot reach "
-        f"count as missed. Links of the true rope half as long stand for a model that is not quite right. "
-        f"All simulated."
+        "The paper's cable and motor; uniform targets in any direction over the region that the rope could touch, of "
+        f"which those in reach are kept; at least {SPEED:g} m/s, at most {np.degrees(WITHIN):.0f} degrees off. Each "
+        f"search takes {TIME_BUDGET:g} s. Identified: length 1 %, mass 2 %, friction 20 % off (standard deviations); "
+        f"free swing of {SECONDS:g} s, {MARKERS} markers at {RATE:g} Hz with {1e3 * NOISE:g} mm of noise at known "
+        f"fractions of the rope; friction is fitted, length is measured with a tape ({100 * TAPE:g} %) or also fitted, "
+        f"mass is not improved. The motor's rests are {1e3 * TIMING:g} ms off, and it follows with a first-order lag "
+        f"of {1e3 * LAG:g} ms that is not in the plan. Targets that the true rope cannot reach count as missed. Half "
+        "as long links of the true rope represent a model error. All simulated."
     )
     lines += [*identified_words(found["rows"]), *beyond_words(found["rows"])]
     blows = [row for row in found["rows"] if row["kind"] == "impact" and row["touched"]]
@@ -294,19 +292,19 @@ def page(found: dict[str, Any]) -> str:
         middle = {name: float(np.median([row[name] for row in blows])) for name in ("impulse", "along", "energy")}
         lines.append(
             f"\nOn a peg of 10 mm behind the target {len(blows)} of the nominal whips strike, with a median impulse of "
-            f"{1e3 * middle['impulse']:.1f} mN s ({1e3 * middle['along']:.1f} in the asked direction) in 50 ms, and "
-            f"lose {1e3 * middle['energy']:.0f} mJ to the blow."
+            f"{1e3 * middle['impulse']:.1f} mN s ({1e3 * middle['along']:.1f} in the required direction) in 50 ms, and "
+            f"lose {1e3 * middle['energy']:.0f} mJ in the impact."
         )
     kernels = {
         kind: sorted({row["kernels"] for row in found["rows"] if row["kind"] == kind}) for kind in found["summary"]
     }
     lines.append("\nKernels: " + "; ".join(f"{kind} {', '.join(hashes)}" for kind, hashes in kernels.items()) + ".")
     where = machine.sentence(found["machine"])
-    return "\n".join(["# Whips", "", text, "", *lines, "", where, "", "Again: `python -m benchmarks.whip`", ""])
+    return "\n".join(["# Whips", "", text, "", *lines, "", where, "", "Reproduce: `python -m benchmarks.whip`", ""])
 
 
 def identified_words(rows: list[dict[str, Any]]) -> list[str]:
-    """What lag and timing do, and how well length and friction are known."""
+    """The effects of lag and timing, and the errors of length and friction."""
     lines = []
     for kind in PIECES:
         those = [row for row in rows if row["kind"] == kind]
@@ -314,20 +312,21 @@ def identified_words(rows: list[dict[str, Any]]) -> list[str]:
             without, exact = (middle(those, f"miss{name}") for name in (" without lag", " in time"))
             long, stiff = (np.array([row[name] for row in those]) - 1.0 for name in ("length", "friction"))
             lines.append(
-                f"\n{NAMES[kind].capitalize()}: median miss without the lag {without:.1f} mm, with rests in time too "
-                f"{exact:.1f} mm. Length {100 * np.sqrt((long**2).mean()):.3f} % off (root mean square), friction over "
-                f"mass {100 * stiff.mean():+.1f} % on average, {100 * stiff.std():.1f} % standard deviation."
+                f"\n{NAMES[kind].capitalize()}: median miss without the lag {without:.1f} mm, without timing errors "
+                f"either {exact:.1f} mm. Length {100 * np.sqrt((long**2).mean()):.3f} % off (root mean square), "
+                f"friction over mass {100 * stiff.mean():+.1f} % on average, {100 * stiff.std():.1f} % standard "
+                "deviation."
             )
     return lines
 
 
 def middle(rows: list[dict[str, Any]], name: str) -> float:
-    """Median of a number that is infinite where there is none."""
+    """Median of a number that is infinite if it is missing."""
     return float(np.median([np.inf if row.get(name) is None else row[name] for row in rows]))
 
 
 def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
-    """How many of the targets that are called out of reach are met all the same, by their cost."""
+    """Share of the targets called out of reach that are met nevertheless, by their cost."""
     those = [row for row in rows if row["kind"] == "beyond"]
     if not those:
         return []
@@ -339,23 +338,23 @@ def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
             told.append(f"{sum(some)} of {len(some)} {where}")
     met = sum(row["success"] for row in those)
     words = (
-        f"\nOut of reach means farther than {OPTIONS.max_cost:g} m (missing speed and a wrong direction "
-        f"count as distance) from every peak of the map. Of {max(row['drawn'] for row in those)} more targets, "
-        f"{len(those)} near some peak were called that. Planned for all the same (`skip_feasibility=True`, "
-        f"{TIME_BUDGET:g} s each), {met} of them are met within 1 mm, as fast and directed as asked: {', '.join(told)}."
+        f"\nOut of reach means farther than {OPTIONS.max_cost:g} m (missing speed and a wrong direction count as "
+        f"distance) from every peak of the map. Of {max(row['drawn'] for row in those)} more targets, {len(those)} "
+        f"near a peak were called out of reach. With `skip_feasibility=True` ({TIME_BUDGET:g} s each), {met} of them "
+        f"are met within 1 mm with the required speed and direction: {', '.join(told)}."
     )
     return [words]
 
 
 def measure(index: int, kind: str, mark: TipTarget, known: WhipMap) -> dict[str, Any]:
-    """What becomes of a target."""
+    """Plan and check one target."""
     return nominal(index, mark, known) if kind == "nominal" else on_identified(index, mark, kind)
 
 
 def jobs(
     options: argparse.Namespace, known: WhipMap, rows: list[dict[str, Any]]
 ) -> Iterator[tuple[str, int, Callable[[], dict[str, Any]]]]:
-    """What is to be measured, and how; `rows` are those that there are until then."""
+    """The pending measurements and their functions; `rows` are the existing ones."""
     marks = targets()
     for kind in ["nominal"] if options.nominal else list(GOALS):
         for index, mark in enumerate(marks[: FEWER.get(kind, COUNT)]):
@@ -369,18 +368,18 @@ def jobs(
 
 
 def refused(index: int, place: dict[str, float], mark: TipTarget, count: int, known: WhipMap) -> dict[str, Any]:
-    """Plan for a target that is called out of reach."""
+    """Plan for a target called out of reach."""
     return {**place, "drawn": count, **nominal(index, mark, known, skip_feasibility=True)}
 
 
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--nominal", action="store_true", help="nominal plans alone")
-    parser.add_argument("--impacts", action="store_true", help="blows of the nominal plans as well")
-    parser.add_argument("--beyond", action="store_true", help="targets that are called out of reach as well")
-    parser.add_argument("--only", type=int, metavar="INDEX", help="this target alone; nothing is written")
-    parser.add_argument("--targets", type=int, metavar="SEED", help="draw the targets anew")
+    parser.add_argument("--nominal", action="store_true", help="nominal plans only")
+    parser.add_argument("--impacts", action="store_true", help="also impacts of the nominal plans")
+    parser.add_argument("--beyond", action="store_true", help="also targets called out of reach")
+    parser.add_argument("--only", type=int, metavar="INDEX", help="this target only; writes nothing")
+    parser.add_argument("--targets", type=int, metavar="SEED", help="draw new targets")
     parser.add_argument("--out", default=str(RESULTS / "whip.json"), metavar="FILE")
     options = parser.parse_args()
     if options.targets is not None:

@@ -1,18 +1,18 @@
-"""Do parts of a real recording tell the same? Each is fitted for itself, and the estimates are compared.
+"""Consistency of parts of a real recording: each part is fitted separately, and the estimates are compared.
 
 python -m benchmarks.windows --data FOLDER            eight parts of each recording; to benchmarks/results/
 python -m benchmarks.windows --data FOLDER --out -    nothing is written
 
-If stated deviations hold, estimates of parts scatter about their weighted mean by as much: chi-squared over its degrees
-of freedom is about 1, and 95 % of the differences of two parts are within 1.96 of their deviations, the root of the sum
-of squares of both. Two 95 % intervals overlap far more easily (99.4 % of the pairs), so that is told but does not
-count. Errors of lengths and of the clock are the same in all parts and would deflate all of these: they are of
-deviations without these, and chi-squared of deviations as stated is told beside. What noise alone would make is told,
-too, for the rest is the model's error as the fit itself has estimated it.
+If the stated standard deviations are right, estimates of parts scatter accordingly about their weighted mean:
+chi-squared over its degrees of freedom is about 1, and 95 % of the differences of two parts are within 1.96 times the
+root of the sum of squares of both deviations. Two 95 % intervals overlap far more often (99.4 % of the pairs), so this
+is reported but is not a criterion. Errors of lengths and of the clock are common to all parts and would reduce these
+statistics: they use deviations without these errors, and chi-squared with the stated deviations is reported as well.
+The deviation due to noise alone is also reported; the rest is the model error estimated by the fit.
 
-The exit code is 1 if for a ratio that is called usable chi-squared per degree exceeds 1.5, or fewer than 90 % of the
-pairs agree, or if more than a quarter of a recording's parts are refused ("do not use"). Pairs with a refused part are
-told as well. A friction that fails so is let pass where all parts call it a model error, and by how much is told.
+The exit code is 1 if, for a usable ratio, chi-squared per degree exceeds 1.5 or fewer than 90 % of the pairs agree, or
+if more than a quarter of a recording's parts are refused ("do not use"). Pairs with a refused part are reported as
+well. A friction that fails is accepted if all parts report it as a model error; its size is reported.
 """
 
 import argparse
@@ -35,9 +35,9 @@ from hyperflex.identification.findings import percent
 from hyperflex.identification.uncertainty.covariance import ratio_spread
 
 RESULTS = Path(__file__).parent / "results"
-BAND = 1.96  # standard deviations on either side that hold 95 %
-MOST, LEAST = 1.5, 0.9  # chi-squared per degree of freedom, and part of the pairs that agree
-REFUSED = 0.25  # part of the parts that may be refused
+BAND = 1.96  # standard deviations on either side that contain 95 %
+MOST, LEAST = 1.5, 0.9  # chi-squared per degree of freedom, and share of the pairs that agree
+REFUSED = 0.25  # share of the parts that may be refused
 FREE = ["inertia", "com", "friction"]
 MARKERS = {"time_unit": "s", "unit": "m", "y_axis": "up"}
 RECORDINGS: dict[str, tuple[str, dict[str, str], list[str]]] = {
@@ -57,7 +57,8 @@ def guess_of(recording: hf.Recording) -> hf.Rope:
 
 
 def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
-    """Return a row for each part of a recording: ratios with deviations and intervals, grade, word of friction."""
+    """Return a row for each part of a recording: ratios with deviations and intervals, grade, model error of
+    friction."""
     path, units, free = RECORDINGS[name]
     whole = hf.read_recording(folder / path, **units)  # type: ignore[arg-type]
     guess, rows = guess_of(whole), []
@@ -69,7 +70,7 @@ def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
         row |= {"grade": str(found.grade), "reason": text_of(found.findings[0])}
         parts = [percent(each.values["part"]) for each in found.findings if each.kind is Kind.FRICTION_MODEL]
         row["friction"] = f"up to {parts[0]}" if parts else ""
-        # without errors of lengths, clock and torque, which all parts of a recording have in common
+        # without errors of lengths, clock and torque, which are common to all parts of a recording
         information = replace(found.basis.information, scaled=0.0)
         parameters = found.basis.plant.parameters
         own, laws = (ratio_spread(parameters, information, model=model) for model in (False, True))
@@ -85,7 +86,7 @@ def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
 
 
 def numbers_of(found: hf.Identification, label: str, value: float, own: float, laws: float) -> list[float]:
-    """Return value, deviation as stated, without common errors, and of noise; nothing where not known, or held."""
+    """Return value and deviations (stated, without common errors, of noise), or an empty list if unknown or fixed."""
     name, place = label[:-1].split("[")
     std = float(found.ratio_std[name][int(place)])
     if label not in found.intervals or not (np.isfinite(std) and own > 0.0):
@@ -94,7 +95,7 @@ def numbers_of(found: hf.Identification, label: str, value: float, own: float, l
 
 
 def compared(rows: list[dict[str, Any]], label: str) -> dict[str, float]:
-    """Return how the parts that may be used agree on a ratio."""
+    """Return the agreement of the usable parts on a ratio."""
     there = [row for row in rows if label in row["ratios"]]
     used = np.array([row["grade"] != "do not use" for row in there])
     if used.sum() < 2:
@@ -110,19 +111,19 @@ def compared(rows: list[dict[str, Any]], label: str) -> dict[str, float]:
 
 
 def agreeing(value: np.ndarray, std: np.ndarray) -> float:
-    """Return the part of the pairs whose difference is within 95 % of its deviation."""
+    """Return the share of the pairs whose difference is within its 95 % range."""
     pairs = combinations(range(value.size), 2)
     return float(np.mean([abs(value[i] - value[j]) <= BAND * np.hypot(std[i], std[j]) for i, j in pairs]))
 
 
 def overlapping(value: np.ndarray, std: np.ndarray) -> float:
-    """Return the part of the pairs whose 95 % intervals overlap."""
+    """Return the share of the pairs whose 95 % intervals overlap."""
     pairs = combinations(range(value.size), 2)
     return float(np.mean([abs(value[i] - value[j]) <= BAND * (std[i] + std[j]) for i, j in pairs]))
 
 
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a line for each ratio of each recording, with whether it counts and holds."""
+    """Return a line for each ratio of each recording, with whether it is judged and passes."""
     lines = []
     for name in dict.fromkeys(row["recording"] for row in rows):
         own = [row for row in rows if row["recording"] == name]
@@ -142,7 +143,7 @@ def refused_of(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def too_many_refused(rows: list[dict[str, Any]]) -> list[str]:
-    """Return the recordings of which too many parts are refused."""
+    """Return the recordings with too many refused parts."""
     names = dict.fromkeys(row["recording"] for row in rows)
     own = {name: [row for row in rows if row["recording"] == name] for name in names}
     return [name for name, each in own.items() if len(refused_of(each)) > REFUSED * len(each)]
@@ -150,7 +151,7 @@ def too_many_refused(rows: list[dict[str, Any]]) -> list[str]:
 
 def text(rows: list[dict[str, Any]]) -> str:
     """Return the page."""
-    lines = ["# Parts of real recordings, each fitted for itself", ""]
+    lines = ["# Parts of real recordings, fitted separately", ""]
     heads = ("recording", "ratio", "parts used", "mean", "scatter", "std of noise", "std without common errors")
     heads += ("stated std", "chi^2 per degree, without common errors", "as stated", "pairs that agree")
     heads += ("intervals that overlap", "agree, refused parts too", "holds")
@@ -162,22 +163,23 @@ def text(rows: list[dict[str, Any]]) -> str:
             cells += [f"{each[k]:.0%}" for k in ("agree", "overlap", "all")]
         else:
             cells = ["-"] * 10
-        told = f"model error, told in {each['told']}: {each['model_error']}"
+        told = f"model error, reported in {each['told']}: {each['model_error']}"
         word = {True: f"yes ({told})" if each["told"] else "yes", False: "**no**", None: told}
         lines.append(
             f"| {each['recording']} | {each['ratio']} | {each['parts']} | {' | '.join(cells)} | {word[each['holds']]} |"
         )
     lines += [
         "",
-        f"Asked: chi-squared per degree of freedom at most {MOST:g}, {LEAST:.0%} of the pairs agreeing (a difference",
-        "within 1.96 of its deviation: 95 % are, if deviations are right, and 99.4 % of the intervals overlap), among",
-        f'parts that are not graded "do not use", which {REFUSED:.0%} may be. Frictions that fail are a model error.',
+        f"Goals: chi-squared per degree of freedom at most {MOST:g}; {LEAST:.0%} of the pairs agree (their difference",
+        "is within 1.96 of its deviation; with right deviations 95 % do, and 99.4 % of the intervals overlap); at most",
+        f'{REFUSED:.0%} of the parts are graded "do not use" and omitted. Frictions that fail are a model error.',
     ]
     for name in dict.fromkeys(row["recording"] for row in rows):
         own = [row for row in rows if row["recording"] == name]
         refused = [f"{row['begin']:.1f} s: {row['reason']}" for row in refused_of(own)]
         took = f"{np.median([row['seconds'] for row in own]):.1f} s of processor time a fit (median)"
-        lines += ["", f"{name}: {took}; not to be used: {len(refused)} of {len(own)}. {' '.join(refused)}".rstrip()]
+        graded = f'graded "do not use": {len(refused)} of {len(own)}.'
+        lines += ["", f"{name}: {took}; {graded} {' '.join(refused)}".rstrip()]
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""Work against precision: error of the tip beside time, every simulator on the same cast in the same run."""
+"""Work-precision diagram: error of the tip against time, every simulator on the same cast in the same run."""
 
 import math
 from pathlib import Path
@@ -20,7 +20,7 @@ def measure(quick: bool, repeats: int, peers: dict[str, ModuleType]) -> list[dic
     true = cast.reference()
     entries = [(module.DRIVE, one) for module in peers.values() for one in module.contestants(cast, quick)]
     budget = QUICK_BUDGET if quick else BUDGET
-    with np.errstate(all="ignore"):  # a step beyond stability ends in errors that are not numbers, and is shown so
+    with np.errstate(all="ignore"):  # an unstable step gives errors that are not numbers, and is shown so
         timed = alternately([one.run for _, one in entries], repeats, budget)
         errors = [distance_mm(times.result, true) for times in timed]
     rows = [
@@ -37,7 +37,7 @@ def measure(quick: bool, repeats: int, peers: dict[str, ModuleType]) -> list[dic
     ]
     strangers = {row["simulator"] for row in rows} - set(fastest(rows))
     if strangers:
-        raise RuntimeError(f"{strangers} come to another tip at every setting: not the same model")
+        raise RuntimeError(f"{strangers} give another tip at every setting: not the same model")
     return rows
 
 
@@ -47,7 +47,7 @@ def good(row: dict[str, Any]) -> bool:
 
 
 def fastest(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """The quickest good setting of each simulator, quickest first."""
+    """The fastest accurate setting of each simulator, fastest first."""
     best: dict[str, dict[str, Any]] = {}
     for row in sorted(filter(good, rows), key=lambda row: row["ms_per_simulated_s"]["median"]):
         best.setdefault(row["simulator"], row)
@@ -55,7 +55,7 @@ def fastest(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def text(rows: list[dict[str, Any]], peers: dict[str, ModuleType]) -> str:
-    """Return the Markdown tables and what they say."""
+    """Return the Markdown tables and their explanation."""
     head = "simulator | method | setting | error at 2 s, mm | at 5 s, mm"
     lines = [
         f"| {head} | ms per simulated s (least-most) | adaptive | arm |",
@@ -82,22 +82,20 @@ def text(rows: list[dict[str, Any]], peers: dict[str, ModuleType]) -> str:
         + (
             "\n\n50 links, 10 s of casting from rest (t_a = 0.73 s, t_c = 0.53 s, bang-bang). Reference: classical "
             "Runge-Kutta with steps of 0.1 ms on the O(n) accelerations; Pinocchio's rows share no code with it. "
-            "hyperflex is called as users call it: checks, output, energies and guards are part of its time. "
-            "Of the peers only the integration is timed, not the building of the model. Each is shown at the settings "
-            "that did best; benchmarks/peers_*.py name what was tried beside them. 'Lost': not a number before 10 s. "
-            f"{NOTE}"
+            "hyperflex is called as users call it: checks, output, energies and guards are part of its time. The "
+            "times of the peers are those of the integration only, without building the model. Each peer has its best "
+            f"settings; benchmarks/peers_*.py list the other ones tried. 'Lost': not a number before 10 s. {NOTE}"
         )
     )
 
 
 def verdict(best: dict[str, dict[str, Any]]) -> str:
-    """How many times as long as hyperflex the fastest good setting of each other simulator takes."""
+    """Time of the fastest accurate setting of each other simulator, relative to hyperflex."""
     own = best["hyperflex"]
     cost = own["ms_per_simulated_s"]["median"]
     lines = (
         f"With errors of the tip below {GOOD:g} mm both at 2 s and at 5 s, hyperflex ({own['setting']}) takes "
-        f"**{cost:.3g} ms per simulated second**. The fastest setting of each other that is below {GOOD:g} mm as well:"
-        "\n\n"
+        f"**{cost:.3g} ms per simulated second**. The fastest setting of each other simulator below {GOOD:g} mm:\n\n"
     )
     for name, row in best.items():
         if row is not own:
@@ -119,7 +117,7 @@ def figure(rows: list[dict[str, Any]], path: Path) -> None:
         if None not in row["error_mm"]:
             point = (max(row["error_mm"][:2]), row["ms_per_simulated_s"]["median"])
             groups.setdefault((row["simulator"], row["method"]), []).append(point)
-    arms: dict[str, dict[str, None]] = {}  # how driven: the simulators, each once
+    arms: dict[str, dict[str, None]] = {}  # simulators by the way of driving the arm
     for row in rows:
         arms.setdefault(row["arm"], {})[row["simulator"].split(",")[0]] = None
     driven = "; ".join(f"{arm} ({', '.join(names)})" for arm, names in arms.items())

@@ -1,13 +1,13 @@
-"""What identify says of wrong and poor inputs, simulated and real.
+"""Results of identify for wrong and poor inputs, simulated and real.
 
 python -m benchmarks.wrong_input --data FOLDER     all cases; the table goes to benchmarks/results/wrong-input.md
-python -m benchmarks.wrong_input --out -           simulated cases alone; nothing is written
-python -m benchmarks.wrong_input --only WORDS      cases with these words in their names; nothing is written
+python -m benchmarks.wrong_input --out -           simulated cases only; writes nothing
+python -m benchmarks.wrong_input --only WORDS      cases with these words in their names; writes nothing
 
-Each case must end in one of five ways: it is refused; it is graded "do not use"; what is called usable has 95 %
-intervals that hold the truth and are no wider than its kind of case allows; its first finding is of what is wrong, as
-listed in CAUSES; or the recording is exactly that of another rope, and the reasons say by how much each per cent
-counts. The exit code is 1 where one is called usable and is wrong or says nearly nothing.
+Each case must end in one of five ways: it is refused; it is graded "do not use"; the usable values have 95 % intervals
+that contain the truth and are no wider than its kind of case allows; its first finding names the mistake, as listed in
+CAUSES; or the recording is exactly that of another rope, and the findings state the effect of each per cent. The exit
+code is 1 if a result is called usable and is wrong or nearly empty.
 """
 
 import argparse
@@ -32,9 +32,7 @@ from hyperflex.identification import Grade, Kind, ratios, text
 Array = np.ndarray
 TIMES_OR_LENGTHS = (Kind.CLOCK, Kind.LENGTHS)
 ANGLES = (Kind.ZERO, Kind.GRAVITY_ROTATED)
-CAUSES: dict[
-    str, tuple[Kind, ...]
-] = {  # by what is wrong, as in a case's name: kinds of which the first finding is one
+CAUSES: dict[str, tuple[Kind, ...]] = {  # by mistake, as in a case's name: allowed kinds of the first finding
     "clock x 1.1": TIMES_OR_LENGTHS,
     "clock x 0.8 (400 for 500 Hz)": TIMES_OR_LENGTHS,
     "clock x 1.005, as clocks err": TIMES_OR_LENGTHS,
@@ -73,16 +71,16 @@ DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia
 SINGLE = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[7.5e-4], friction=[2e-4])
 FREE = ("inertia", "com", "friction")
 BAND = 1.96  # standard deviations on either side that hold 95 %
-# Half of an interval over its value, at most: of ratios of moments and inertias; of these from a poor recording; of
-# masses and inertias, which hold 2 % of the torque, 1 % of the lengths and, of a link about its centre of mass, more;
-# of frictions, which another law of friction changes by as much as they are
+# Largest half width of an interval over its value: of ratios of moments and inertias; of these ratios from a poor
+# recording; of masses and inertias, which include 2 % of the torque, 1 % of the lengths and more for a link about its
+# centre of mass; of frictions, which another law of friction changes by up to their value
 NARROW, POOR, WEIGHED, FRICTION = 0.05, 0.3, 0.2, 1.0
 FRICTIONS = ("c/p1", "friction")
 
 
 @dataclass(frozen=True)
 class Case:
-    """A recording, what is said of it, and the true ratios (and values, where these may be called usable)."""
+    """A recording, its declaration, and the true ratios (and values, if these may be called usable)."""
 
     name: str
     recording: Callable[[], hf.Recording]
@@ -91,14 +89,14 @@ class Case:
     free: tuple[str, ...] | None = FREE
     setup: dict[str, Any] = field(default_factory=dict)
     loss: Any = "squares"
-    error: dict[str, Array] = field(default_factory=dict)  # standard deviations of a truth that was measured
+    error: dict[str, Array] = field(default_factory=dict)  # standard deviations of a measured truth
     undetectable: bool = False  # another rope makes exactly this recording
-    widest: float = NARROW  # half of an interval over its value, at most
-    right: "Case | None" = None  # the same, declared as it is
+    widest: float = NARROW  # largest half width of an interval over its value
+    right: "Case | None" = None  # the case with a right declaration
 
     @property
     def wrong(self) -> str:
-        """What is wrong of it."""
+        """The mistake."""
         return self.name.partition(": ")[2]
 
 
@@ -112,7 +110,7 @@ def noisy(values: Array, size: float = 2e-3, seed: int = 0) -> Array:
 
 
 def slips(name: str, t: Array, q: Array, guess: hf.Rope, truth: dict[str, Array], **more: Any) -> Iterator[Case]:
-    """Yield the angles of two links or more, declared wrongly in every usual way."""
+    """Yield the angles of two links or more with every usual wrong declaration."""
     n = q.shape[1]
     last = np.eye(n)[-1]
 
@@ -142,12 +140,12 @@ def slips(name: str, t: Array, q: Array, guess: hf.Rope, truth: dict[str, Array]
 
 
 def longer(rope: hf.Rope, factor: Any) -> hf.Rope:
-    """The rope with all that goes with its lengths."""
+    """The rope with scaled lengths and all quantities that scale with them."""
     return rope.replace(length=rope.length * factor, com=rope.com * factor, inertia=rope.inertia * factor**2)
 
 
 def simulated() -> Iterator[Case]:
-    """Yield twins, each with the case that is declared as it is."""
+    """Yield twins, each with its rightly declared case."""
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
     t, q = swing(DOUBLE, [0.9, 0.6])
     q = noisy(q)
@@ -158,7 +156,7 @@ def simulated() -> Iterator[Case]:
 
 
 def beside_right(cases: Iterable[Case]) -> Iterator[Case]:
-    """Yield cases of one motion, of which the first is declared as it is, each with that one."""
+    """Yield cases of one motion, each with the first one, which is declared rightly."""
     right, *others = cases
     yield right
     yield from (replace(case, right=right) for case in others)
@@ -275,7 +273,7 @@ def driven(guess: hf.Rope, truth: dict[str, Array]) -> Iterator[Case]:
 
 
 def of_samples() -> Iterator[Iterator[Case]]:
-    """Yield motions whose samples are spoiled, as angles and as markers, regular and not, at 30 to 100 frames/s."""
+    """Yield motions with faulty samples, as angles and as markers, regular and not, at 30 to 100 frames/s."""
     truth, guess = ratios(DOUBLE), DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
     t, q = swing(DOUBLE, [0.9, 0.6], rate=100.0)
     yield spoiled("fast double", Case("", lambda: hf.Recording(t, noisy(q)), guess, truth))
@@ -300,7 +298,7 @@ def of_samples() -> Iterator[Iterator[Case]]:
 
 
 def spoiled(name: str, right: Case) -> Iterator[Case]:
-    """Yield a case as it is, and with its samples spoiled as programs, cameras and sensors spoil them."""
+    """Yield a case without faults, and with typical faults of programs, cameras and sensors in its samples."""
     recording, random = right.recording(), np.random.default_rng(3)
     t, data, markers = recording.t, recording.data, recording.kind == "markers"
     last, middle = slice(-2, None) if markers else slice(-1, None), t.size // 2
@@ -374,7 +372,7 @@ def of_ropes() -> Iterator[Case]:
 
 
 def real(folder: Path) -> Iterator[Case]:
-    """Yield real pendulums, declared wrongly; the truth is what all of a recording says, fitted by others."""
+    """Yield real pendulums with wrong declarations; the truth is an independent fit of the whole recording."""
     # means and scatter of eight parts of each recording, benchmarks/results/windows.md; of all the triple's, by others
     triple = hf.Rope(length=[0.1727, 0.2286, 0.2413], mass=0.1, friction=1e-4)
     truth = {"J/p1": np.array([0.1687, 0.1644, 0.0377]), "p/p1": np.array([1.0, 0.762, 0.197])}
@@ -406,7 +404,7 @@ def real_single(folder: Path) -> Iterator[Case]:
 
 
 def real_double(folder: Path) -> Iterator[Case]:
-    """Yield IBM 16 declared wrongly, and a part of IBM 06 of which the tip alone is seen and the camera not level."""
+    """Yield IBM 16 with wrong declarations, and a part of IBM 06 with only the tip visible and a rolled camera."""
     folder = folder / "ibm_double_pendulum"
     truth = {"J/p1": np.array([0.0906, 0.00691]), "p/p1": np.array([1.0, 0.1022])}
     error = {"J/p1": np.array([3.0e-4, 6.6e-5]), "p/p1": np.array([0.0, 1.0e-3])}
@@ -426,9 +424,9 @@ def real_double(folder: Path) -> Iterator[Case]:
 
 
 class Outcome(NamedTuple):
-    """How a case ends: refused, do not use, right, suspicion, cannot be told, WIDE or WRONG; its first line and kind.
+    """How a case ends: refused, do not use, right, suspicion, undetectable, WIDE or WRONG; its first line and kind.
 
-    Of what is called usable: how many 95 % intervals hold the truth, of how many.
+    For usable values: the number of 95 % intervals that contain the truth, and of all intervals.
     """
 
     end: str
@@ -439,9 +437,9 @@ class Outcome(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """How far the truth is from an estimate, over half its 95 % interval, and by how much that is wider than allowed.
+    """Distance of the truth from an estimate over half its 95 % interval, and the excess width of the interval.
 
-    The interval is widened by the truth's own error where that was measured.
+    The interval is widened by the error of a measured truth.
     """
 
     away: float
@@ -469,7 +467,7 @@ def outcome(case: Case) -> Outcome:
     if every and holds and all(each.width <= 1.0 for each in every):
         return Outcome("right", line, first.kind, sum(each.away <= 1.0 for each in every), len(every))
     if case.undetectable and found.has(Kind.UNTESTED, Kind.UNDETECTABLE):
-        return Outcome("cannot be told", line, first.kind)
+        return Outcome("undetectable", line, first.kind)
     named = first.kind in CAUSES.get(case.wrong, ())
     if named and case.right is not None and line != outcome(case.right).line:
         return Outcome("suspicion", line, first.kind)
@@ -477,7 +475,7 @@ def outcome(case: Case) -> Outcome:
 
 
 def compared(found: hf.Identification, case: Case) -> list[Compared]:
-    """Return each interval of what is called usable beside the truth; what is hardly known may be of any width."""
+    """Return each interval of usable values with the truth; poorly determined values may have any width."""
     usable = found.ratios | (found.values if found.grade is Grade.USABLE else {})
     loose = (each.values["parts"] for each in found.findings if each.kind is Kind.POORLY_DETERMINED)
     unknown = {name for names in loose for name in names}
@@ -502,7 +500,7 @@ def compared(found: hf.Identification, case: Case) -> list[Compared]:
 
 
 def together(count: int) -> float:
-    """Return by how much 95 % intervals are to be wider so that 95 % of `count` together hold (Bonferroni)."""
+    """Return the factor on 95 % intervals for a joint coverage of 95 % of `count` intervals (Bonferroni)."""
     return float(ndtri(1.0 - 0.025 / max(count, 1)) / BAND)
 
 
@@ -530,7 +528,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="folder with the real recordings")
     parser.add_argument("--workers", type=int, default=1, help="processes (1)")
     parser.add_argument("--out", default="benchmarks/results/wrong-input.md", help="- writes nothing")
-    parser.add_argument("--only", default="", help="words in the names of the cases to run; nothing is written")
+    parser.add_argument("--only", default="", help="words in the names of the cases to run; writes nothing")
     options = parser.parse_args()
     count = len(cases(options.data, options.only))
     with ProcessPoolExecutor(options.workers, get_context("forkserver")) as pool:
@@ -544,20 +542,20 @@ def main() -> int:
 
 PAGE = f"""# Wrong and poor inputs
 
-What `identify` says of {{count}} inputs that are not what they should be, or are. Simulated, but for those called
-real. Each is refused, or graded "do not use", or what it calls usable is "right", or its first line names what is
-wrong ("suspicion"; the script lists for each mistake the kinds of findings). The rest "cannot be told": exactly such a
-recording comes of another rope, with a right clock and right lengths, so that nothing in it can show the slip;
-one of the reasons says by how much each per cent counts, and standard deviations hold `clock_std` and `length_std`.
+What `identify` reports for {{count}} wrong and right inputs, simulated unless called real. Each input is refused, or
+graded "do not use", or its usable values are "right", or its first line names the mistake ("suspicion"; the script
+lists the allowed findings for each mistake). The rest is "undetectable": the recording is exactly that of another rope
+with a right clock and right lengths. One of its findings then states the effect of each per cent, and the standard
+deviations include `clock_std` and `length_std`. A test shows that these motions are exactly alike.
 
-"Right" are results whose 95 % intervals, widened so that all of one result hold together with 95 %, hold the truth:
-all ratios, and where values are called usable these too; the truth of a real pendulum has a deviation of its own.
-They must also say something: an interval reaches at most {NARROW:.0%} of the value to either side ({POOR:.0%} where a
-recording is poor: noisy, short, with gaps or forces; of a mass or inertia that a torque tells {WEIGHED:.0%}; of a
-friction {FRICTION:.0%}), but for what a reason calls hardly known, or a friction that it calls a model error. "WIDE"
-is one that reaches farther, "WRONG" one that misses the truth. Of the {{intervals}} intervals as they are {{held}} do.
-A test shows that these motions are
-exactly alike; `python -m benchmarks.wrong_input --data FOLDER` writes it.
+A result is "right" if its 95 % intervals, widened to a joint coverage of 95 %, contain the truth: all ratios, and the
+values that are called usable; the truth of a real pendulum has its own standard deviation. The intervals must also be
+narrow: at most {NARROW:.0%} of the value to either side ({POOR:.0%} for a poor recording: noisy, short, with gaps or
+forces; {WEIGHED:.0%} for a mass or inertia determined from a torque; {FRICTION:.0%} for a friction), except for values
+reported as poorly determined and frictions reported as a model error. A wider one is "WIDE", one that misses the truth
+is "WRONG". {{held}} of the {{intervals}} intervals contain the truth without being widened.
+
+Reproduce: `python -m benchmarks.wrong_input --data FOLDER`
 
 {{table}}"""
 

@@ -108,7 +108,7 @@ def check(case: Case) -> Outcome:
     assert found.end not in ("WRONG", "WIDE"), what
     assert NAMED.get(case.name, found.kind) == found.kind, what
     if case.name.endswith(FIT) and case.name not in NAMED:
-        assert found.end in ("right", "suspicion", "cannot be told"), what
+        assert found.end in ("right", "suspicion", "undetectable"), what
     return found
 
 
@@ -138,7 +138,7 @@ UNDETECTABLE = [case for case in SIMULATED if case.undetectable]
 @pytest.mark.parametrize("case", UNDETECTABLE, ids=[case.name for case in UNDETECTABLE])
 def test_what_cannot_be_told_is_no_suspicion(case):
     """The right recording gets the same first line: that names nothing."""
-    assert outcome(case).end == "cannot be told"
+    assert outcome(case).end == "undetectable"
     assert outcome(replace(case, undetectable=False)).end == "WRONG"
 
 
