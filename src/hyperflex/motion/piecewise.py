@@ -188,10 +188,7 @@ class Motion:
                     fix="Shift the second motion or move to its start first",
                 )
         breaks, coef, switch = self._unrolled(at)
-        keep = int(np.searchsorted(breaks, at, side="left"))
-        if keep == 0:  # nothing of this motion has begun
-            return other._since(at)
-        second = other._since(at)
+        keep, second = int(np.searchsorted(breaks, at, side="left")), other._since(at)
         channels = max(coef.shape[1], second.coef.shape[1])
         pieces = [np.pad(each, ((0, 0), (0, channels - each.shape[1]), (0, 0))) for each in (coef[:keep], second.coef)]
         return Motion(
@@ -207,19 +204,14 @@ class Motion:
             held = np.concatenate([_standing(self.coef[:1], 0.0), self.coef])
             first = self.loop + 1 if self.loop >= 0 else -1
             return Motion(np.append(at, self.breaks), held, np.append(True, self.switch), first)
-        breaks, coef, switch = self._unrolled(at)
-        loop = -1
-        if self.loop >= 0:  # one whole cycle behind what is left of the one in which `at` lies
-            loop = breaks.size - 1
-            breaks = np.append(breaks, breaks[-1] - self.breaks[self.loop] + self.breaks[self.loop + 1 :])
-            coef = np.concatenate([coef, self.coef[self.loop :]])
-            switch = np.append(switch, self.switch[self.loop + 1 :])
+        again = self.loop >= 0  # then the last cycle repeats, which begins after `at`
+        breaks, coef, switch = self._unrolled(at + self.period if again else at)
         keep = int(np.searchsorted(breaks, at, side="right")) - 1
         return Motion(
             np.append(at, breaks[keep + 1 :]),
             np.concatenate([_advanced(coef[keep : keep + 1], at - breaks[keep]), coef[keep + 1 :]]),
             np.append(True, switch[keep + 1 :]),
-            loop - keep if loop >= 0 else -1,
+            len(coef) - len(self.coef) + self.loop - keep if again else -1,
         )
 
     def _unrolled(self, until: float) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
