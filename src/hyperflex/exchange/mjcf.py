@@ -75,7 +75,8 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     checks.instance("setup", setup, Setup)
     step = checks.number("timestep", timestep, sign="positive", unit="s")
     _refuse(setup)
-    integrator = _integrator(setup, step)
+    # Runge-Kutta's where it is stable and nothing is touched
+    integrator = INTEGRATORS[setup.touches or step > MARGIN * runge_kutta_limit(setup.chain())]
     present = {
         "a first-order integrator": integrator != INTEGRATORS[0] and not setup.touches,
         "dry friction": setup.rope.dry_friction.any() or (setup.torque_driven and setup.arm and setup.arm.dry_friction),
@@ -129,11 +130,6 @@ def read_mjcf(path: PathLike) -> Setup:
     return setup
 
 
-def _integrator(setup: Setup, step: float) -> str:
-    """Return MuJoCo's integrator for a step, s: Runge-Kutta's where it is stable and nothing is touched."""
-    return INTEGRATORS[setup.touches or step > MARGIN * runge_kutta_limit(setup.chain())]
-
-
 def _refuse(setup: Setup) -> None:
     """Raise InvalidInput for properties that MuJoCo cannot represent."""
     rope, pivot = setup.rope, None if setup.motion is None else setup.motion.coef[:, [X, Y]]
@@ -150,7 +146,7 @@ def _refuse(setup: Setup) -> None:
         ("a pivot that moves", pivot is not None and pivot[..., 1:].any() | np.ptp(pivot, axis=0).any(), "an arm"),
         ("a constant tip force", any(setup.tip_force), "tip_force=(0, 0), and data.xfrc_applied in MuJoCo"),
         ("a wall without thickness", any(isinstance(each, Wall) for each in setup.pegs), "pegs and grounds"),
-        ("a peg that turns on an axle", setup.pegs_turn, "pegs without inertia"),
+        ("a peg that turns on an axle", any(each.turns for each in setup.round_pegs), "pegs without inertia"),
         ("restitution", any(each.restitution for each in setup.pegs), "restitution=0"),
         ("contact of a rope without a radius", setup.pegs and not rope.radius, "a rope with radius > 0"),
     )

@@ -259,11 +259,6 @@ class Setup:
         """Whether there are obstacles or joint limits: they need contact steps."""
         return bool(self.pegs) or self.rope.limited
 
-    @property
-    def pegs_turn(self) -> bool:
-        """Whether a peg turns on an axle."""
-        return any(peg.turns for peg in self.round_pegs)
-
     def contacts(self) -> Pegs:
         """Return the obstacles as the kernels take them."""
         return packed(self.pegs, self.rope.radius, 1 if self.torque_driven else 0)

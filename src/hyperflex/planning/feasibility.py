@@ -216,7 +216,8 @@ class _Target:
         """Angle to which the rope swings in a time, s, for rods, rad."""
         gain, near = _gain(self.problem), self.angle - math.asin(min(1.0, self.axis / self.distance))
         last = gain * float(np.interp(near, (0.0, SWING.room), (SWING.first_gain, 1.0)))
-        return min(near + last, gain * time / (0.5 * self.problem.period), _widest(self.problem))
+        most = float(np.interp(_pendulum(self.problem) / self.rope.total_length, SWING.outward, SWING.widest))
+        return min(near + last, gain * time / (0.5 * self.problem.period), most)
 
     def energy_ratio(self, time: float) -> float:
         """Energy ratio of the tail at a strike within a time, s, for rods; below 0 if the swing does not get there."""
@@ -292,11 +293,6 @@ def _gain(problem: Problem, *, fast: bool = False) -> float:
     gain = SWING.gain * problem.arm.length * float(aside) / _pendulum(problem)
     time = float(problem.limits.fastest_moves([stroke])[0][0])
     return gain if fast else gain * min(1.0, 0.5 * problem.period / time)
-
-
-def _widest(problem: Problem) -> float:
-    """Angle to which the rope can be swung, rad."""
-    return float(np.interp(_pendulum(problem) / problem.rope.total_length, SWING.outward, SWING.widest))
 
 
 def _pendulum(problem: Problem) -> float:

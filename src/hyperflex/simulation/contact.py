@@ -276,10 +276,6 @@ class ContactRollout(Rollout):
         """Return the kinetic energy (...,), J, of pegs with rates (..., m), rad/s; what is fixed has none."""
         return np.asarray(0.5 * (self.contacts.inertia[self.turning] * rates[..., self.turning] ** 2).sum(axis=-1))
 
-    def spin_energies(self) -> Array:
-        """Return the kinetic energy of the pegs at the outputs and, last, at the time reached (T + 1,), J."""
-        return self.spin_energy(np.append(self.spins[: self.done, 1], self.contact.spin[None, 1], axis=0))
-
     def outputs(self, rows: slice, qdd: Array, scalars: Array) -> dict[str, Any]:
         """Return the contact outputs of a trajectory at some samples, by name.
 

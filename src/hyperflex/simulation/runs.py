@@ -76,8 +76,7 @@ def setup_of(
         rope = refine_rope(rope, pegs, arm=arm)
         starts = {name: checks.array(name, given[name], None) for name in ("q0", "qd0") if name in given}
         given |= {name: per_piece(values, pieces) for name, values in starts.items()}
-    if not given.keys() <= Setup.__dataclass_fields__.keys():
-        checks.keys("a set-up", given, Setup.__dataclass_fields__)
+    checks.keys("a set-up", given, Setup.__dataclass_fields__)
     return Setup(rope, **given), pieces
 
 
@@ -147,7 +146,7 @@ def observed(run: Rollout) -> tuple[tuple[Array, Array, Array], int, SimulationE
         see(run.t[rows], run.y[rows], rows)
     see(np.array([run.time]), end, slice(done, None))
     if isinstance(run, ContactRollout):
-        seen[2][:, 0] += run.spin_energies()
+        seen[2][:, 0] += run.spin_energy(np.append(run.spins[:done, 1], run.contact.spin[None, 1], axis=0))
     y = run.y[:done]
     energies = np.stack([*seen[2][:, :2].T, *np.concatenate([y[:, 2 * n :], end[:, 2 * n :]]).T])[:, None]
     good = int(balanced([run.setup], energies, lambda _: stored(chain, np.concatenate([y, end])[:, :n]))[0])
