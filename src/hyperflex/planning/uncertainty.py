@@ -23,12 +23,11 @@ if TYPE_CHECKING:
     from hyperflex.identification import Identification
 
 MOVES = 32  # sampled delays; a plan of more moves uses them again
-RELATIVE, TIMES = ("length", "mass", "friction", "mu"), ("lag", "timing")  # relative, and in seconds
+RELATIVE = ("length", "mass", "friction", "mu")
 # Fitted properties that replace a factor. A motion shows friction over mass: with either fitted the mass is omitted.
 REPLACED_BY = {"length": ("length",), "mass": ("mass", "inertia", *DAMPING), "friction": DAMPING}
 OTHER = 0.1  # part by which lengths of two ropes differ that are not one; usually a length is known to 1 %
 TABLE = ("parameters", "values", "std", "covariance", "length_covariance")  # of an identification
-MIN_LAG = 2e-4  # s; smaller lags are omitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +57,7 @@ class Scenario:
             )
         rests, durations = (np.array(spec[name]) for name in ("rests", "durations"))
         rests = _delayed(rests, durations, np.resize(self.delays, rests.size))
-        return lagged(
-            arm_moves(spec["angles"], rests, durations, spec["ramps"]), self.lag if self.lag > MIN_LAG else 0.0
-        )
+        return lagged(arm_moves(spec["angles"], rests, durations, spec["ramps"]), self.lag)
 
 
 def _delayed(rests: Array, durations: Array, delays: Array) -> Array:
@@ -276,7 +273,8 @@ class Uncertainty:
     def describe(self) -> str:
         """Return the uncertainties and their source as text."""
         usual = [f"{name} {100 * getattr(self, name):.2g} %" for name in RELATIVE if getattr(self, name)]
-        usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if self._assumed(name)]
+        times = ("timing",) if self.drive else ("lag", "timing")
+        usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in times if getattr(self, name)]
         usual += [f"place {1e3 * self.place:.2g} mm"] if self.place else []
         usual += [f"tilt {math.degrees(self.tilt):.2g} degrees"] if self.tilt else []
         assumed = f"typical of an identification: {', '.join(usual)}" if usual else ""
@@ -287,10 +285,6 @@ class Uncertainty:
         if self.posterior.undetermined_properties:
             parts.append(f"not fully determined by the fit: {', '.join(self.posterior.undetermined_properties)}")
         return "; ".join([*parts, assumed] if assumed else parts)
-
-    def _assumed(self, name: str) -> bool:
-        """Whether a time is assumed."""
-        return bool(getattr(self, name)) and (name != "lag" or self.drive is None)
 
     def sample(self, count: int, problem: Problem, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Scenario]:
         """Return `count` scenarios sampled for a `problem` and a `peg`.
