@@ -48,7 +48,6 @@ def stretched(rope: Rope, length: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any
     return {"length": length, "com": rope.com * ratio, "inertia": inertia}
 
 
-_LEAST = 1e-12  # m, of a link
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
 COARSE = 1.0  # the same, from which a set-up's rope is reported to hold less: by 15 % at 2
 MOST_PIECES = 10_000  # that a rope is cut into: with more of them a run takes hours
@@ -209,7 +208,7 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
             continue  # nothing winds round what is straight
         axis = peg.radius + rope.radius
         near = far >= np.hypot(peg.x - x, peg.y - y) - axis
-        needed = np.ceil(rope.length / max(ratio * axis, _LEAST) - 1e-9)
+        needed = np.ceil(rope.length / (ratio * axis) - 1e-9)
         pieces = np.maximum(pieces, np.where(near, np.minimum(needed, 1e15), 1.0).astype(np.int64))
     if (total := float(pieces.sum(dtype=np.float64))) > max(MOST_PIECES, rope.n_links):
         raise InvalidInput(

@@ -260,7 +260,6 @@ class InsertPlan(TipPlan):
 
 
 MARGIN = 0.35  # part of the gap on each side of the rope that remains free, unless it may touch the walls
-PLACE_STD = 2e-3  # m, standard deviation of the slot's place, with which the tip's is compared
 CLOSER = 2e-4  # m, by which verified runs state distances as smaller than they are
 NARROW = 5e-4  # m from the walls, below which both verified runs must agree: closer, a third run may touch
 
@@ -299,7 +298,7 @@ class InsertTask(TipTask):
     ) -> None:
         places = slot.point + np.array([[0.0], [slot.depth]]) * slot.axes[0]
         super().__init__(problem, slot, places, finer_rope(problem.rope), seed)
-        self.slot, self.given, self.samples = slot, uncertainty, samples
+        self.slot, self.given, self.samples = slot, uncertainty or usual_uncertainty(), samples
         self.room = 0.5 * slot.width - problem.rope.radius
         self.allowed = self.room * (1.0 if slot.touching else 1.0 - MARGIN)
 
@@ -353,7 +352,7 @@ class InsertTask(TipTask):
     def uncertainty(self, aim: Aim) -> float:
         """Return the standard deviation of the rope's way through the gap over the room that it leaves on one side."""
         room = self.room - float(np.abs(aim.place).max()) * math.sqrt(aim.place.size)
-        return math.hypot(aim.std, PLACE_STD) / max(room, 1e-9)
+        return math.hypot(aim.std, self.given.place) / max(room, 1e-9)
 
     def simulate(self, one: Candidate, finer: bool, budget: Budget) -> InsertOutcome | None:
         """Return how the tip goes through the slot in a run with the walls; see :func:`verify_insert`."""
@@ -588,7 +587,6 @@ def plan_insert(
     """
     options = options or SearchOptions()
     slot.check_width(checks.instance("rope", rope, Rope))
-    known = uncertainty or usual_uncertainty()
     problem = tip_problem(rope, arm, limits, conditions, periods=2.0)
-    task = InsertTask(problem, slot, known, checks.count("samples", samples), options.seed)
+    task = InsertTask(problem, slot, uncertainty, checks.count("samples", samples), options.seed)
     return plan_tip(task, InsertPlan, options, time_budget)
