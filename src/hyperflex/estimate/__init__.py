@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter, moving_base
     from hyperflex.estimate.picture import draw_frame
-    from hyperflex.estimate.process import Disturbances
     from hyperflex.estimate.tracker import Measurement, Prediction, RopeTracker, TrackedFrame
     from hyperflex.estimate.video_track import VideoTrack, track_video
 

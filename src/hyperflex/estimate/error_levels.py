@@ -18,7 +18,7 @@ from hyperflex.estimate.moving_horizon import EARLIER, jump_rows
 from hyperflex.estimate.noise import MOST, QUIET
 from hyperflex.estimate.observations import Observations, whitening
 from hyperflex.estimate.parameters import BASE_KINDS, PLANE_KINDS
-from hyperflex.estimate.process import BEYOND
+from hyperflex.estimate.process import BEYOND, DISTURBANCES
 from hyperflex.status import Status
 
 LINEARISED, ROUNDS = 3, 6  # rounds: about new states; of all levels, before a last one of the markers' alone
@@ -198,7 +198,7 @@ class _Window:
         self.estimator, self.process, self.seen, self.states = estimator, estimator.process, seen, states
         rope, first, many = self.process.rope, 2 * estimator.n_links, len(estimator.parameters)
         self.mean = np.concatenate([states[0, :first], prior[0]])
-        free = estimator.disturbances.starting_rows(rope, np.zeros(many))
+        free = DISTURBANCES.starting_rows(rope, np.zeros(many))
         self.rows = np.concatenate([free[: len(free) - many], np.pad(prior[1], ((0, 0), (first, 0)))])
         level = estimator.measurement_noise.value
         there = [np.linalg.eigvalsh(each.covariances[each.seen])[:, 0].mean() for each in seen if each.seen.any()]
@@ -344,7 +344,7 @@ def _whitened(each: _Linear, covariance: Array) -> tuple[Array, Array]:
     return np.linalg.solve(lower, each.values), np.linalg.solve(lower, each.slope)
 
 
-def likeliest_freedom(distances: Array, directions: npt.NDArray[np.int64] | int = 2) -> float:
+def likeliest_freedom(distances: Array, directions: npt.NDArray[np.int64]) -> float:
     """Return the likeliest degrees of freedom, 1 to GAUSSIAN, of Student's distribution in one or two dimensions.
 
     `distances` (...) are squared Mahalanobis distances d, NaN if not seen, in `directions` (...) dimensions D; the
@@ -354,7 +354,7 @@ def likeliest_freedom(distances: Array, directions: npt.NDArray[np.int64] | int 
     from scipy.special import gammaln
 
     there = np.isfinite(distances)
-    seen, sizes = distances[there], np.broadcast_to(directions, distances.shape)[there]
+    seen, sizes = distances[there], directions[there]
 
     def unlikely(log: float) -> float:
         freedom = np.exp(log)

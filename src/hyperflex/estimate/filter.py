@@ -14,7 +14,7 @@ from hyperflex.estimate.changes import Change, ChangeDetector, ChangeTests, Foun
 from hyperflex.estimate.noise import AT_REST, QUIET, NoiseDerivatives, NoiseLevel
 from hyperflex.estimate.observations import InputFrame, MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
-from hyperflex.estimate.process import BEYOND, Disturbances, Process
+from hyperflex.estimate.process import BEYOND, DISTURBANCES, Process
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope, unit_across, unit_along
 from hyperflex.motion import Motion
@@ -72,8 +72,6 @@ class RopeFilter:
     tests : ChangeTests, optional
         Tests for changes; by default none. When the change of a parameter is noticed, the state is corrected by its
         effect since it happened, and the parameter is estimated from then on.
-    disturbances : Disturbances
-        Assumed of the rope's motion and its start.
 
     Attributes
     ----------
@@ -108,12 +106,10 @@ class RopeFilter:
         process_noise: float = 1.0,
         readout: float = 0.0,
         tests: ChangeTests | None = None,
-        disturbances: Disturbances = Disturbances(),  # noqa: B008 it is frozen
     ) -> None:
         tested = () if tests is None else tests.parameters_for(rope)
         self.parameters = ParameterStates(parameters, rope, tested, motion is not None)
-        self.disturbances = disturbances
-        self.process = Process(rope, self.parameters, motion, arm, disturbances)
+        self.process = Process(rope, self.parameters, motion, arm)
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
         )
@@ -307,7 +303,7 @@ class RopeFilter:
         self.x[:n] = polyline_angles(
             rope, self.model.arc_lengths, in_metres, base[0] + self.parameters.base_offset(self.x[2 * n :])
         )
-        self.factor = sr.compressed(self.disturbances.starting_rows(rope, self._std), self._least)
+        self.factor = sr.compressed(DISTURBANCES.starting_rows(rope, self._std), self._least)
         self._by_noise = NoiseDerivatives(2, self.x.size)
         self._gate = ValidationGate(len(seen.places))
         if self._detector is not None:

@@ -11,6 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.estimate.filter import each_covariance
 from hyperflex.estimate.observations import UNMEASURED, MarkerModel
 from hyperflex.estimate.parameters import BASE_KINDS
+from hyperflex.estimate.process import DISTURBANCES
 from hyperflex.estimate.tracker import LEAST_STD, Prediction, RopeTracker
 from hyperflex.model import Rope
 from hyperflex.vision import (
@@ -190,7 +191,6 @@ class CurveMeasurement:
     ----------
     look : RopeLook
         How it looks. The estimator's arc lengths are those of :func:`curve_arc_lengths`.
-    detector : CurveDetector, optional
 
     Attributes
     ----------
@@ -218,8 +218,8 @@ class CurveMeasurement:
 
     count: int | None = None
 
-    def __init__(self, look: RopeLook, detector: CurveDetector | None = None) -> None:
-        self.look, self.detector = look, CurveDetector() if detector is None else detector
+    def __init__(self, look: RopeLook) -> None:
+        self.look, self.detector = look, CurveDetector()
         self._dense: MarkerModel | None = None
         self._wait, self._waited = 1, 0
         self.searched, self.end_seen = False, 1.0
@@ -266,7 +266,7 @@ class CurveMeasurement:
         moving = np.array([estimator.pixels_of(self._dense, late + each) for each in (-half, 0.0, half)])
         corners = camera.readout_share([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
         row_slope = readout * (corners[1:] - corners[0]) / max(camera.exposure, 1e-9)
-        spacing = estimator.disturbances.correlation * pieces
+        spacing = DISTURBANCES.correlation * pieces
         view = view_curve(moving, pieces, expected.covariance, spacing, estimator.n_links, row_slope)
         return view._replace(end=expected.pixels[-1])  # with its own arc length, as it is estimated
 

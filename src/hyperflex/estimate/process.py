@@ -86,6 +86,9 @@ class Disturbances:
         return np.concatenate([alike, np.diag(np.concatenate([np.repeat(0.1 * sizes, n), parameter_std]))])
 
 
+DISTURBANCES = Disturbances()
+
+
 class StatePrediction(NamedTuple):
     """The state x = (q, qd, parameters) at a later time.
 
@@ -112,7 +115,6 @@ class Process:
     parameters : ParameterStates
     motion, arm : Motion, Arm, optional
         Of the first joint; by default it is fixed.
-    disturbances : Disturbances
     """
 
     def __init__(
@@ -121,14 +123,13 @@ class Process:
         parameters: ParameterStates,
         motion: Motion | None = None,
         arm: Arm | None = None,
-        disturbances: Disturbances = Disturbances(),
     ) -> None:
         self.rope, self.parameters = rope, parameters
         self._arm = arm
         self._rope, self._at = rope, np.zeros(len(parameters))
         self.set_motion(motion)
         self._walk = parameters.walk
-        kinds, spare = disturbances.of(rope), len(parameters)
+        kinds, spare = DISTURBANCES.of(rope), len(parameters)
         self.noise_ends = np.cumsum([2 * len(shapes) for shapes in kinds])
         self._kind = np.repeat([0, 1], [2 * len(shapes) for shapes in kinds])
         # White accelerations of a shape move, in dt, the rates and half of the angles together, and the rest of the

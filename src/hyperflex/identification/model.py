@@ -1,7 +1,7 @@
 """Free parameters, with their scales and bounds for the fit, and predicted measurements with their derivatives."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -407,6 +407,17 @@ PARALLEL = 0.1  # part of a direction that may lie outside of others for it to c
 Mask = npt.NDArray[np.bool_]
 
 
+def rope_derivatives(parameters: Parameters, x: Array, function: Callable[[Rope], Array]) -> Array:
+    """Return the derivatives (.., P) of a function of the rope by x (P,): central differences, within bounds."""
+    columns = []
+    for k in range(x.size):
+        up, down, step = x.copy(), x.copy(), 1e-6 * max(1.0, abs(x[k]))
+        up[k] += step
+        down[k] = max(x[k] - step, parameters.lower[k])
+        columns.append((function(parameters.rope(up)) - function(parameters.rope(down))) / (up[k] - down[k]))
+    return np.stack(columns, axis=-1)
+
+
 def scaling(parameters: Parameters, x: Array) -> Array | None:
     """Return the direction (P,) in which all moments, frictions and stiffnesses grow alike, or None if there is none.
 
@@ -418,13 +429,8 @@ def scaling(parameters: Parameters, x: Array) -> Array | None:
     n = parameters.guess.n_links
     sizes = np.concatenate([np.full(n, part.max() or 1.0) for part in fixed.reshape(-1, n)])
     weights = np.where(np.arange(now.size) < 3 * n, 1.0, SHARE) / sizes
-    columns = []
-    for k, step in enumerate(1e-6 * parameters.widths):
-        up = x.copy()
-        up[k] += step
-        columns.append((_scaled(parameters.rope(up)) - now) / step * parameters.widths[k])
     target = np.where(np.arange(now.size) // n == 2, 0.0, now) * weights
-    matrix = np.stack(columns, axis=1) * weights[:, None]
+    matrix = rope_derivatives(parameters, x, _scaled) * parameters.widths * weights[:, None]
     found: Array = np.linalg.lstsq(matrix, target, rcond=1e-8)[0]
     away = (matrix @ found - target)[: 3 * n]
     length = float(np.linalg.norm(found))

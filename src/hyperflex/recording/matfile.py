@@ -11,7 +11,6 @@ from typing import Literal, cast
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 from hyperflex.files import LARGEST, PathLike, not_damaged, read_bytes
 from hyperflex.recording.arrays import content_of_arrays
 from hyperflex.recording.content import Content, Selection
@@ -26,23 +25,17 @@ _Order = Literal["<", ">"]
 
 def read(path: PathLike, selection: Selection) -> Content:
     """Return the arrays of a MATLAB 5 file; those of the MultiArm pendulum joined."""
-    return content_of_arrays(path, _load(path), selection)
-
-
-def _load(path: PathLike) -> dict[str, Array]:
-    """Return the variables of a MATLAB 5 file: arrays of numbers, cells of them; None stands for what is neither.
-
-    The fields of a struct are variables such as run/t.
-    """
     raw = read_bytes(path, "MATLAB file")
-    if not raw.startswith(b"MATLAB 5.0 MAT-file"):
-        raise InvalidInput(f"{path} is no MATLAB 5 file", got=raw[:20], fix="Check that the right file was given")
     with not_damaged("MATLAB file", path, "Get it again"):
-        return _variables(raw)
+        variables = _variables(raw)
+    return content_of_arrays(path, variables, selection)
 
 
 def _variables(raw: bytes) -> dict[str, Array]:
-    """Return the variables by their names; ValueError or zlib.error where the file is damaged."""
+    """Return the variables by their names: arrays of numbers, cells of them; None stands for what is neither.
+
+    The fields of a struct are variables such as run/t. ValueError or zlib.error where the file is damaged.
+    """
     order: _Order = "<" if raw[126:128] == b"IM" else ">"
     found, at = dict[str, Array](), 128
     while at < len(raw):

@@ -251,8 +251,6 @@ class CameraStateSource:
     stalled : float
         Time without a packet after which the process counts as stalled, s. Until the rope is found that may be longer,
         for a search of the whole picture takes seconds.
-    start_timeout : float
-        How long the process may take to start, s; compiling kernels takes a minute or more.
 
     Attributes
     ----------
@@ -272,13 +270,11 @@ class CameraStateSource:
         *,
         longest: float = 1.0,
         stalled: float = 1.0,
-        start_timeout: float = 180.0,
     ) -> None:
         estimator = task.tracker().estimator
         self.source, self.task, self._model, self._parameters = source, task, estimator.process, estimator.parameters
         self.longest = checks.number("longest", longest, sign="positive", unit="s")
         self.stalled = checks.number("stalled", stalled, sign="positive", unit="s")
-        self.start_timeout = checks.number("start_timeout", start_timeout, sign="positive", unit="s")
         self._motion: Motion | None = None
         self._pending, self._sent, self._zero = False, 0, 0.0
         self._anew, self._since = False, 0  # whether the rope is to be searched anew, and since which motion it is
@@ -402,7 +398,7 @@ class CameraStateSource:
     def _start(self) -> None:
         self._packet, self._ended, self._sent, self._since = None, None, 0, 0
         try:
-            self._child.start(self.start_timeout)
+            self._child.start()
         except HyperflexError as error:
             raise EstimatorLost(f"The estimator did not start: {error}") from error
         self._receiver = threading.Thread(target=self._receive, daemon=True)

@@ -44,9 +44,6 @@ class FaultLimits:
     sides: tuple[int, ...] = (5, 6, 8, 12, 20)
     alike: float = 1.5
     agree: float = 3.0
-    # frames that are missing at a time at most, and by how much their number may seem to be no whole one
-    missing: int = 3
-    whole: float = 0.4
     # parts of the motion's reach: what a hand that holds a rope trembles by at most, and a rope that moves for certain;
     # time of rest over that in which it moves so far: the turn of a swing has 1.5, one that is flat for long has 4
     rests: float = 0.05
@@ -145,14 +142,11 @@ def uneven_frames(recording: Recording) -> Iterator[Finding]:
     A sample is compared with a cubic through its four neighbours. Frames at wrong times are off along the motion of all
     channels together, more where it is fast. Noise is off in all directions and at all speeds alike.
     """
-    from scipy.ndimage import median_filter
-
     data, around = recording.data, 3
     if recording.t.size < 2 * around + 4 + LIMITS.many:
         return
     off = (data[2:-2] - (4.0 * (data[1:-3] + data[3:-1]) - data[:-4] - data[4:]) / 6.0)[around:-around]
-    smooth = np.where(np.isnan(data), np.nan, median_filter(np.nan_to_num(data), size=(5, 1)))  # without outliers
-    speed = ((smooth[2 * around :] - smooth[: -2 * around]) / (2.0 * around))[2:-2]
+    speed = ((data[2 * around :] - data[: -2 * around]) / (2.0 * around))[2:-2]
     rows = np.isfinite(off).all(axis=1) & np.isfinite(speed).all(axis=1) & _even(recording, 2 * around + 5)
     reach = np.nanmax(data, axis=0) - np.nanmin(data, axis=0)
     moving = reach > 0.1 * reach.max()
@@ -164,38 +158,9 @@ def uneven_frames(recording: Recording) -> Iterator[Finding]:
     upper, lower = fast >= np.median(fast), fast <= np.quantile(fast, 0.25)
     seen = float(np.median(np.abs(along[upper])))
     noise = float(np.median(np.abs(along[lower])))
-    if moving.sum() > 1:
-        across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0) / (moving.sum() - 1))
-        noise = max(noise, float(np.median(across[upper])))
     part = float(np.median(np.abs(along[upper]) / fast[upper]))
     if part > LIMITS.uneven and seen > LIMITS.clear * noise:
         yield Finding(Kind.UNEVEN_FRAMES, values={"part": part})
-
-
-def missing_frames(recording: Recording) -> Iterator[Finding]:
-    """Yield that the motion skips whole frames, while times are even: all channels together step two to four times.
-
-    A step is compared with the mean of the two steps on either side of it, over all channels, where these four agree.
-    Other jumps go back as often as ahead, and by no whole steps.
-    """
-    data = recording.data
-    if recording.t.size < 6 + LIMITS.many:
-        return
-    step = np.diff(data, axis=0)
-    around = np.stack([step[:-4], step[1:-3], step[3:-1], step[4:]])
-    usual = around.mean(axis=0)
-    more, fast = step[2:-2] - usual, np.linalg.norm(usual, axis=1)
-    alike = np.linalg.norm(around - usual, axis=2).max(axis=0) < LIMITS.whole * fast
-    known = np.isfinite(more).all(axis=1) & _even(recording, 6)
-    if not known.any():
-        return
-    resolution = np.abs(step).min(initial=np.inf, where=np.abs(step) > 0.0)
-    noise = max(float(np.median(np.abs(more[known]))) / NormalDist().inv_cdf(0.75), resolution)
-    odd = known & alike & (np.sqrt((more**2).mean(axis=1)) > LIMITS.jump * noise)
-    count = np.divide((more * usual).sum(axis=1), fast**2, out=np.zeros(fast.size), where=odd)
-    ahead = odd & (np.abs(count - np.round(count).clip(1.0, LIMITS.missing)) < LIMITS.whole)
-    if ahead.sum() > 1 and ahead.sum() > 0.5 * odd.sum():
-        yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[np.flatnonzero(ahead) + 2].tolist()})
 
 
 class _Jump(NamedTuple):
@@ -276,30 +241,37 @@ class _Polynomials(NamedTuple):
 
 
 def jumps(recording: Recording) -> Iterator[Finding]:
-    """Yield that a channel jumps by a constant and stays there, or that many frames are missing at once.
+    """Yield that a channel jumps by a constant and stays there, or that frames are missing.
 
-    Where many are missing, half of the channels that move jump at once and move on differently.
+    Where frames are missing several links or markers jump at once, or one jumps more than once. Where many are missing,
+    half of the channels that move jump at once and move on differently.
     """
     reaches = np.nanmax(recording.data, axis=0) - np.nanmin(recording.data, axis=0)
     reach = min(float(reaches.max()), 2.0 * np.pi) if recording.kind == "angles" else float(reaches.max())
-    found, apart = list[_Jump](), list[_Jump]()
-    for k, column in enumerate(recording.data.T):
-        found += _jumps(column, k, recording, reach, 1)
-    if not found:
-        for k, column in enumerate(recording.data.T):
-            apart += _jumps(column, k, recording, reach, TERMS)
-        before = np.array([each.before for each in apart])
-        moving = float((reaches > 0.1 * reaches.max()).sum())
-        at = [k for k in np.unique(before) if (np.abs(before - k) <= 1).sum() >= 0.5 * moving]
-        if at:
-            yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[at].tolist()})
+    each, moving = 1 + (recording.kind == "markers"), float((reaches > 0.1 * reaches.max()).sum())
+    for apart in (1, TERMS):
+        every = enumerate(recording.data.T)
+        found = [jump for k, column in every for jump in _jumps(column, k, recording, reach, apart)]
+        if not found:
+            continue
+        before = np.array([jump.before for jump in found])
+        times = np.unique(before)
+        most = max(found, key=lambda jump: jump.certain)
+        if apart > 1:
+            times = times[[(np.abs(before - k) <= 1).sum() >= 0.5 * moving for k in times]]
+            missing = times.size > 0
+        else:
+            alike = {jump.channel for jump in found if _together(jump, most)}
+            camera = recording.kind == "markers" and len(alike) == recording.data.shape[1] // 2 > 1
+            links = {jump.channel // each for jump in found if abs(jump.before - most.before) <= 1}
+            missing = not camera and (np.ptp(before) > 1 or len(links) > 1)
+        if missing:
+            yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[times].tolist()})
+        elif apart == 1:
+            channel = f"{'xy'[most.channel % 2]} of all markers" if camera else recording.channel(most.channel)
+            values = {"channel": channel, "size": most.size, "unit": UNIT[recording.kind]}
+            yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
         return
-    most = max(found, key=lambda each: each.certain)
-    alike = {each.channel for each in found if _together(each, most)}
-    every = recording.kind == "markers" and len(alike) == recording.data.shape[1] // 2 > 1
-    channel = f"{'xy'[most.channel % 2]} of all markers" if every else recording.channel(most.channel)
-    values = {"channel": channel, "size": most.size, "unit": UNIT[recording.kind]}
-    yield Finding(Kind.JUMP, values=values | {"time": float(recording.t[most.before])})
 
 
 def _together(one: _Jump, other: _Jump) -> bool:
@@ -344,7 +316,7 @@ def held(recording: Recording) -> Iterator[Finding]:
         yield Finding(Kind.HELD_STILL, values={"time": float(t[np.searchsorted(t, even[last])])})
 
 
-FAULTS = (lost, wrapped, repeated, uneven_frames, missing_frames, jumps, held)
+FAULTS = (lost, wrapped, repeated, uneven_frames, jumps, held)
 
 
 def faults(recording: Recording, *, driven: bool = False) -> list[Finding]:

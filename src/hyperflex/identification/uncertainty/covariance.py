@@ -11,7 +11,15 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit import Fit, Loss, Window, least_squares, linearise
-from hyperflex.identification.model import Mask, Parameter, Parameters, Plant, in_common_factor, lumped
+from hyperflex.identification.model import (
+    Mask,
+    Parameter,
+    Parameters,
+    Plant,
+    in_common_factor,
+    lumped,
+    rope_derivatives,
+)
 from hyperflex.identification.uncertainty.noise import (
     Piece,
     autocorrelation,
@@ -351,16 +359,10 @@ def ratios(rope: Rope, free: Collection[str] = ()) -> dict[str, Array]:
 
 def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
     """Return the derivatives (n, P) of each ratio by x (P,)."""
-    every = tuple(each.name for each in RESISTANCES)
-    names = ratios(parameters.rope(x), parameters.names)
-    columns = []
-    for k in range(x.size):
-        up, down, step = x.copy(), x.copy(), 1e-6 * max(1.0, abs(x[k]))
-        up[k] += step
-        down[k] = max(x[k] - step, parameters.lower[k])
-        above, below = (ratios(parameters.rope(end), every) for end in (up, down))
-        columns.append({name: (above[name] - below[name]) / (up[k] - down[k]) for name in names})
-    return {name: np.stack([c[name] for c in columns], axis=1) for name in names}
+    free, rope = [each.name for each in RESISTANCES], parameters.rope(x)
+    slopes = rope_derivatives(parameters, x, lambda rope: np.array(list(ratios(rope, free).values())))
+    every = dict(zip(ratios(rope, free), slopes, strict=True))
+    return {name: every[name] for name in ratios(rope, parameters.names)}
 
 
 def ratio_spread(parameters: Parameters, information: Information, *, model: bool = False) -> dict[str, Array]:
