@@ -105,13 +105,10 @@ def uneven_scale(recording: Recording, rope: Rope) -> list[Finding]:
     step = np.linalg.pinv(matrix, rcond=1e-3) @ off
     seen = float(np.mean((matrix @ step) ** 2))
     variance = float(np.mean((off - matrix @ step) ** 2))
-    enough = (0.1 * EVIDENT.uneven) ** 2  # else links turn too little
     fast = np.nan_to_num(fast)  # beside gaps
     smoothed = min(float(fast @ off), 0.0) ** 2 / max(float(fast @ fast), 1e-300)
     factor = float(np.exp(2.0 * np.hypot(*step)))
-    if factor - 1.0 <= EVIDENT.uneven or seen <= max(
-        EVIDENT.beyond**2 * variance / off.size, enough, smoothed / off.size
-    ):
+    if factor - 1.0 <= EVIDENT.uneven or seen * off.size <= max(EVIDENT.beyond**2 * variance, smoothed):
         return []
     values = {"angle": 0.5 * float(np.arctan2(step[1], step[0])), "factor": factor}
     return [Finding(Kind.PICTURE_SCALE, Severity.WRONG, values)]
