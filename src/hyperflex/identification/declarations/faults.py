@@ -158,6 +158,9 @@ def uneven_frames(recording: Recording) -> Iterator[Finding]:
     upper, lower = fast >= np.median(fast), fast <= np.quantile(fast, 0.25)
     seen = float(np.median(np.abs(along[upper])))
     noise = float(np.median(np.abs(along[lower])))
+    if moving.sum() > 1:
+        across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0) / (moving.sum() - 1))
+        noise = max(noise, float(np.median(across[upper])))
     part = float(np.median(np.abs(along[upper]) / fast[upper]))
     if part > LIMITS.uneven and seen > LIMITS.clear * noise:
         yield Finding(Kind.UNEVEN_FRAMES, values={"part": part})
