@@ -10,7 +10,7 @@ import hyperflex as hf
 from hyperflex.cli.run import _refuse
 from hyperflex.errors import InvalidInput
 from hyperflex.execution import CastRun, StreamLog
-from hyperflex.execution.cast_run import Prediction, weight_torque
+from hyperflex.execution.cast_run import Prediction
 from hyperflex.execution.run import _compare_weight
 from hyperflex.execution.stream import FIELDS
 from hyperflex.files import read_netcdf
@@ -20,7 +20,7 @@ PLAN = short_plan()
 MOTION = PLAN.required(PLAN.motion, "motion")
 STOP = float(MOTION.breaks[-1])
 END = STOP + 0.3  # of the watch
-START, HANGING = (weight_torque(PLAN.problem, float(MOTION.angle(t))) for t in (0.0, STOP))
+START, HANGING = PLAN.problem.arm.weight_torque(PLAN.problem.rope, MOTION.angle(np.array([0.0, STOP]))).tolist()
 
 
 def run(wound: float, held: float = START, scatter: float = 0.0, end: float = HANGING) -> CastRun:
@@ -104,7 +104,7 @@ def test_the_log_and_the_figure_say_which_motor_carried_out_which_plan(tmp_path)
 
 def test_an_arm_of_another_length_is_refused_where_nobody_can_judge():
     longer = replace(PLAN.problem, arm=hf.Arm(length=0.3))
-    log = run(0.0, held=weight_torque(longer, float(MOTION.angle(0.0)))).log
+    log = run(0.0, held=float(longer.arm.weight_torque(longer.rope, MOTION.angle(0.0)))).log
     before = replace(log, rows=log.rows[log.column("sent") < 0.0])
     with pytest.raises(InvalidInput, match="Check zero, rope and arm"):
         _compare_weight(before, PLAN.problem, _refuse)

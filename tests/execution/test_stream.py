@@ -218,9 +218,12 @@ def test_the_process_ended_by_sigterm_switches_the_torque_off(tmp_path: Path) ->
 def test_a_goal_between_two_breaks_is_the_polynomials() -> None:
     from hyperflex.execution.stream import Path as Numbers
 
-    path = Numbers([0.0, 1.0, 2.0], [[0.0, 1.0, 0.0], [1.0, 0.0, -0.5]], [0.0], [0.0])
+    coef = np.zeros((2, 4, 6))
+    coef[:, 0, :3] = [[0.0, 1.0, 0.0], [1.0, 0.0, -0.5]]
+    motion = hf.Motion(np.array([0.0, 1.0, 2.0]), coef, np.ones(3, bool))
+    path = Numbers(motion, np.array([0.0, 1.0]), np.array([0.4, 0.8]))
     assert path.goal(-1.0) == Goal(0.0)
-    assert path.goal(0.5) == Goal(0.5, 1.0)
+    assert path.goal(0.5) == Goal(0.5, 1.0, pytest.approx(0.6))
     assert path.goal(1.5) == Goal(1.0 - 0.125, -0.5)
     assert path.goal(3.0) == Goal(0.5)
 

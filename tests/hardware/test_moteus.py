@@ -4,7 +4,6 @@ import asyncio
 import errno
 import fcntl
 import os
-import struct
 import sys
 
 import pytest
@@ -181,9 +180,9 @@ def test_a_controller_that_would_damp_or_hold_after_its_watchdog_is_refused(rig,
 
 @pytest.mark.parametrize("board", [25.0, float("nan")])
 def test_the_hotter_of_board_and_motor_counts(rig, device, board):
-    shown, value = {10: 80.0, 14: board}, device._value
-    device._value = lambda index, resolution: (
-        struct.pack("<f", shown[index]) if index in shown else value(index, resolution)
+    shown, known = {10: 80.0, 14: board}, device._registers
+    device._registers = lambda writer: (
+        known(writer) | {index: (writer.write_temperature, value) for index, value in shown.items()}
     )
     link = opened(rig)
     assert link.read().temperature == 80.0

@@ -19,7 +19,7 @@ from hyperflex.files import NetCDF, PathLike, Variable
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan, FollowResult, Problem
+from hyperflex.planning import CastPlan, FollowResult
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
@@ -42,13 +42,6 @@ def observed_turns(rope: Rope, arm: Arm, state: RopeState, arm_angle: float, peg
         return math.nan
     joints = rope.joints(state.q, arm.tip(arm_angle))
     return float(swept(joints - np.array([peg.x, peg.y])).sum() / math.tau)
-
-
-def weight_torque(problem: Problem, angle: float) -> float:
-    """Return the torque, N m, with which a motor holds arm and rope at an angle, rad, while the rope hangs still."""
-    arm, rope = problem.arm, problem.rope
-    weight = (rope.total_mass * arm.length + arm.mass * arm.com) * math.hypot(*rope.gravity)
-    return weight * math.sin(angle - rope.hanging_angle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +68,8 @@ class Prediction:
             run = simulate(problem.rope, motion, arm=problem.arm, duration=duration, pegs=pegs)
         except SimulationError:
             return None
-        shared = np.searchsorted(_arcs(run.setup.rope) + 1e-9, _arcs(problem.rope))  # links may be cut near pegs
+        finer, whole = (np.append(0.0, each.link_ends) for each in (run.setup.rope, problem.rope))
+        shared = np.searchsorted(finer + 1e-9, whole)  # links may be cut near pegs
         touched = np.isfinite(measure_winding(run, plan.target).before)
         touch = float(run.t[touched.argmax()]) if touched.any() else math.inf
         places = run.joints[:, shared]
@@ -90,9 +84,9 @@ class Prediction:
 
     def joints(self, t: Array) -> Array:
         """Return the joints (K, n + 1, 2) at times t (K,), s, interpolated."""
-        k = np.clip(np.searchsorted(self.t, t) - 1, 0, self.t.size - 2)
-        part = np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), 0.0, 1.0)[:, None, None]
-        return np.asarray((1.0 - part) * self.places[k] + part * self.places[k + 1])
+        from scipy.interpolate import make_interp_spline
+
+        return np.asarray(make_interp_spline(self.t, self.places, 1)(np.clip(t, self.t[0], self.t[-1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +220,8 @@ class CastRun:
             return None
         watched = self.prediction.t >= self.prediction.t[-1] - self.plan.problem.criteria.watch
         wound = float(self.prediction.torque[watched].mean())
-        start, hanging = (weight_torque(self.plan.problem, float(self.motion.angle(t))) for t in (0.0, self._stop))
+        problem, ends = self.plan.problem, self.motion.angle(np.array([0.0, self._stop]))
+        start, hanging = problem.arm.weight_torque(problem.rope, ends).tolist()
         error = abs(float(np.nanmean(before)) - start)
         if abs(wound - hanging) <= max(3.0 * float(np.nanstd(torque)), error):
             return None
@@ -322,7 +317,9 @@ class CastRun:
         """Write the drive's log, and the rope's angles if it was observed, to a NetCDF-4 file."""
         units = dict(zip(FIELDS, ("s",) * 3 + ("rad", "rad/s", "N m") * 2 + ("V", "degC", "1", "1"), strict=True))
         drive = {
-            name: Variable(("cycle",), self.log.column(name), {"units": units[name], "long_name": _spaced(name)})
+            name: Variable(
+                ("cycle",), self.log.column(name), {"units": units[name], "long_name": name.replace("_", " ")}
+            )
             for name in FIELDS
         }
         if self.recording is not None:
@@ -338,12 +335,3 @@ class CastRun:
         """Write the drive's log, and the rope's angles if it was observed, to an MCAP file: :func:`write_mcap`."""
         drive = {"t" if name == "sent" else name: self.log.column(name) for name in FIELDS}
         write_mcap(self.recording, path, drive=drive)
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")
-
-
-def _arcs(rope: Rope) -> Array:
-    """Arc length of each joint (n + 1,), m, the tip last."""
-    return np.append(0.0, np.cumsum(rope.length))

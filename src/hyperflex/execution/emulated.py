@@ -62,8 +62,8 @@ class EmulatedRope:
         self.emulator, self.emulated, self.arm = emulator, emulated, arm
         self.rope = scaled_rope(rope, emulated.total_length / rope.total_length, 1.0, 1.0)  # as long as it really is
         self._parts: dict[float, tuple[RopeState, float]] = {}  # states of all parts, and the arm's angle, by time
-        share = _ends(emulated) - 1e-9
-        self._ends = np.searchsorted(_ends(rope), share)  # the link of the plan's rope that each part belongs to
+        ends, share = (each.link_ends / each.total_length for each in (rope, emulated))
+        self._ends = np.searchsorted(ends, share - 1e-9)  # the link of the plan's rope that each part belongs to
         self._zero = time.monotonic()
 
     def start_clock(self, at: float | None = None) -> None:
@@ -95,8 +95,3 @@ class EmulatedRope:
         whole = np.bincount(self._ends, q, n) / np.bincount(self._ends, minlength=n)
         angle += 2.0 * np.pi * np.round((whole - angle) / (2.0 * np.pi))
         return angle, (u * np.cos(angle) + v * np.sin(angle)) / np.hypot(x, y)
-
-
-def _ends(rope: Rope) -> Array:
-    """Ends of the links (n,) as parts of the rope's length."""
-    return np.cumsum(rope.length) / rope.total_length

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.budget import Budget
+from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, InvalidInput, SimulationError
 from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
@@ -457,10 +457,8 @@ def _joints(rope: Rope, motion: Motion, state: RopeState, arm: Arm) -> Array:
 
 def _states(estimator: RopeFilter, cast: _Flown, times: Sequence[float]) -> list[RopeState]:
     """Let a filter follow a cast; return its states at some times, s, or at the end where that is sooner."""
-    from threadpoolctl import threadpool_limits
-
     found, wanted = dict[float, RopeState](), sorted(times)
-    with threadpool_limits(1):  # matrices are small: threads would wait for each other
+    with one_thread():  # matrices are small: threads would wait for each other
         for t, places, std in zip(*cast, strict=True):
             while wanted and wanted[0] <= t and estimator.t is not None:
                 at = wanted.pop(0)

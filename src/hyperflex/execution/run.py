@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from hyperflex.budget import one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import DriveError, EstimatorLost, HyperflexError, InvalidInput
-from hyperflex.execution.cast_run import CastRun, Prediction, weight_torque
+from hyperflex.execution.cast_run import CastRun, Prediction
 from hyperflex.execution.page import RunPage
 from hyperflex.execution.rope_watch import ClockedSource, RopeWatch
 from hyperflex.execution.stream import POLL, MotionStream, StreamLog
@@ -186,7 +186,7 @@ def run_plan(
             motor,
         )
 
-    with stoppable() as stopped, threadpool_limits(1):  # of small matrices: more threads wait for each other
+    with stoppable() as stopped, one_thread():  # matrices are small: more threads wait for each other
         try:
             with drive:
                 if page is not None:
@@ -354,7 +354,8 @@ def _compare_weight(log: StreamLog, problem: Problem, doubt: Callable[[str], obj
     if not np.isfinite(torque).any():
         return
     where, held = float(angle.mean()), float(np.nanmean(torque))
-    expected, most = (weight_torque(problem, each) for each in (where, problem.rope.hanging_angle + 0.5 * math.pi))
+    angles = where, problem.rope.hanging_angle + 0.5 * math.pi
+    expected, most = problem.arm.weight_torque(problem.rope, angles).tolist()
     if held * expected < 0.0 and min(abs(held), abs(expected)) > 0.5 * most:
         what, fix = "the motor holds arm and rope with a torque of the wrong sign", "Check the zero"
         raise InvalidInput(what, got=held, allowed=f"about {expected:.3f} N m", fix=fix)

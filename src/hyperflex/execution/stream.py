@@ -4,7 +4,6 @@ import math
 import multiprocessing
 import signal
 import time
-from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,10 +16,9 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.child import ANSWER, Child, Records, run_in_real_time, serve
-from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import DriveError, HyperflexError, InvalidInput
 from hyperflex.hardware import Drive, DriveState, Goal
-from hyperflex.motion import Motion
+from hyperflex.motion import Motion, hold_arm
 
 SPIN = 3e-4  # s before a deadline from which the process waits awake: a sleep may end so much too late
 POLL = 0.01  # s between two looks at the process while waiting
@@ -194,8 +192,7 @@ class MotionStream:
         if torque is not None:
             times = checks.times("torque times", torque[0])
             values = checks.array("torque", torque[1], times.shape, unit="N m")
-        path = Path(motion.breaks.tolist(), motion.coef[:, ANGLE].tolist(), times.tolist(), values.tolist())
-        taken = bool(self._ask("motion", checks.number("at", at, unit="s"), path))
+        taken = bool(self._ask("motion", checks.number("at", at, unit="s"), Path(motion, times, values)))
         self.motion, self.late = motion if taken else self.motion, self.late + (not taken)
         return taken
 
@@ -226,30 +223,16 @@ class MotionStream:
 
 
 class Path(NamedTuple):
-    """A motion as plain numbers: breaks, ascending coefficients of the angle, feed-forward torques and their times."""
+    """A motion with feed-forward torques (K,), N m, at times (K,), s: interpolated, and zero before and after them."""
 
-    breaks: list[float]
-    coef: list[list[float]]
-    times: list[float]
-    torques: list[float]
+    motion: Motion
+    times: Array
+    torques: Array
 
     def goal(self, t: float) -> Goal:
-        """Return the goal at a time, s; before its first break and after its last one the motion stands still."""
-        moment = min(max(t, self.breaks[0]), self.breaks[-1])
-        k = min(bisect_right(self.breaks, moment) - 1, len(self.coef) - 1)
-        s, angle, rate = moment - self.breaks[k], 0.0, 0.0
-        for c in reversed(self.coef[k]):
-            rate = rate * s + angle
-            angle = angle * s + c
-        inside = self.breaks[0] <= t < self.breaks[-1]
-        return Goal(angle, rate if inside else 0.0, self._torque(t))
-
-    def _torque(self, t: float) -> float:
-        if not self.times[0] <= t < self.times[-1]:
-            return 0.0
-        k = bisect_right(self.times, t) - 1
-        part = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
-        return (1.0 - part) * self.torques[k] + part * self.torques[k + 1]
+        """Return the goal at a time, s."""
+        torque = np.interp(t, self.times, self.torques, 0.0, 0.0)
+        return Goal(float(self.motion.angle(t)), float(self.motion.rate(t)), float(torque))
 
 
 def stream(
@@ -321,7 +304,7 @@ class _Cycle:
             _wait_until(due)
             if self.drive.enabled:
                 self.send(due)
-                if due > max(patient(), self.zero + self.paths[-1][1].breaks[-1]):
+                if due > max(patient(), self.zero + self.paths[-1][1].motion.breaks[-1]):
                     raise DriveError("The program has been silent since its motion was over. The torque is off.")
 
     def send(self, due: float) -> None:
@@ -340,7 +323,7 @@ class _Cycle:
 
     def hold(self, angle: float) -> None:
         """Hold an angle, rad, until the next motion."""
-        self.paths = [(-math.inf, Path([-1.0, 0.0], [[angle]], [0.0], [0.0]))]
+        self.paths = [(-math.inf, Path(hold_arm(angle), np.zeros(1), np.zeros(1)))]
 
     def set_clock(self, zero: float) -> None:
         """Make a moment of the monotonic clock, s, t = 0, and hold the goal of now."""

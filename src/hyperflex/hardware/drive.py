@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import FrameType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from hyperflex.errors import DriveError, InvalidInput
 from hyperflex.model import MotorLimits
 from hyperflex.motion import Motion
 
+T = TypeVar("T")
 STEP = 0.05  # rad; a goal that jumps by more, or a first one farther from the shaft, would be a jerk (a stripped gear)
 SILENCE = 0.05  # s without a valid reply after which the link counts as lost, or half of a watchdog beyond 100 ms
 SLACK = 1.02  # of a limit: goals are sampled from polynomials that reach the limit exactly, and rounded on the wire
@@ -93,6 +94,17 @@ def hottest(temperatures: Iterable[float]) -> float:
 
 class NoReply(DriveError):
     """A single request got no valid reply in time: lost, late, garbled or truncated. Links raise it."""
+
+
+def persist(request: Callable[[], T], clock: Callable[[], float], seconds: float = CONFIRM) -> T:
+    """Return what a request returns; while there is no reply, repeat it for a time, s, of a clock."""
+    until = clock() + seconds
+    while True:
+        try:
+            return request()
+        except NoReply:
+            if clock() > until:
+                raise
 
 
 class Link(Protocol):
@@ -604,13 +616,10 @@ class Drive:
 
     def _insist(self, request: Callable[[], Any]) -> Any:
         """Make a request that must be answered, and repeat it for a while."""
-        until = self.link.clock() + CONFIRM
-        while True:
-            try:
-                return self._guarded(request)
-            except NoReply as error:
-                if self.link.clock() > until:
-                    raise DriveError(f"{self.link.name} does not answer: {error}") from None
+        try:
+            return persist(lambda: self._guarded(request), self.link.clock)
+        except NoReply as error:
+            raise DriveError(f"{self.link.name} does not answer: {error}") from None
 
     def _first_reading(self) -> DriveState:
         """Return a reading that answers now."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from hyperflex import checks, files
+from hyperflex.budget import one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware.drive_model import DriveModel
@@ -58,11 +59,8 @@ class DriveRecord:
 
     def __post_init__(self) -> None:
         count = checks.times("times of goals", self.sent, least=100).size
-        for each in fields(self):
-            value = np.asarray(getattr(self, each.name), dtype=np.float64)
-            if value.shape != (count,):
-                raise InvalidInput(f"{each.name} of a drive's record", got=value.shape, allowed=f"({count},), as sent")
-            object.__setattr__(self, each.name, value)
+        for name, value in vars(self).copy().items():
+            object.__setattr__(self, name, checks.array(f"{name} of a drive's record", value, (count,), gaps=True))
         if np.isfinite(self.angle).sum() < 0.5 * count:
             raise InvalidInput("drive answered fewer than half of the goals", got=int(np.isfinite(self.angle).sum()))
 
@@ -179,29 +177,27 @@ class DriveFit:
         return drive_figure(self)
 
 
-@dataclass(frozen=True)
-class _Guess:
-    """Starts and bounds of what is fitted, as in DriveModel, with the lag, s, in place of the delay; offset rad."""
-
-    lag: tuple[float, float, float] = (1e-2, 0.0, 0.5)
-    frequency: tuple[float, float, float] = (60.0, 2.0, 2000.0)
-    damping: tuple[float, float, float] = (1.0, 0.05, 20.0)
-    feedforward: tuple[float, float, float] = (0.5, 0.0, 1.5)
-    dry: tuple[float, float, float] = (1.0, 0.0, 1e4)
-    viscous: tuple[float, float, float] = (0.0, 0.0, 1e4)
-    weight: tuple[float, float, float] = (1.0, -1e4, 1e4)
-    backlash: tuple[float, float, float] = (2e-3, 0.0, 0.2)
-    rate_limit: tuple[float, float, float] = (10.0, 0.1, 1e3)
-    slope: tuple[float, float, float] = (50.0, 1.0, 5e3)
-    acceleration_limit: tuple[float, float, float] = (300.0, 1.0, 1e5)
-    current_lag: tuple[float, float, float] = (5e-4, 0.0, 1e-2)
-    offset: tuple[float, float, float] = (0.0, -0.2, 0.2)
-    inertia: tuple[float, float, float] = (1e-3, 1e-8, 1e3)
-
-
+# Starts and bounds of what is fitted, as in DriveModel, with the lag, s, in place of the delay; offset rad
+BOUNDS = {
+    "lag": (1e-2, 0.0, 0.5),
+    "frequency": (60.0, 2.0, 2000.0),
+    "damping": (1.0, 0.05, 20.0),
+    "feedforward": (0.5, 0.0, 1.5),
+    "dry": (1.0, 0.0, 1e4),
+    "viscous": (0.0, 0.0, 1e4),
+    "weight": (1.0, -1e4, 1e4),
+    "backlash": (2e-3, 0.0, 0.2),
+    "rate_limit": (10.0, 0.1, 1e3),
+    "slope": (50.0, 1.0, 5e3),
+    "acceleration_limit": (300.0, 1.0, 1e5),
+    "current_lag": (5e-4, 0.0, 1e-2),
+    "offset": (0.0, -0.2, 0.2),
+    "inertia": (1e-3, 1e-8, 1e3),
+}
 MODEL = tuple(each.name for each in fields(DriveModel) if each.name not in ("delay", "hold"))
 
 
+@one_thread()
 def identify_drive(record: DriveRecord) -> DriveFit:
     """Identify a drive from the record of a test motion, by least squares.
 
@@ -214,20 +210,12 @@ def identify_drive(record: DriveRecord) -> DriveFit:
     InvalidInput
         If the arm hardly moved.
     """
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):  # matrices are small: threads would wait for each other
-        return _identified(record)
-
-
-def _identified(record: DriveRecord) -> DriveFit:
-    """Fit all kinds of loops: with goals that are held or advanced, whose rates are used or not; keep the best."""
     first = _Fit(record, 0.0)
     first.start()
     first.solve(15)
     first.weigh()
     period, rates = float(np.median(np.diff(record.sent))), bool(record.goal_rate.any())
-    kinds = [
+    kinds = [  # of loops: with goals that are held or advanced, whose rates are used or not
         first.variant(hold, part, faster)
         for hold in (period, 0.0)[: 1 + rates]
         for part in (0.0, 1.0)[: 1 + rates]
@@ -250,7 +238,7 @@ class _Fit:
 
     def __init__(self, record: DriveRecord, hold: float) -> None:
         self.cost, self.hold, self.step, self.converged = math.inf, hold, 1e-3, False  # step of the model, s
-        self.record, self.bounds = record, vars(_Guess())
+        self.record = record
         self.known = np.isfinite(record.angle)
         if np.ptp(record.angle[self.known]) < 0.05:
             raise InvalidInput("arm barely moved in the test motion", got=float(np.ptp(record.angle[self.known])))
@@ -259,7 +247,7 @@ class _Fit:
         self.sent = np.where(self.known, record.read_at - usual, record.sent)  # as if all arrived after that time
         self.torques = record.torque[self.known]
         self.told = bool(np.isfinite(self.torques).all()) and float(np.ptp(self.torques)) > 0.0
-        self.values = {name: bound[0] for name, bound in self.bounds.items()}
+        self.values = {name: bound[0] for name, bound in BOUNDS.items()}
         self.sigma, self.sigma_torque, self.late = np.full(self.times.size, 1e-3), np.ones(self.times.size), 0.0
         goal_rate = record.goal_rate
         self.reached = (
@@ -338,7 +326,7 @@ class _Fit:
         here, columns = self.residuals(values), []
         for name in names:
             step = 1e-3 * max(abs(values[name]), {"lag": 0.01, "offset": 0.01, "backlash": 0.01}.get(name, 0.1))
-            step = step if values[name] + step < self.bounds[name][2] else -step
+            step = step if values[name] + step < BOUNDS[name][2] else -step
             columns.append((self.residuals(dict(values) | {name: values[name] + step}) - here) / step)
         return np.stack(columns, axis=1)
 
@@ -357,7 +345,7 @@ class _Fit:
         def full(x: Array) -> dict[str, float]:
             return self.values | dict(zip(self.free, x.tolist(), strict=True))
 
-        bounds = np.array([self.bounds[name][1:] for name in self.free]).T
+        bounds = np.array([BOUNDS[name][1:] for name in self.free]).T
         first = np.clip([self.values[name] for name in self.free], bounds[0] + 1e-9, bounds[1] - 1e-9)
         found = least_squares(
             lambda x: self.residuals(full(x)),

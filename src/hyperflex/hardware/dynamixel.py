@@ -17,7 +17,7 @@ from typing import Any
 
 from hyperflex import checks, extras
 from hyperflex.errors import DriveError
-from hyperflex.hardware.drive import CONFIRM, SILENCE, Goal, NoReply, Reading
+from hyperflex.hardware.drive import CONFIRM, SILENCE, Goal, NoReply, Reading, persist
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
@@ -77,42 +77,43 @@ class Servo:
 
     name: str
     current: float = 0.0
-    stall: tuple[float, float] = (0.0, 1.0)
+    stall_torque: float = 0.0
+    stall_current: float = 1.0
     indirect: int = 224
 
     @property
     def torque(self) -> float:
         """Torque of one count of current, N m: rough, as if torque grew in proportion to the current up to stall."""
-        return self.current * self.stall[0] / self.stall[1]
+        return self.current * self.stall_torque / self.stall_current
 
 
 # By model number. Stall torque and current at the recommended voltage (data sheets of the e-Manual).
 SERVOS = {
-    1000: Servo("XH430-W350", 2.69e-3, (3.4, 1.3)),
-    1010: Servo("XH430-W210", 2.69e-3, (2.5, 1.3)),
-    1020: Servo("XM430-W350", 2.69e-3, (4.1, 2.3)),
-    1030: Servo("XM430-W210", 2.69e-3, (3.0, 2.3)),
-    1040: Servo("XH430-V350", 1.34e-3, (3.3, 0.7)),
-    1050: Servo("XH430-V210", 1.34e-3, (2.6, 0.7)),
-    1060: Servo("XL430-W250", 0.0, (1.5, 1.4)),
-    1070: Servo("XC430-W150", 0.0, (1.6, 1.4)),
-    1080: Servo("XC430-W240", 0.0, (1.9, 1.4)),
-    1090: Servo("2XL430-W250", 0.0, (1.5, 1.4)),
-    1100: Servo("XH540-W270", 2.69e-3, (9.9, 4.9)),
-    1110: Servo("XH540-W150", 2.69e-3, (7.1, 4.9)),
-    1120: Servo("XM540-W270", 2.69e-3, (10.6, 4.4)),
-    1130: Servo("XM540-W150", 2.69e-3, (7.3, 4.4)),
-    1140: Servo("XH540-V270", 2.69e-3, (9.2, 2.4)),
-    1150: Servo("XH540-V150", 2.69e-3, (6.4, 2.4)),
-    1160: Servo("2XC430-W250", 0.0, (1.8, 1.4)),
-    1170: Servo("XW540-T260", 2.69e-3, (9.5, 4.9)),
-    1180: Servo("XW540-T140", 2.69e-3, (6.9, 4.9)),
-    1190: Servo("XL330-M077", 1e-3, (0.215, 1.47), 208),
-    1200: Servo("XL330-M288", 1e-3, (0.52, 1.47), 208),
-    1210: Servo("XC330-T181", 1e-3, (0.76, 0.80), 208),
-    1220: Servo("XC330-T288", 1e-3, (0.92, 0.80), 208),
-    1230: Servo("XC330-M181", 1e-3, (0.60, 1.80), 208),
-    1240: Servo("XC330-M288", 1e-3, (0.93, 1.80), 208),
+    1000: Servo("XH430-W350", 2.69e-3, 3.4, 1.3),
+    1010: Servo("XH430-W210", 2.69e-3, 2.5, 1.3),
+    1020: Servo("XM430-W350", 2.69e-3, 4.1, 2.3),
+    1030: Servo("XM430-W210", 2.69e-3, 3.0, 2.3),
+    1040: Servo("XH430-V350", 1.34e-3, 3.3, 0.7),
+    1050: Servo("XH430-V210", 1.34e-3, 2.6, 0.7),
+    1060: Servo("XL430-W250", 0.0, 1.5, 1.4),
+    1070: Servo("XC430-W150", 0.0, 1.6, 1.4),
+    1080: Servo("XC430-W240", 0.0, 1.9, 1.4),
+    1090: Servo("2XL430-W250", 0.0, 1.5, 1.4),
+    1100: Servo("XH540-W270", 2.69e-3, 9.9, 4.9),
+    1110: Servo("XH540-W150", 2.69e-3, 7.1, 4.9),
+    1120: Servo("XM540-W270", 2.69e-3, 10.6, 4.4),
+    1130: Servo("XM540-W150", 2.69e-3, 7.3, 4.4),
+    1140: Servo("XH540-V270", 2.69e-3, 9.2, 2.4),
+    1150: Servo("XH540-V150", 2.69e-3, 6.4, 2.4),
+    1160: Servo("2XC430-W250", 0.0, 1.8, 1.4),
+    1170: Servo("XW540-T260", 2.69e-3, 9.5, 4.9),
+    1180: Servo("XW540-T140", 2.69e-3, 6.9, 4.9),
+    1190: Servo("XL330-M077", 1e-3, 0.215, 1.47, 208),
+    1200: Servo("XL330-M288", 1e-3, 0.52, 1.47, 208),
+    1210: Servo("XC330-T181", 1e-3, 0.76, 0.80, 208),
+    1220: Servo("XC330-T288", 1e-3, 0.92, 0.80, 208),
+    1230: Servo("XC330-M181", 1e-3, 0.60, 1.80, 208),
+    1240: Servo("XC330-M288", 1e-3, 0.93, 1.80, 208),
 }
 
 
@@ -206,12 +207,9 @@ class DynamixelLink:
 
     def _ping(self, seconds: float) -> bytes:
         """Return model number and firmware as the servo sends them, nothing if it does not answer for a time."""
-        until = time.monotonic() + seconds
-        while True:
-            with suppress(NoReply):
-                return self._request(1, b"", 3)
-            if time.monotonic() > until:
-                return b""
+        with suppress(NoReply):
+            return persist(lambda: self._request(1, b"", 3), time.monotonic, seconds)
+        return b""
 
     def _elsewhere(self) -> str:
         """Return what is wrong with a servo that does not answer: its rate or its ID, or neither is known."""
@@ -264,7 +262,7 @@ class DynamixelLink:
 
     def enable(self, limits: MotorLimits) -> None:
         """Arm watchdog and torque limit, and switch the torque on where the shaft is."""
-        limited, stall = math.isfinite(limits.torque), self.servo.stall[0]
+        limited, stall = math.isfinite(limits.torque), self.servo.stall_torque
         if limited and not self.servo.current:
             if limits.torque < stall:
                 why = f"{self.name} keeps no limit of torque: it does not measure its current"
@@ -307,13 +305,7 @@ class DynamixelLink:
     def _get(self, address: int, length: int) -> bytes:
         """Read registers; a lost reply is asked for again. A state that comes late could pass for it: wait for that."""
         time.sleep(max(0.0, max(self._missing.values(), default=-math.inf) + LATEST - self.clock()))
-        until = time.monotonic() + CONFIRM
-        while True:
-            try:
-                return self._request(2, struct.pack("<HH", address, length), length)
-            except NoReply:
-                if time.monotonic() > until:
-                    raise
+        return persist(lambda: self._request(2, struct.pack("<HH", address, length), length), time.monotonic)
 
     def _put(self, address: int, value: bytes) -> None:
         """Write registers; there is no reply."""

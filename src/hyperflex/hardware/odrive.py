@@ -9,11 +9,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum, IntFlag
+from functools import partial
 from typing import Any
 
 from hyperflex import checks, extras
 from hyperflex.errors import DriveError
-from hyperflex.hardware.drive import CONFIRM, SILENCE, SLACK, Goal, NoReply, Reading, hottest
+from hyperflex.hardware.drive import CONFIRM, SILENCE, SLACK, Goal, NoReply, Reading, hottest, persist
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
@@ -262,7 +263,7 @@ class ODriveLink:
         self._expect(AxisState.IDLE)
         until = self.clock() + CONFIRM
         while True:
-            here = _input(Goal(self._persist().angle))  # anew each time: the arm may swing
+            here = _input(Goal(persist(self._exchange, self.clock).angle))  # anew each time: the arm may swing
             if self._limited:
                 speed, current = limits.speed / math.tau, limits.torque / self.torque_constant
                 self._put(Message.LIMITS, struct.pack("<ff", 2.0 * speed, SLACK * current))
@@ -271,7 +272,7 @@ class ODriveLink:
             self._put(Message.AXIS_STATE, struct.pack("<I", AxisState.CLOSED_LOOP))
             beat = self._beat
             while self._beat <= beat:
-                state = self._persist(here)
+                state = persist(partial(self._exchange, here), self.clock)
             if self._axis == AxisState.CLOSED_LOOP and not state.fault:
                 return
             if state.fault or self.clock() > until:
@@ -310,16 +311,6 @@ class ODriveLink:
         """Take the axis to be in a state until a heartbeat says what it is in."""
         beat = self._messages[Message.HEARTBEAT]
         self._messages[Message.HEARTBEAT] = beat[:4] + bytes([state]) + beat[5:]
-
-    def _persist(self, goal: bytes = b"") -> Reading:
-        """Return the state as :meth:`_exchange` does, but try again if a reply is lost."""
-        until = self.clock() + CONFIRM
-        while True:
-            try:
-                return self._exchange(goal)
-            except NoReply:
-                if self.clock() > until:
-                    raise
 
     def _exchange(self, goal: bytes = b"") -> Reading:
         """Send a goal, if there is one, ask for the encoder's estimates, and return the state."""

@@ -146,7 +146,6 @@ def check_motor(
     arm: Arm | None = None,
     move_time: float = 0.5,
     *,
-    rotor_inertia: float = 0.0,
     motions: Mapping[str, Motion] | None = None,
 ) -> Suitability:
     """Check whether a motor can turn an arm with a rope by half a turn in a time, and make given motions.
@@ -160,8 +159,6 @@ def check_motor(
         By default the paper's.
     move_time : float
         Time of a half turn, s.
-    rotor_inertia : float
-        Of motor and gear at the shaft, kg m^2; data sheets of servos seldom tell it.
     motions : dict of str to Motion, optional
         Motions of plans by name.
 
@@ -185,42 +182,23 @@ def check_motor(
     """
     arm = arm or Arm()
     move_time = checks.number("move_time", move_time, sign="positive", unit="s")
-    rotor = checks.number("rotor_inertia", rotor_inertia, sign="nonnegative", unit="kg m^2")
-    hanging, inertia = _weight_torque(rope, arm), _inertia(arm, rotor)
+    hanging = float(arm.weight_torque(rope, rope.hanging_angle + 0.5 * math.pi))
     half = (-0.5 * math.pi, 0.5 * math.pi, move_time)
     profiles = {"bang-bang": "half turn, bang-bang", "minimum-jerk": "half turn, minimum jerk"}
     wanted = {text: move_arm(*half, profile) for profile, text in profiles.items()}  # type: ignore[arg-type]
-    demands = [demand(motor, name, each, rope, arm, rotor) for name, each in {**wanted, **(motions or {})}.items()]
-    return Suitability(motor, hanging, tuple(demands), _limits(motor, hanging, inertia))
+    demands = [demand(motor, name, each, rope, arm) for name, each in {**wanted, **(motions or {})}.items()]
+    return Suitability(motor, hanging, tuple(demands), _limits(motor, hanging, arm.inertia + arm.mass * arm.com**2))
 
 
-def _weight_torque(rope: Rope, arm: Arm) -> float:
-    """Return the torque that holds arm and hanging rope at a quarter turn, N m."""
-    return math.hypot(*rope.gravity) * (rope.total_mass * arm.length + arm.mass * arm.com)
-
-
-def _inertia(arm: Arm, rotor: float) -> float:
-    return arm.inertia + arm.mass * arm.com**2 + rotor
-
-
-def demand(
-    motor: MotorData,
-    name: str,
-    motion: Motion,
-    rope: Rope,
-    arm: Arm,
-    rotor_inertia: float = 0.0,
-    torque: float = 0.0,
-) -> Demand:
+def demand(motor: MotorData, name: str, motion: Motion, rope: Rope, arm: Arm, torque: float = 0.0) -> Demand:
     """Return what a motion asks of a motor with an arm and a rope; a simulated run of it may show a greater `torque`.
 
     That torque, N m, may be needed at any speed: it is compared with the torque at rest.
     """
     times = np.linspace(motion.breaks[0], motion.breaks[-1], 2001)
-    speed = motion.rate(times)
-    weight = _weight_torque(rope, arm) * np.sin(motion.angle(times) - rope.hanging_angle)
-    needed = _inertia(arm, rotor_inertia) * motion.acceleration(times) + weight
-    needed += arm.friction * speed + arm.dry_friction * np.sign(speed)
+    angle, speed = motion.angle(times), motion.rate(times)
+    weight = np.append(-rope.total_mass * rope.gravity, 0.0)
+    needed = arm.shaft_torque(rope.gravity, angle, speed, motion.acceleration(times)) + arm.rope_torque(angle, weight)
     driving = needed * speed > 0.0  # a braking torque is not limited by the speed
     most = np.where(driving, motor.torque(speed), motor.stall_torque)
     left = np.minimum(1.0 - np.abs(needed) / np.maximum(most, 1e-12), 1.0 - np.abs(speed) / motor.speed)

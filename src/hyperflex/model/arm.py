@@ -144,6 +144,11 @@ class Arm:
         torque = torque - joint_law.friction((self.friction, self.dry_friction, 0.0, 0.0), rate, sense)
         return np.asarray(torque - self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle)))
 
+    def weight_torque(self, rope: Rope, angle: ArrayLike) -> Array:
+        """Return the torque (T,), N m, that holds the arm at each `angle` (T,), rad, while a rope hangs from it."""
+        still, weight = np.zeros(()), np.append(-rope.total_mass * rope.gravity, 0.0)
+        return self.shaft_torque(rope.gravity, np.asarray(angle), still, still) + self.rope_torque(angle, weight)
+
     def chain(self, rope: Rope) -> Chain:
         """Return arm and rope as one chain of n + 1 links, for a torque-driven arm.
 

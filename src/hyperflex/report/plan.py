@@ -227,5 +227,5 @@ class PlanReport(ABC, Generic[PlanT]):
     def motor_peaks(self) -> tuple[float, float]:
         """Return the greatest speed, rad/s, and acceleration, rad/s^2, of the motion."""
         motion = self.plan.required(self.plan.motion, "motion")
-        t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
-        return float(np.abs(motion.rate(t)).max()), float(np.abs(motion.acceleration(t)).max())
+        speed, rise = (float(np.abs(motion.extrema(k)[1]).max()) for k in (1, 2))
+        return speed, rise

@@ -1,5 +1,6 @@
 """The device's side of a moteus controller on a UART: text lines that carry register frames."""
 
+import io
 import math
 import struct
 from typing import Any
@@ -7,8 +8,6 @@ from typing import Any
 from hyperflex import extras
 from hyperflex.hardware.drive import Goal
 from hyperflex.hardware.emulate.plant import Plant
-
-WHOLE = 1.0, 1.0, 1.0  # scales of a whole number
 
 
 class MoteusDevice:
@@ -20,10 +19,6 @@ class MoteusDevice:
         Its motor; give it a model that extrapolates, as a controller does.
     number : int
         Its address.
-    voltages : (float, float)
-        Least and greatest voltage, V.
-    temperature : float
-        Greatest temperature, degrees Celsius.
 
     Attributes
     ----------
@@ -42,17 +37,11 @@ class MoteusDevice:
     """
 
     options = ""  # of its address
+    voltages, temperature = (10.0, 46.0), 75.0  # least and greatest voltage, V; greatest temperature, degrees Celsius
 
-    def __init__(
-        self,
-        plant: Plant,
-        number: int = 1,
-        *,
-        voltages: tuple[float, float] = (10.0, 46.0),
-        temperature: float = 75.0,
-    ) -> None:
+    def __init__(self, plant: Plant, number: int = 1) -> None:
         self._vendor: Any = extras.load("moteus", "moteus", "emulated moteus controllers")
-        self.plant, self.number, self.voltages, self.temperature = plant, number, voltages, temperature
+        self.plant, self.number = plant, number
         self._modes: Any = self._vendor.Mode
         self.mode, self.fault, self.timeout_mode = self._modes.STOPPED, 0, 0
         self._deadline, self._told = math.inf, b""  # of the diagnostic stream
@@ -127,10 +116,28 @@ class MoteusDevice:
         register = self._vendor.Register
         if register.MODE in parsed.command:
             self._command(parsed.command[register.MODE], parsed.command)
-        return b"".join(
-            bytes([0x21 | resolution << 2, *_varuint(index)]) + self._value(index, resolution)
-            for index, resolution in parsed.query
-        )
+        reply = io.BytesIO()
+        writer = self._vendor.protocol.Writer(reply)
+        registers = self._registers(writer)
+        for index, resolution in parsed.query:
+            write, value = registers.get(index, (writer.write_int, 0))
+            writer.write_int8(0x21 | resolution << 2)
+            writer.write_varuint(index)
+            write(value, resolution)
+        return reply.getvalue()
+
+    def _registers(self, writer: Any) -> dict[int, tuple[Any, float]]:
+        """Return how a register is written, and its value."""
+        register, plant = self._vendor.Register, self.plant
+        return {
+            register.MODE: (writer.write_int, self.mode),
+            register.POSITION: (writer.write_position, plant.angle / math.tau),
+            register.VELOCITY: (writer.write_velocity, plant.rate / math.tau),
+            register.TORQUE: (writer.write_torque, plant.torque),
+            register.VOLTAGE: (writer.write_voltage, plant.voltage),
+            register.TEMPERATURE: (writer.write_temperature, plant.temperature),
+            register.FAULT: (writer.write_int, self.fault),
+        }
 
     def _command(self, mode: int, values: dict[int, float]) -> None:
         register = self._vendor.Register
@@ -153,27 +160,6 @@ class MoteusDevice:
             self._deadline = self.plant.t + watchdog if math.isfinite(watchdog) else math.inf
             angle = math.tau * angle if math.isfinite(angle) else self.plant.angle
             self.plant.set_goal(Goal(angle, math.tau * max(-most, min(most, rate)), torque))
-
-    def _value(self, index: int, resolution: int) -> bytes:
-        """Return a register as bytes: as a float, or as an integer that counts steps of its scale."""
-        register, plant = self._vendor.Register, self.plant
-        value, scales = {
-            register.MODE: (self.mode, WHOLE),
-            register.POSITION: (plant.angle / math.tau, (0.01, 1e-4, 1e-5)),
-            register.VELOCITY: (plant.rate / math.tau, (0.1, 2.5e-4, 1e-5)),
-            register.TORQUE: (plant.torque, (0.5, 0.01, 1e-3)),
-            register.VOLTAGE: (plant.voltage, (0.5, 0.1, 1e-3)),
-            register.TEMPERATURE: (plant.temperature, (1.0, 0.1, 1e-3)),
-            register.FAULT: (self.fault, WHOLE),
-        }.get(index, (0.0, WHOLE))
-        if resolution == len(WHOLE):
-            return struct.pack("<f", value)
-        most = 2 ** (8 * 2**resolution - 1) - 1
-        return struct.pack("<" + "bhi"[resolution], max(-most, min(most, round(value / scales[resolution]))))
-
-
-def _varuint(index: int) -> list[int]:
-    return [index] if index < 0x80 else [index & 0x7F | 0x80, index >> 7]
 
 
 def _crc(data: bytes) -> int:

@@ -32,8 +32,6 @@ class ODriveDevice:
         Period, s, of the heartbeat, of torques, voltage and temperature.
     firmware : (int, int, int)
         Its version.
-    hottest : float
-        Temperature of the motor, degrees Celsius, at which it disarms.
 
     Notes
     -----
@@ -41,6 +39,8 @@ class ODriveDevice:
     expired. Only messages to the device feed it, requests do not. It runs while the axis is armed. Gains and the
     current limit are those of the plant.
     """
+
+    hottest = 100.0  # degrees Celsius, of the motor, at which it disarms
 
     def __init__(
         self,
@@ -50,10 +50,9 @@ class ODriveDevice:
         watchdog: float = 0.1,
         heartbeat: float = 0.01,
         firmware: tuple[int, int, int] = (0, 6, 11),
-        hottest: float = 100.0,
     ) -> None:
         self.plant, self.number, self.watchdog, self.heartbeat = plant, number, watchdog, heartbeat
-        self.firmware, self.hottest = firmware, hottest
+        self.firmware = firmware
         self._rated = plant.voltage  # V
         self.options = f"torque_constant={plant.model.torque_constant:.6f}"
         self.t = 0.0  # s
