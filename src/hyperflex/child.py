@@ -220,4 +220,4 @@ class Records:
         """Return a copy of the `newest` records, or of all; the oldest of all may be overwritten meanwhile."""
         records, written = self._all, self.written
         first = max(0, written - (len(records) - 1 if newest is None else newest))
-        return np.asarray(records[np.arange(first, written) % len(records)])
+        return records[np.arange(first, written) % len(records)]

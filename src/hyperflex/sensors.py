@@ -174,7 +174,7 @@ class Markers(PostureSensor):
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
         places = self.values[:2] + pivot[:, None] + lever_arms(rope, self.arc_lengths)[1] @ unit_along(q)
-        return np.asarray(places.reshape(q.shape[0], -1))
+        return places.reshape(q.shape[0], -1)
 
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
         link, arms = lever_arms(rope, self.arc_lengths)

@@ -16,27 +16,21 @@ _LONGEST = 1.0  # s, an exposure or readout: no frame of a video has more time
 
 def calibrate(
     pictures: Annotated[list[Path], typer.Argument(help="Pictures of the board, or a video of it.")],
-    squares: Annotated[tuple[int, int], typer.Option(help="Number of squares of the board, to the right and down.")],
-    square: Annotated[float, typer.Option(help="Side of a square, m, measured on the print.")],
-    out: Annotated[Path, typer.Option("-o", "--output", help="TOML file for the camera.")] = Path("camera.toml"),
-    marker: Annotated[
-        float | None, typer.Option(help="Side of a marker, m, of a ChArUco board. [default: a plain chessboard]")
-    ] = None,
-    dictionary: Annotated[str, typer.Option(help="OpenCV's name of the markers' dictionary.")] = "DICT_4X4_50",
-    plane: Annotated[Path | None, typer.Option(help="Picture of the board held in the swing plane.")] = None,
-    points: Annotated[
-        Path | None, typer.Option(help="In place of --plane: CSV table x,y,u,v of 4 or more known points (m, px).")
-    ] = None,
+    squares: Annotated[tuple[int, int], "Number of squares of the board, to the right and down."],
+    square: Annotated[float, "Side of a square, m, measured on the print."],
+    out: Annotated[Path, "TOML file for the camera."] = Path("camera.toml"),
+    marker: Annotated[float | None, "Side of a marker, m, of a ChArUco board. [default: a plain chessboard]"] = None,
+    dictionary: Annotated[str, "OpenCV's name of the markers' dictionary."] = "DICT_4X4_50",
+    plane: Annotated[Path | None, "Picture of the board held in the swing plane."] = None,
+    points: Annotated[Path | None, "In place of --plane: CSV table x,y,u,v of 4 or more known points (m, px)."] = None,
     origin_pixel: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="Pixel of the arm's axis in --plane, u v. [default: the board's corner]"),
+        "Pixel of the arm's axis in --plane, u v. [default: the board's corner]",
     ] = None,
-    exposure: Annotated[float, typer.Option(help="Exposure of the videos that the camera will take, s.")] = 0.0,
-    readout: Annotated[
-        float, typer.Option(help="Readout time from the first row to the last, s; 0: global shutter.")
-    ] = 0.0,
-    readout_direction: Annotated[str, typer.Option(help="down, up, right or left, in the picture.")] = "down",
-    delay: Annotated[float, typer.Option(help="Delay of the time stamps, s.")] = 0.0,
+    exposure: Annotated[float, "Exposure of the videos that the camera will take, s."] = 0.0,
+    readout: Annotated[float, "Readout time from the first row to the last, s; 0: global shutter."] = 0.0,
+    readout_direction: Annotated[str, "down, up, right or left, in the picture."] = "down",
+    delay: Annotated[float, "Delay of the time stamps, s."] = 0.0,
 ) -> None:
     """Calibrate a camera from pictures of a board.
 

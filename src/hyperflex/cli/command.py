@@ -16,7 +16,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.options import options_of
 
 Given = dict[str, Any]  # the options of a dataclass that were given, by name
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
+Json = Annotated[bool, "Print one JSON object on standard output and nothing else there."]
 
 
 def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float | None]:
@@ -28,14 +28,14 @@ def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float |
     return check
 
 
-OutFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if it does not exist.")]
+OutFolder = Annotated[Path, "Folder to write to; made if it does not exist."]
 ArmLength = Annotated[
     float | None,
     typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
 ]
 ArcLengths = Annotated[
     list[str] | None,
-    typer.Option(help="Distance of each marker along the rope, m; several times or with commas."),
+    "Distance of each marker along the rope, m; several times or with commas.",
 ]
 
 
@@ -46,9 +46,13 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     receives an instance. One annotated ``Annotated[Given, MotorLimits]`` becomes one option for each option of that
     dataclass, and receives those that were given. With ``Annotated[Given, Problem, "clearance"]`` only the named ones.
     Options x and y become one option with the name of the argument: ``--slot X Y``.
+
+    An argument annotated with a text, ``Annotated[float, "Time of a half turn", "s"]``, becomes an option with this
+    help; with a unit, its value must be positive. The argument `out` is the option ``--output``, or ``-o``.
     """
     parameters, collect = _expanded(function)
-    parameters.append(inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json))
+    json = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json)
+    parameters.append(_option(json))
 
     @functools.wraps(function)
     def call(**values: Any) -> None:
@@ -76,10 +80,23 @@ def _expanded(function: Callable[..., Any]) -> tuple[list[inspect.Parameter], Ca
             own = [parameter for parameter, _ in options]
             makers[each.name] = functools.partial(_given, {each.name: fields for each, fields in options})
         else:
-            own = [each]
+            own = [_option(each) if isinstance(kind, str) else each]
             makers[each.name] = operator.itemgetter(each.name)
         parameters += own
     return parameters, lambda values: {name: make(values) for name, make in makers.items()}
+
+
+def _option(given: inspect.Parameter) -> inspect.Parameter:
+    """Return an argument annotated with the help of its option, and perhaps a unit, as the parser takes it."""
+    text, *unit = given.annotation.__metadata__
+    kind, words = given.annotation.__origin__, []
+    if given.name == "out":
+        words = ["--output", "-o"]
+    elif kind is bool:
+        words = [f"--{given.name.replace('_', '-')}"]
+    check = positive(*unit) if unit else None
+    info = typer.Option(*words, callback=check, help=f"{text}, {unit[0]}." if unit else text)
+    return given.replace(annotation=Annotated[kind, info])
 
 
 def _instance(kind: Callable[..., Any], collect: Callable[[Given], Given], values: Given) -> Any:
@@ -108,15 +125,10 @@ def _options(argument: str, kind: type, names: Sequence[str]) -> Iterator[tuple[
         if any(get_origin(part) is Literal for part in (hint, *get_args(hint))):
             hint = str
         option = argument if place else each.name
-        words = [f"--{option.replace('_', '-')}"] if hint is bool else []
-        annotation = (tuple[float, float] if place else hint) | None
-        parameter = inspect.Parameter(
-            option,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=None,
-            annotation=Annotated[annotation, typer.Option(*words, help=_help(each, place))],
-        )
-        yield parameter, ("x", "y") if place else (each.name,)
+        value: Any = hint if hint is bool else (tuple[float, float] if place else hint) | None
+        help_of: Any = Annotated[value, _help(each, place)]
+        made = inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=help_of)
+        yield _option(made), ("x", "y") if place else (each.name,)
 
 
 def _help(each: Field[Any], place: bool) -> str:

@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from hyperflex.cli import output
 from hyperflex.cli.output import Rows
 from hyperflex.cli.warm import compiling_ahead
@@ -17,7 +15,7 @@ _SHOWN = ("parameter", "identified", "95 % interval", "without noise", "inside")
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("demo-output"),
+    out: Annotated[Path, "Folder to write to."] = Path("demo-output"),
 ) -> None:
     """Track a filmed rope, identify it, and plan a cast of it.
 

@@ -13,8 +13,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from hyperflex import __version__
 from hyperflex.cli import output
 from hyperflex.cli.output import Rows
@@ -37,10 +35,8 @@ class Finding:
 
 
 def doctor(
-    source: Annotated[
-        int | None, typer.Option(help="Number of a camera, from 0, to take a picture with. [default: none]")
-    ] = None,
-    no_speed: Annotated[bool, typer.Option("--no-speed", help="Do not time a run.")] = False,
+    source: Annotated[int | None, "Number of a camera, from 0, to take a picture with. [default: none]"] = None,
+    no_speed: Annotated[bool, "Do not time a run."] = False,
 ) -> None:
     """Check the installation and measure its speed.
 

@@ -22,7 +22,7 @@ def export(
     ],
     out: Annotated[
         Path,
-        typer.Option("--output", "-o", help="File to write: .xml of a set-up, .toml of MJCF, .mcap of the others."),
+        "File to write: .xml of a set-up, .toml of MJCF, .mcap of the others.",
     ],
     *,
     reading: Reading,

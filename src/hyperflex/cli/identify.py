@@ -28,18 +28,14 @@ _WRITTEN = {"rope": "rope", "figures": "numbers", "page": "all results on one pa
 class Reading:
     """Options with which a recording is read."""
 
-    kind: Annotated[str | None, typer.Option(help="angles or markers.")] = None
-    time: Annotated[str, typer.Option(help="Name of the time column; of messages t or log.")] = "t"
+    kind: Annotated[str | None, "angles or markers."] = None
+    time: Annotated[str, "Name of the time column; of messages t or log."] = "t"
     declarations: Annotated[Given, Declarations]
-    noise: Annotated[float | None, typer.Option(help="Standard deviation of a sample, in its unit.")] = None
-    columns: Annotated[list[str] | None, typer.Option(help="Data columns, or joints, in order, with commas.")] = None
-    markers: Annotated[
-        list[str] | None, typer.Option(help="Markers by the file's names, from the pivot to the tip, with commas.")
-    ] = None
-    topic: Annotated[str | None, typer.Option(help="Topic of an MCAP file or a bag that holds several.")] = None
-    max_rate: Annotated[
-        float, typer.Option(help="Rate of an angle, rad/s, above which it is refused as a wrong unit.")
-    ] = FASTEST
+    noise: Annotated[float | None, "Standard deviation of a sample, in its unit."] = None
+    columns: Annotated[list[str] | None, "Data columns, or joints, in order, with commas."] = None
+    markers: Annotated[list[str] | None, "Markers by the file's names, from the pivot to the tip, with commas."] = None
+    topic: Annotated[str | None, "Topic of an MCAP file or a bag that holds several."] = None
+    max_rate: Annotated[float, "Rate of an angle, rad/s, above which it is refused as a wrong unit."] = FASTEST
     start: Annotated[float, typer.Option(help="Omit samples before this time, s.", show_default="all")] = -math.inf
     end: Annotated[float, typer.Option(help="Omit samples from this time on, s.", show_default="all")] = math.inf
 
@@ -56,19 +52,19 @@ class Torque:
 
     torque: Annotated[
         list[str] | None,
-        typer.Option(help="Columns of motor torques, N m (or currents), that drive the joints; with commas."),
+        "Columns of motor torques, N m (or currents), that drive the joints; with commas.",
     ] = None
     torque_joints: Annotated[
         list[str] | None,
-        typer.Option(help="Joint of each: 0 that the rope hangs from, 1 the next, ... [default: the first ones]"),
+        "Joint of each: 0 that the rope hangs from, 1 the next, ... [default: the first ones]",
     ] = None
     torque_constant: Annotated[
         list[str] | None,
-        typer.Option(help="Torque over the column: 1 for N m; of a current its torque constant, N m/A. [default: 1]"),
+        "Torque over the column: 1 for N m; of a current its torque constant, N m/A. [default: 1]",
     ] = None
     torque_noise: Annotated[
         float | None,
-        typer.Option(help="Standard deviation of the torque of an arm whose motion is prescribed, in its unit."),
+        "Standard deviation of the torque of an arm whose motion is prescribed, in its unit.",
     ] = None
 
     def read(self, path: Path, reading: Reading) -> dict[str, Any]:
@@ -94,24 +90,22 @@ class Torque:
 
 def identify(
     recording: Annotated[Path, typer.Argument(help="CSV, NetCDF, MCAP, .mat file or ROS 2 bag of angles or markers.")],
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope to begin with: the first guess.")],
+    rope: Annotated[Path, "TOML file with the rope to begin with: the first guess."],
     out: Annotated[
         Path,
-        typer.Option("--output", "-o", help="Folder for rope.toml, identification.json and report.html, or one .toml."),
+        "Folder for rope.toml, identification.json and report.html, or one .toml.",
     ],
     free: Annotated[
         list[str] | None,
-        typer.Option(help="What to identify; several times or with commas. [default: what the recording determines]"),
+        "What to identify; several times or with commas. [default: what the recording determines]",
     ] = None,
     arc_lengths: ArcLengths = None,
     origin: Annotated[
         tuple[float, float] | None,
-        typer.Option(
-            help="Position of the first joint (of an arm: its shaft) in the camera's frame, x y, m. [default: fitted]"
-        ),
+        "Position of the first joint (of an arm: its shaft) in the camera's frame, x y, m. [default: fitted]",
     ] = None,
     setup: Annotated[
-        Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm drive the rope.")
+        Path | None, "TOML file of a set-up (as for simulate) whose motion and arm drive the rope."
     ] = None,
     *,
     reading: Reading,
@@ -119,7 +113,7 @@ def identify(
     fit: Annotated[Given, FitOptions],
     time_budget: Annotated[
         float | None,
-        typer.Option(help="Time for the fit, s; then the best so far is written. inf: no limit. [default: 1800]"),
+        "Time for the fit, s; then the best so far is written. inf: no limit. [default: 1800]",
     ] = None,
 ) -> None:
     """Identify a rope from a recording.

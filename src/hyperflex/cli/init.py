@@ -92,9 +92,7 @@ def init(
     ),
     *,
     given: Annotated[Given, Answers],
-    peg: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="A round peg: X Y RADIUS, m. [default: none]")
-    ] = None,
+    peg: Annotated[tuple[float, float, float] | None, "A round peg: X Y RADIUS, m. [default: none]"] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: use defaults for missing options.")] = False,
 ) -> None:
     """Write a set-up file with comments, to be edited and simulated.

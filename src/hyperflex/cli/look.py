@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 
 def look(
     file: Annotated[Path, typer.Argument(help="Recording of any format: of a motion tracker, a logger or a program.")],
-    out: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Picture of the recording to write, .png. [default: none]")
-    ] = None,
+    out: Annotated[Path | None, "Picture of the recording to write, .png. [default: none]"] = None,
 ) -> None:
     """Show what a recording contains, and how to read it.
 

@@ -25,12 +25,10 @@ Address = Annotated[
     str,
     typer.Option("--motor", help="Make and port, such as moteus:/dev/ttyACM0, or emulator:moteus.", show_default=False),
 ]
-ZeroFile = Annotated[
-    Path | None, typer.Option("--zero", help="File of hyperflex motor zero; a real motor that is to move needs it.")
-]
-Yes = Annotated[bool, typer.Option("--yes", help="Do not wait for Enter before the arm of a real motor moves.")]
+ZeroFile = Annotated[Path | None, "File of hyperflex motor zero; a real motor that is to move needs it."]
+Yes = Annotated[bool, "Do not wait for Enter before the arm of a real motor moves."]
 
-ClearFault = Annotated[bool, typer.Option("--clear-fault", help="Clear a fault of the device at the start.")]
+ClearFault = Annotated[bool, "Clear a fault of the device at the start."]
 
 
 def check(
@@ -38,18 +36,16 @@ def check(
         list[Path] | None, typer.Argument(help="Files of plans (cast.toml, ...) that the motor is to carry out.")
     ] = None,
     *,
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope that hangs from the arm.")],
-    motor: Annotated[str | None, typer.Option(help="Name in the catalogue, such as XC330-M181.")] = None,
-    rpm: Annotated[
-        float | None, typer.Option(callback=positive("rev/min"), help="Speed without load, rev/min.")
-    ] = None,
-    torque: Annotated[float | None, typer.Option(callback=positive("N m"), help="Torque at rest (stall), N m.")] = None,
+    rope: Annotated[Path, "TOML file with the rope that hangs from the arm."],
+    motor: Annotated[str | None, "Name in the catalogue, such as XC330-M181."] = None,
+    rpm: Annotated[float | None, "Speed without load", "rev/min"] = None,
+    torque: Annotated[float | None, "Torque at rest (stall)", "N m"] = None,
     voltage: Annotated[
         float | None,
         typer.Option(callback=positive("V"), help="Voltage of your supply, V. [default: the data sheet's]"),
     ] = None,
     arm_length: ArmLength = None,
-    move_time: Annotated[float, typer.Option(callback=positive("s"), help="Time of a half turn, s.")] = 0.5,
+    move_time: Annotated[float, "Time of a half turn", "s"] = 0.5,
 ) -> None:
     """Check whether a motor is fast and strong enough, before anything is planned.
 
@@ -115,16 +111,13 @@ def identify(
     limits: Annotated[Given, MotorLimits],
     stroke: Annotated[
         float,
-        typer.Option(
-            callback=positive("rad"), help="Size of the fast strokes; large ones show the limit of speed, rad."
-        ),
+        "Size of the fast strokes; large ones show the limit of speed",
+        "rad",
     ] = 0.3,
-    picture: Annotated[Path | None, typer.Option(help="Picture of the test motion to write, .png.")] = None,
+    picture: Annotated[Path | None, "Picture of the test motion to write, .png."] = None,
     yes: Yes = False,
     clear_fault: ClearFault = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print what would be done; open and move nothing.")
-    ] = False,
+    dry_run: Annotated[bool, "Print what would be done; open and move nothing."] = False,
 ) -> None:
     """Make a small test motion and identify lag, limits, friction, inertia and backlash of a drive.
 
@@ -189,12 +182,10 @@ def zero(
     motor: Address,
     *,
     out: Annotated[Path, typer.Option("--output", "--out", "-o", help="File for the zero, .toml.")],
-    angle: Annotated[float, typer.Option(help="Angle at which the arm is now, rad; 0 hangs down.")] = 0.0,
+    angle: Annotated[float, "Angle at which the arm is now, rad; 0 hangs down."] = 0.0,
     direction: Annotated[
         int | None,
-        typer.Option(
-            help="-1 if the device's angle grows clockwise, else 1. [default: found by a quarter turn by hand]"
-        ),
+        "-1 if the device's angle grows clockwise, else 1. [default: found by a quarter turn by hand]",
     ] = None,
     clear_fault: ClearFault = False,
 ) -> None:

@@ -80,13 +80,11 @@ class Source:
         Path | None,
         typer.Argument(help="TOML file with [rope], [arm], [limits] and the target; options override it."),
     ] = None
-    rope: Annotated[
-        Path | None, typer.Option(help="TOML file with the rope, such as identify writes; overrides [rope].")
-    ] = None
+    rope: Annotated[Path | None, "TOML file with the rope, such as identify writes; overrides [rope]."] = None
     arm_length: ArmLength = None
     drive: Annotated[
         Path | None,
-        typer.Option(help="File of hyperflex motor identify: its lag counts with --robust, its limits always."),
+        "File of hyperflex motor identify: its lag counts with --robust, its limits always.",
     ] = None
     limits: Annotated[Given, MotorLimits]
 
@@ -272,11 +270,8 @@ def cast(
     criteria: Winding,
     robust: Annotated[
         bool,
-        typer.Option(
-            "--robust",
-            help="Plan for uncertain rope, target and motor, and print the success probability. The covariance is that "
-            "in the rope's file, else that of a usual identification.",
-        ),
+        "Plan for uncertain rope, target and motor, and print the success probability. The covariance is that "
+        "in the rope's file, else that of a usual identification.",
     ] = False,
     search: Annotated[Given, SearchOptions, "fallback"],
     time_budget: TimeBudget = 60.0,
@@ -398,7 +393,7 @@ def reach_map(
     criteria: Winding,
     conditions: Annotated[Given, Conditions, "clearance"],
     search: Annotated[Given, SearchOptions, "seed"],
-    time_budget: Annotated[float, typer.Option(callback=positive("s"), help="Time for each target, s.")] = 10.0,
+    time_budget: Annotated[float, "Time for each target", "s"] = 10.0,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")] = 1,
 ) -> None:
     """Map the targets round which a rope can be wound.

@@ -12,9 +12,7 @@ from hyperflex.cli.output import Rows
 
 def reproduce(
     figures: Annotated[list[str], typer.Argument(help="table1, table2, fig3, fig5, fig6, fig8 to fig13, or all.")],
-    out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if it does not exist.")] = Path(
-        "paper"
-    ),
+    out: Annotated[Path, "Folder to write to; made if it does not exist."] = Path("paper"),
 ) -> None:
     """Reproduce the paper's figures and check its claims.
 

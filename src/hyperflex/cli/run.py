@@ -35,18 +35,14 @@ class Sight:
 
     camera: Annotated[
         str | None,
-        typer.Option(
-            help="Number of a camera (0 is the first) or a stream (rtsp://...) that sees the rope. With an emulated "
-            "motor: emulated, for rendered pictures."
-        ),
+        "Number of a camera (0 is the first) or a stream (rtsp://...) that sees the rope. With an emulated "
+        "motor: emulated, for rendered pictures.",
     ] = None
-    calibration: Annotated[
-        Path | None, typer.Option(help="TOML file of the calibrated camera, with the swing plane (calibrate).")
-    ] = None
+    calibration: Annotated[Path | None, "TOML file of the calibrated camera, with the swing plane (calibrate)."] = None
     arc_lengths: ArcLengths = None
     click: Annotated[
         list[str] | None,
-        typer.Option(help="Pixel u,v of a marker. [default: the colour that most small things share]"),
+        "Pixel u,v of a marker. [default: the colour that most small things share]",
     ] = None
 
     @property
@@ -103,30 +99,26 @@ def run(
     ],
     zero: ZeroFile = None,
     drive: Annotated[
-        Path | None, typer.Option(help="File of hyperflex motor identify: its limits count, and its lag without --lag.")
+        Path | None, "File of hyperflex motor identify: its limits count, and its lag without --lag."
     ] = None,
     torque: Annotated[
         float | None,
         typer.Option(callback=positive("N m"), help="Limit of torque, N m; a real motor needs one."),
     ] = None,
-    max_deviation: Annotated[
-        float, typer.Option(callback=positive("rad"), help="Angle between arm and goal that stops a run, rad.")
-    ] = 0.3,
-    follow: Annotated[bool, typer.Option("--follow", help="Correct the moves while the rope swings.")] = False,
-    decision_time: Annotated[float, typer.Option(help="Time for such a correction, s.")] = 0.3,
+    max_deviation: Annotated[float, "Angle between arm and goal that stops a run", "rad"] = 0.3,
+    follow: Annotated[bool, "Correct the moves while the rope swings."] = False,
+    decision_time: Annotated[float, "Time for such a correction, s."] = 0.3,
     repeat: Annotated[
         int | None,
         typer.Option(help="Casts at most. [default: 10 with --learn, else 1]", min=1, max=100),
     ] = None,
-    learn: Annotated[
-        bool, typer.Option("--learn", help="Learn from each cast; stop when the rope winds three times running.")
-    ] = False,
+    learn: Annotated[bool, "Learn from each cast; stop when the rope winds three times running."] = False,
     sight: Sight,
     page: Annotated[
         int | None, typer.Option(help="Show the run in a browser at this port; 0 for any.", min=0, max=65535)
     ] = None,
     yes: Yes = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the plan; connect nothing.")] = False,
+    dry_run: Annotated[bool, "Check the plan; connect nothing."] = False,
 ) -> None:
     """Carry out a planned cast on a drive, and report whether the rope is wound.
 

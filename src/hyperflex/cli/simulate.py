@@ -24,27 +24,23 @@ _WATCH = 2.0  # s, over which a rope's slip on a peg is measured
 
 def simulate(
     setup: Annotated[Path, typer.Argument(help="TOML file with rope, arm, motion and duration.")],
-    out: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write, .nc.")],
-    duration: Annotated[float | None, typer.Option(help="Simulated time, s. [default: the file's, else 10]")] = None,
+    out: Annotated[Path, "NetCDF file to write, .nc."],
+    duration: Annotated[float | None, "Simulated time, s. [default: the file's, else 10]"] = None,
     horizon: Annotated[
         float | None,
-        typer.Option(help="Error up to which the run counts as predictable, m. [default: 1 % of the rope's length]"),
+        "Error up to which the run counts as predictable, m. [default: 1 % of the rope's length]",
     ] = None,
-    tug: Annotated[
-        bool, typer.Option("--tug", help="Pull at a rope that lies on a peg at the end, and report its holding force.")
-    ] = False,
+    tug: Annotated[bool, "Pull at a rope that lies on a peg at the end, and report its holding force."] = False,
     tilt: Annotated[
         float | None,
-        typer.Option(help="Angle of the rope out of the plane at the start, rad: report how far to the side it is."),
+        "Angle of the rope out of the plane at the start, rad: report how far to the side it is.",
     ] = None,
     extrapolate: Annotated[
         bool,
-        typer.Option(
-            "--extrapolate", help="Also estimate the limit of many short links and its error, in free flight."
-        ),
+        "Also estimate the limit of many short links and its error, in free flight.",
     ] = False,
     time_budget: Annotated[
-        float | None, typer.Option(help="Time for the run, s, without compiling; inf: no limit. [default: 1800]")
+        float | None, "Time for the run, s, without compiling; inf: no limit. [default: 1800]"
     ] = None,
 ) -> None:
     """Simulate a set-up and write the motion to NetCDF.

@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 
 from hyperflex.cli import output
-from hyperflex.cli.command import ArmLength, Given, check_destination, positive
+from hyperflex.cli.command import ArmLength, Given, check_destination
 from hyperflex.cli.output import Rows
 from hyperflex.control import VibrationPosture
 from hyperflex.errors import InvalidInput
@@ -15,32 +14,20 @@ from hyperflex.model import Arm, MotorLimits, Rope
 
 
 def vibrate(
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope.")],
+    rope: Annotated[Path, "TOML file with the rope."],
     *,
-    tilt: Annotated[
-        float | None, typer.Option(help="Tilt to hold, rad: 0 hangs, 1.57 is horizontal, 3.14 is upright.")
-    ] = None,
-    stiffness: Annotated[
-        float | None, typer.Option(callback=positive("N/m"), help="Required stiffness of the tip, N/m.")
-    ] = None,
+    tilt: Annotated[float | None, "Tilt to hold, rad: 0 hangs, 1.57 is horizontal, 3.14 is upright."] = None,
+    stiffness: Annotated[float | None, "Required stiffness of the tip", "N/m"] = None,
     push: Annotated[
         float | None,
-        typer.Option(help="Direction of the stiffness, rad, as a link's angle. [default: across the tilt]"),
+        "Direction of the stiffness, rad, as a link's angle. [default: across the tilt]",
     ] = None,
-    amplitude: Annotated[
-        float | None, typer.Option(callback=positive("m"), help="Amplitude of the rope's first joint, m.")
-    ] = None,
-    frequency: Annotated[
-        float | None, typer.Option(callback=positive("Hz"), help="Frequency of the vibration, Hz.")
-    ] = None,
-    direction: Annotated[
-        float | None, typer.Option(help="Line of the vibration, rad: 0 is vertical, 1.57 horizontal.")
-    ] = None,
+    amplitude: Annotated[float | None, "Amplitude of the rope's first joint", "m"] = None,
+    frequency: Annotated[float | None, "Frequency of the vibration", "Hz"] = None,
+    direction: Annotated[float | None, "Line of the vibration, rad: 0 is vertical, 1.57 horizontal."] = None,
     arm_length: ArmLength = None,
     limits: Annotated[Given, MotorLimits],
-    out: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Picture of tilt over amplitude and frequency, .png.")
-    ] = None,
+    out: Annotated[Path | None, "Picture of tilt over amplitude and frequency, .png."] = None,
 ) -> None:
     """Hold a rope at a tilt against gravity by vibrating the arm, or list the postures of a vibration.
 

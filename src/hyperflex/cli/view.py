@@ -24,25 +24,23 @@ _OPTIONS = {  # that apply, by what is written
 Run = Annotated[
     Path, typer.Argument(help="NetCDF file of a run, such as simulate, cast and whip write.", metavar="RUN.nc")
 ]
-Start = Annotated[float | None, typer.Option(help="First time to show, s. [default: the run's]")]
-End = Annotated[float | None, typer.Option(help="Last time to show, s. [default: the run's]")]
-Title = Annotated[str | None, typer.Option(help="Title of the drawing. [default: the file's name]")]
-NoOpen = Annotated[bool, typer.Option("--no-open", help="Open no browser.")]
+Start = Annotated[float | None, "First time to show, s. [default: the run's]"]
+End = Annotated[float | None, "Last time to show, s. [default: the run's]"]
+Title = Annotated[str | None, "Title of the drawing. [default: the file's name]"]
+NoOpen = Annotated[bool, "Open no browser."]
 
 
 def plot(
     run: Run,
-    out: Annotated[Path, typer.Option("--output", "-o", help="File to write: .png, .gif, .mp4, .html or .csv.")],
+    out: Annotated[Path, "File to write: .png, .gif, .mp4, .html or .csv."],
     kind: Annotated[
         str | None,
-        typer.Option(help="What a .png shows: strobe (many instants) or course (curves over time). [default: strobe]"),
+        "What a .png shows: strobe (many instants) or course (curves over time). [default: strobe]",
     ] = None,
     start: Start = None,
     end: End = None,
-    speed: Annotated[
-        float | None, typer.Option(help="Simulated seconds in a second of a film or page. [default: 1.0]")
-    ] = None,
-    width: Annotated[int | None, typer.Option(help="Width of a film, pixels. [default: 640]")] = None,
+    speed: Annotated[float | None, "Simulated seconds in a second of a film or page. [default: 1.0]"] = None,
+    width: Annotated[int | None, "Width of a film, pixels. [default: 640]"] = None,
     title: Title = None,
 ) -> None:
     """Draw a saved run as a picture, film, page or table.
@@ -82,9 +80,7 @@ def plot(
 
 def view(
     run: Run,
-    out: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write, .html. [default: in a temporary folder]")
-    ] = None,
+    out: Annotated[Path | None, "File to write, .html. [default: in a temporary folder]"] = None,
     start: Start = None,
     end: End = None,
     title: Title = None,
@@ -131,10 +127,10 @@ def play(
     folder: Annotated[
         Path, typer.Option("--folder", "-f", help="Folder that the page may read and write; no other.")
     ] = Path(),
-    port: Annotated[int, typer.Option(help="Port of the page; 0: any free one.")] = 0,
-    host: Annotated[str, typer.Option(help="Address to listen at; by default this machine alone.")] = "127.0.0.1",
+    port: Annotated[int, "Port of the page; 0: any free one."] = 0,
+    host: Annotated[str, "Address to listen at; by default this machine alone."] = "127.0.0.1",
     allow: Annotated[
-        list[str] | None, typer.Option(help="A further host:port that browsers may use, several times; others get 403.")
+        list[str] | None, "A further host:port that browsers may use, several times; others get 403."
     ] = None,
     no_open: NoOpen = False,
 ) -> None:

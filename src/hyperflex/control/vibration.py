@@ -127,7 +127,7 @@ class VibrationPosture:
         Its inverse is the stiffness; along a straight rope the compliance is 0.
         """
         jacobian = (self.rope.length[:, None] * unit_across(self.q)).T
-        return np.asarray(jacobian @ np.linalg.solve(self.hessian, jacobian.T))
+        return jacobian @ np.linalg.solve(self.hessian, jacobian.T)
 
     def stiffness(self, direction: float) -> float:
         """Stiffness of the tip, N/m, in a `direction`, rad, as the angle of a link; inf along a straight rope."""

@@ -51,7 +51,7 @@ class AccelerationActuator(Actuator):
         room = middle - self.limits.angles[0], self.limits.angles[1] - middle
         low, high = (np.sqrt(half**2 + 2.0 * most * np.maximum(way, 0.0)) - half for way in room)
         given = np.clip(wanted, (-np.minimum(low, speed) - rate) / dt, (np.minimum(high, speed) - rate) / dt)
-        return np.asarray(np.clip(given, -most, most))
+        return np.clip(given, -most, most)
 
 
 class TimingActuator(Actuator):
@@ -78,7 +78,7 @@ class TimingActuator(Actuator):
         self.remaining[starts] = 2 * self.half
         sign = np.where(self.remaining > self.half, self._sense, np.where(self.remaining > 0, -self._sense, 0.0))
         self.remaining = np.maximum(self.remaining - 1, 0)
-        return np.asarray(math.pi / (self.half * self.dt) ** 2 * sign)
+        return math.pi / (self.half * self.dt) ** 2 * sign
 
 
 ACTUATORS: dict[str, type[Actuator]] = {"acceleration": AccelerationActuator, "timing": TimingActuator}

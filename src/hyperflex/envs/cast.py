@@ -75,7 +75,7 @@ class CastVectorEnv(RopeVectorEnv):
     @property
     def _held(self) -> Flags:
         """Whether members have been wound for 1 s (M,)."""
-        return np.asarray(self._wound > 1.0 - 0.5 * self.dt)
+        return self._wound > 1.0 - 0.5 * self.dt
 
 
 class CastEnv(RopeEnv):

@@ -342,7 +342,7 @@ def _wait_until_still(
 
 def _turned(angles: Array) -> Array:
     """Return angles less their whole turns, which a picture does not show, from -pi to pi, rad."""
-    return np.asarray((angles + math.pi) % math.tau - math.pi)
+    return (angles + math.pi) % math.tau - math.pi
 
 
 def _compare_weight(log: StreamLog, problem: Problem, doubt: Callable[[str], object]) -> None:

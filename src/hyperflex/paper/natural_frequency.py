@@ -23,7 +23,7 @@ def cylinder_inertia(rope: Rope) -> Array:
     ----------
     rope : Rope
     """
-    return np.asarray(rope.mass * (3.0 * rope.radius**2 + rope.length**2) / 12.0)
+    return rope.mass * (3.0 * rope.radius**2 + rope.length**2) / 12.0
 
 
 def natural_frequency_inertia(rope: Rope, period: float) -> float:

@@ -104,7 +104,7 @@ def _frame_times(run: Trajectory, first: float, last: float, rate: float | None)
     if rate is None:
         rate = min(FRAME_RATE, MOST_FRAMES / (last - first))
         if samples.size <= MOST_FRAMES + 1 and np.diff(samples, prepend=first, append=last).max() < 1.001 / rate:
-            return np.asarray(samples)
+            return samples
     return np.linspace(first, last, max(round((last - first) * rate), 1) + 1)
 
 
