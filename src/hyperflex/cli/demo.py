@@ -57,7 +57,7 @@ def demo(
         TextTable(_SHOWN, tuple(tuple(row[k] for k in shown) for row in table.rows)),
         Rows("Everything here is simulated", rows),
         *(sentence for _, sentence in found.verdicts),
-        Rows("Written", [(text, str(found.files[kind])) for kind, text in files.items() if kind in found.files]),
+        Rows("Written", [(text, found.files[kind]) for kind, text in files.items() if kind in found.files]),
     )
 
 

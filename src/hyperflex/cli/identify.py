@@ -168,7 +168,7 @@ def identify(
     output.show(
         summary | {"files": written},
         *_blocks(result, str(written.get("page", "the folder"))),
-        Rows("Written", [(_WRITTEN[kind], str(path)) for kind, path in written.items()]),
+        Rows("Written", [(_WRITTEN[kind], path) for kind, path in written.items()]),
         interrupted=f"Interrupted; the best so far is in {out}, marked as interrupted." if stopped else "",
         code=unusable if result.converged and result.ended is None else output.ExitCode.NOT_CONVERGED,
     )

@@ -213,10 +213,10 @@ def zero(
     result = {"motor": name, "raw_angle": raw, "direction": way, "angle": angle, "files": {"zero": out}}
     shown = [
         ("raw angle of the zero", f"{raw:.4f} rad"),
-        ("direction", str(way)),
+        ("direction", way),
         ("the arm is at", f"{angle:.4f} rad"),
     ]
-    output.show(result, Rows(f"Zero of {name}", [*shown, ("written", str(out))]))
+    output.show(result, Rows(f"Zero of {name}", [*shown, ("written", out)]))
 
 
 def _direction(drive: "Drive", emulated: bool) -> int:

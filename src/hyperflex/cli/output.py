@@ -38,7 +38,7 @@ class Rows(NamedTuple):
     """Named values below a title."""
 
     title: str
-    rows: Sequence[tuple[str, str]]
+    rows: Sequence[tuple[str, object]]
 
 
 Block: TypeAlias = "str | Rows | TextTable"

@@ -257,7 +257,7 @@ class Task(Source):
             {**result, "files": written},
             Rows(f"{report.name.capitalize()} (simulated)", report.tiles),
             "\n".join(filter(None, (report.verdict, report.warning, *notes, *report.advice))),
-            Rows("Written", [(text, str(written[kind])) for kind, text in _WRITTEN.items() if kind in written]),
+            Rows("Written", [(text, written[kind]) for kind, text in _WRITTEN.items() if kind in written]),
             interrupted=stopped if plan.interrupted else "",
             code=0 if plan.success else output.ExitCode.NO_PLAN,
         )

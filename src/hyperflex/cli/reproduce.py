@@ -39,6 +39,6 @@ def reproduce(
     output.show(
         {"files": list(result.files), "claims": claims},
         claims_table(result.claims, short=True),
-        Rows("Written", [(path.name, str(path)) for path in result.files]),
+        Rows("Written", [(path.name, path) for path in result.files]),
         "\n".join(verdicts(result.claims)),
     )

@@ -20,7 +20,7 @@ from hyperflex.execution import RunOptions
 
 if TYPE_CHECKING:
     from hyperflex.estimate import TrackingTask
-    from hyperflex.execution import CastRun, ClockedSource, LearningResult
+    from hyperflex.execution import CastRun, ClockedSource
     from hyperflex.hardware import DriveZero
     from hyperflex.model import MotorLimits
     from hyperflex.planning import CastPlan
@@ -337,7 +337,9 @@ def _carry_out(
         if learned.attempts:
             out.mkdir(parents=True, exist_ok=True)
             written["learned plan"] = out / "learned.toml"
-            _learned_plan(plan, learned).to_toml(written["learned plan"])
+            known: Given = {"problem": learned.problem, "moves": learned.moves, "message": learned.message}
+            known |= dict.fromkeys(("outcome", "finer_outcome", "success_probability"))  # no run verifies it
+            replace(plan, **known).to_toml(written["learned plan"])
             hint = [f"The learned plan is run with --lag {learned.lag:.4g}"]
     else:
 
@@ -356,27 +358,14 @@ def _carry_out(
     told = message or "The rope is wound."
     ended = "; nothing moved" if not runs else f": {told.removeprefix('interrupted: ')}"
     output.show(
-        {**result, "success": good, "files": {name: str(path) for name, path in written.items()}},
+        {**result, "success": good, "files": written},
         *([Rows(title, _figures(runs[-1]))] if runs else []),
         *([] if stopped else [told]),
         *lines,
         *hint,
-        *([Rows("Written", [(name, str(path)) for name, path in written.items()])] if written else []),
+        *([Rows("Written", list(written.items()))] if written else []),
         interrupted=f"Interrupted{ended}" if stopped else "",
         code=0 if good else output.ExitCode.NO_PLAN,
-    )
-
-
-def _learned_plan(plan: "CastPlan", learned: "LearningResult") -> "CastPlan":
-    """Return a plan of the motion and the rope that were learned; no simulated run verifies it."""
-    return replace(
-        plan,
-        problem=learned.problem,
-        moves=learned.moves,
-        message=learned.message,
-        outcome=None,
-        finer_outcome=None,
-        success_probability=None,
     )
 
 
