@@ -22,6 +22,8 @@ import numpy.typing as npt
 from hyperflex.errors import InvalidInput
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Integers = npt.NDArray[np.int64]
 Sign = Literal["any", "positive", "nonnegative"]
 T = TypeVar("T")
 _derived = ContextVar("_derived", default=False)

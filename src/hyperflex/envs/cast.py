@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
-from hyperflex.envs.vector import Flags, RopeEnv, RopeVectorEnv
+from hyperflex.checks import Array, Flags
+from hyperflex.envs.vector import RopeEnv, RopeVectorEnv
 from hyperflex.envs.worlds import PegWorld
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg

@@ -8,10 +8,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 
 Policy = Callable[[Array], Any]
@@ -32,7 +31,7 @@ class Scores:
     """
 
     returns: Array
-    successes: npt.NDArray[np.bool_]
+    successes: Flags
 
     @property
     def mean(self) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput, MissingPackage
 
 
@@ -47,7 +47,7 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
         def step_async(self, actions: npt.NDArray[np.generic]) -> None:
             self._actions = actions
 
-        def step_wait(self) -> tuple[Array, Array, npt.NDArray[np.bool_], list[dict[str, Any]]]:
+        def step_wait(self) -> tuple[Array, Array, Flags, list[dict[str, Any]]]:
             seen, rewards, terminated, truncated, info = envs.step(self._actions)
             ended, infos = terminated | truncated, _each(info, envs.num_envs)
             final = _each(info.get("final_info", {}), envs.num_envs)

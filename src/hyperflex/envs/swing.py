@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.checks import Array
-from hyperflex.envs.vector import Flags, RopeEnv, RopeVectorEnv
+from hyperflex.checks import Array, Flags
+from hyperflex.envs.vector import RopeEnv, RopeVectorEnv
 from hyperflex.envs.worlds import FreeWorld
 
 

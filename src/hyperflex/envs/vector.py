@@ -15,14 +15,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.envs.actuators import ACTUATORS, QUARTER
 from hyperflex.envs.worlds import World
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import MotorLimits, Problem, Uncertainty, scaled_rope
 
-Flags = npt.NDArray[np.bool_]
 NOWHERE = Peg(1.0, 0.0, 0.05)  # placeholder where an environment has no target
 FACTORS = ("length", "mass", "friction")  # of the rope, that a mismatch and a randomization name
 RATE = 10.0  # rad/s, the unit of rates in an observation: makes numbers of about 1

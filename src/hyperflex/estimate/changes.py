@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import log_ndtr
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.noise import NoiseLevel
@@ -185,7 +184,7 @@ class Bank:
             for each in (self.score, self.information)
         )
 
-    def keep(self, kept: npt.NDArray[np.bool_]) -> None:
+    def keep(self, kept: Flags) -> None:
         """Drop the other moments."""
         self.moments, self.effects = self.moments[kept], self.effects[:, kept]
         self.score, self.information = self.score[:, kept], self.information[:, kept]
@@ -379,7 +378,7 @@ class ChangeDetector:
         begun[column] = 1.0
         return begun, rows.T + np.outer(begun, effects[column])
 
-    def _kept_moments(self, t: float) -> npt.NDArray[np.bool_]:
+    def _kept_moments(self, t: float) -> Flags:
         """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
         moments = self.jumps.moments
         age = t - moments

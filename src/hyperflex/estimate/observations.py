@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.parameters import BASE_KINDS, PLANE_KINDS, ParameterStates
 from hyperflex.model import Rope, unit_across, unit_along
@@ -82,7 +82,7 @@ class Observations:
         vars(self).update(t=time, places=found, covariances=wide, rows=late)
 
     @property
-    def seen(self) -> npt.NDArray[np.bool_]:
+    def seen(self) -> Flags:
         """Which markers were seen (K,)."""
         return ~np.isnan(self.places[:, 0])
 
@@ -109,12 +109,12 @@ class InputFrame:
     """
 
     seen: Observations
-    used: npt.NDArray[np.bool_]
+    used: Flags
     level: float
     noise: Array = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
-    def whitening(self) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def whitening(self) -> tuple[Array, Flags]:
         """As of :func:`whitening`, of the places used and with the level of the noise."""
         axes, measured = whitening(self.seen.covariances[self.used])
         return axes / self.level, measured
@@ -132,7 +132,7 @@ class InputFrame:
         return off[measured, 0], (axes @ slope[self.used])[measured]
 
 
-def whitening(covariances: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def whitening(covariances: Array) -> tuple[Array, Flags]:
     """Return matrices (k, 2, 2) whose rows are orthogonal and give differences of places a covariance of 1.
 
     Also returns which of the rows (k, 2) are of directions that are measured. `covariances` are (k, 2, 2).
@@ -193,7 +193,7 @@ class MarkerModel:
         """Whether rows may be read one after the other."""
         return bool(self.readout) or "readout" in self.parameters.names
 
-    def possible(self, places: Array, base: Array) -> npt.NDArray[np.bool_]:
+    def possible(self, places: Array, base: Array) -> Flags:
         """Return which places (K, 2) may be markers' (K,): in metres, those that are not far away."""
         if self.camera is not None:
             return np.ones(len(places), dtype=bool)

@@ -12,10 +12,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg.lapack import dgeqrf, dpstrf, dtrtrs
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
@@ -42,7 +41,7 @@ def without_lower(rows: Array) -> Array:
 
 
 @lru_cache(32)
-def _above(m: int, n: int) -> npt.NDArray[np.bool_]:
+def _above(m: int, n: int) -> Flags:
     return np.triu(np.ones((m, n), dtype=bool))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags, Integers
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, Peg, checked_obstacles
@@ -17,7 +17,7 @@ from hyperflex.model.rope import MOST_LINKS, Rope, bend_limits, bend_ratios
 MIDDLE = 1e-9  # part of its length by which a uniform link's centre of mass may be off its middle
 
 
-def uniform(rope: Rope) -> npt.NDArray[np.bool_]:
+def uniform(rope: Rope) -> Flags:
     """Return which links (n,) have their centre of mass in their middle."""
     return np.abs(rope.com - 0.5 * rope.length) <= MIDDLE * rope.length
 
@@ -127,7 +127,7 @@ def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
     return rope.replace(**links, **_joints(rope, links["length"]))
 
 
-def _refuse_uneven(rope: Rope, cut: npt.NDArray[np.bool_]) -> None:
+def _refuse_uneven(rope: Rope, cut: Flags) -> None:
     """Refuse links to be cut (n,) that are not uniform."""
     uneven = cut & ~uniform(rope)
     if uneven.any():
@@ -194,7 +194,7 @@ def with_links(rope: Rope, n_links: int) -> Rope:
     return rope.replace(length=length, mass=total, com=com, inertia=inertia, **alike, **_joints(rope, length))
 
 
-def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> npt.NDArray[np.int64]:
+def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Integers:
     """Return the number of pieces (n,) of each link in :func:`refine_rope`; ``np.repeat(q0, cuts(...))``: angles."""
     ratio = checks.number("ratio", ratio, sign="positive")
     rope, pegs = checks.instance("rope", rope, Rope), checked_obstacles(pegs)

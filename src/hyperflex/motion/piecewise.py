@@ -11,7 +11,7 @@ from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
 from hyperflex.errors import InvalidInput
 
@@ -50,7 +50,7 @@ class Motion:
 
     breaks: Array
     coef: Array
-    switch: npt.NDArray[np.bool_]
+    switch: Flags
     loop: int = -1
     spec: Mapping[str, Any] = field(default_factory=dict)
 
@@ -214,7 +214,7 @@ class Motion:
             len(coef) - len(self.coef) + self.loop - keep if again else -1,
         )
 
-    def _unrolled(self, until: float) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    def _unrolled(self, until: float) -> tuple[Array, Array, Flags]:
         """Breaks, coefficients and switches that reach beyond `until`, cycles and standing still written out."""
         breaks, coef, switch = self.breaks, self.coef, self.switch
         if breaks[-1] > until:

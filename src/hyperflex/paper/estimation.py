@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker
 from hyperflex.model import divided
 from hyperflex.paper.casting import cable
@@ -180,7 +180,7 @@ class Followed:
         return self.seen.truth.stamps
 
     @property
-    def captured(self) -> npt.NDArray[np.bool_]:
+    def captured(self) -> Flags:
         """Which visible markers were found, and are what they were taken for (T, K)."""
         truth = self.seen.truth
         apart = np.linalg.norm(truth.places[:, None, :, :2] - self.places[:, :, None], axis=3)

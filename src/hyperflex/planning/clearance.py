@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.core.batch import proximity
 from hyperflex.model import Arm, Obstacle, Peg, Rope, named, obstacle_gaps
 from hyperflex.trajectory import Trajectory, interpolated
@@ -17,7 +16,7 @@ FASTER = 1.5  # times its speeds at two samples that a link may move in between
 # Links that begin so near the arm's tip do not count for the arm, from which they hang: radii of rope and arm, and
 # lengths of the arm
 RADII, LENGTHS = 8.0, 0.3
-Gaps = Callable[[Array, Array, npt.NDArray[np.int64]], Array]
+Gaps = Callable[[Array, Array, Integers], Array]
 
 
 class Clearance(NamedTuple):
@@ -53,7 +52,7 @@ def rope_clearance(run: Trajectory) -> Clearance:
 def obstacle_clearance(run: Trajectory, obstacles: Sequence[Obstacle], until: float = np.inf) -> Clearance:
     """Find how near a rope comes to obstacles in a run until a time, s; see :func:`rope_clearance`."""
 
-    def gaps(q: Array, base: Array, links: npt.NDArray[np.int64]) -> Array:
+    def gaps(q: Array, base: Array, links: Integers) -> Array:
         joints = run.setup.rope.joints(q, base)
         return obstacle_gaps(obstacles, joints[:, links], joints[:, links + 1])
 
@@ -83,7 +82,7 @@ def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> Array:
 
 def clear_samples(
     ropes: Sequence[Rope], obstacles: Sequence[Obstacle], q: Array, base: Array, clearance: float
-) -> npt.NDArray[np.int64]:
+) -> Integers:
     """Return after how many samples (M,) ropes at angles q (M, T, n) come too near an obstacle; T if they do not.
 
     `base` (M, T, 2), m, are places of their first joints, `clearance`, m, is the distance that they keep.
@@ -96,8 +95,8 @@ def clear_samples(
 
 
 def samples_clear_of_arm(
-    rope: Rope, arm: Arm, q: Array, base: Array, clearance: float, until: npt.NDArray[np.int64] | None = None
-) -> npt.NDArray[np.int64]:
+    rope: Rope, arm: Arm, q: Array, base: Array, clearance: float, until: Integers | None = None
+) -> Integers:
     """Return after how many samples (M,) a rope at angles q (M, T, n) comes too near arm or shaft; T if it does not.
 
     `base` (M, T, 2), m, are places of the arm's tip, `clearance`, m, is the distance that it keeps; none if -inf.
@@ -183,7 +182,7 @@ def _errors(run: Trajectory, row: int) -> Array:
     return np.asarray(dt * np.maximum(joints[1:], joints[:-1]) / 8.0)
 
 
-def _arm_gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int64]) -> Array:
+def _arm_gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: Integers) -> Array:
     """Distances (T, 2, k), m, of the axes of k `links` from shaft and arm; q (T, n), rad; arm's `tip` (T, 2), m."""
     gap = np.empty((len(q), 2, links.size))
     tips = tip - np.array(arm.pivot)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.budget import Budget
+from hyperflex.checks import Flags
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Rope, divided
@@ -223,7 +223,7 @@ def scenario_scores(
     return winding_scores(chain, batch, budget)
 
 
-def strikes_in_plane(problem: Problem, scenarios: Sequence[Scenario], aside: float) -> npt.NDArray[np.bool_]:
+def strikes_in_plane(problem: Problem, scenarios: Sequence[Scenario], aside: float) -> Flags:
     """Return in which scenarios the rope strikes within ``max_sideways`` (M,); `aside` is in m/rad of the tilt."""
     most = problem.criteria.max_sideways
     return np.array([math.isinf(most) or abs(each.tilt) * aside <= most for each in scenarios])

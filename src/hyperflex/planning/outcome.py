@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import winding
 from hyperflex.budget import Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, named
@@ -302,14 +301,14 @@ def _aside(run: Trajectory) -> tuple[float, float, float, str]:
     return math.nan, math.nan, math.nan, doubt
 
 
-def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:
+def _longest_stay(t: Array, touched: Flags) -> float:
     """Start of the longest stay on the peg, s; NaN if there is none. Breaks of BOUNCE_TIME do not end it."""
     there = t[touched]
     stays = np.split(there, np.flatnonzero(np.diff(there) > BOUNCE_TIME) + 1)
     return float(max(stays, key=np.ptp)[0]) if there.size else math.nan
 
 
-def _load_ratio(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> float:
+def _load_ratio(wound: Winding, watched: Flags, peg: Peg) -> float:
     """Return the greatest ratio of the pull to what the capstan equation allows, both averaged over MEAN_TIME."""
     mean = np.full(round(MEAN_TIME / SAMPLE_TIME), SAMPLE_TIME / MEAN_TIME)
     before, after = (np.convolve(force[watched], mean, mode="valid") for force in (wound.before, wound.after))

@@ -5,10 +5,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
@@ -124,7 +123,7 @@ class Problem:
         """Return all that the rope may come upon: the target, pegs that it is to run behind, and obstacles."""
         return (target, *self.criteria.behind, *self.obstacles)
 
-    def cut(self, pieces: int | npt.NDArray[np.int64]) -> "Problem":
+    def cut(self, pieces: int | Integers) -> "Problem":
         """Return the same with each link of the rope cut into pieces, as many of each or (n,)."""
         q0, qd0 = (tuple(np.repeat(each, pieces)) if each else () for each in (self.q0, self.qd0))
         return replace(self, rope=divided(self.rope, pieces), q0=q0, qd0=qd0)

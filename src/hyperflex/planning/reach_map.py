@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks, files
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags, Integers
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
@@ -75,7 +75,7 @@ class ReachMap:
     mu: float
     time_budget: float
     seed: int
-    status: npt.NDArray[np.int64]
+    status: Integers
     turns: Array
     contact_angle: Array
     seconds: Array
@@ -86,12 +86,12 @@ class ReachMap:
         return bool((self.status != NOT_PLANNED).all())
 
     @property
-    def wound(self) -> npt.NDArray[np.bool_]:
+    def wound(self) -> Flags:
         """Targets (Y, X) for which a cast succeeds."""
         return np.asarray(self.status == STATUSES.index(Status.SUCCESS))
 
     @property
-    def infeasible(self) -> npt.NDArray[np.bool_]:
+    def infeasible(self) -> Flags:
         """Infeasible targets (Y, X), which were not searched."""
         return np.asarray(self.status == STATUSES.index(Status.INFEASIBLE))
 

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, cuts
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import Clearance, obstacle_clearance, rope_clearance
@@ -59,7 +58,7 @@ def greatest_bend(run: Trajectory) -> float:
     return float(np.abs(np.diff(run.q, axis=1)).max(initial=0.0))
 
 
-def at_limits(rope: Rope, q: Array, within: float = 0.0) -> npt.NDArray[np.bool_]:
+def at_limits(rope: Rope, q: Array, within: float = 0.0) -> Flags:
     """Return at which angles q (..., n), rad, a joint but the first is past its limit, or `within` so little of it."""
     bend: Array = np.abs(np.diff(q, axis=-1) - rope.rest_angle[1:])
     return np.asarray((bend > rope.max_bend[1:] - within).any(axis=-1))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperflex import checks, extras, memory
 from hyperflex.budget import DEFAULT_TIME, Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.core import joint_law, status
 from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick, mass_matrix, sticks_often
 from hyperflex.core.chain.drive import Drive, base_size, motion_at
@@ -469,7 +469,7 @@ def stored(chain: Chain, q: Array) -> Array:
     return np.asarray(raised + bent.sum(axis=-1))
 
 
-def balanced(setups: Sequence[Setup], energies: Array, held: Callable[[int], Array]) -> npt.NDArray[np.int64]:
+def balanced(setups: Sequence[Setup], energies: Array, held: Callable[[int], Array]) -> Integers:
     """Return the number of leading samples (M,) of each member whose energy balance holds.
 
     Parameters
@@ -488,7 +488,7 @@ def balanced(setups: Sequence[Setup], energies: Array, held: Callable[[int], Arr
     change = gained[0] + gained[1]
     error = np.abs(change - gained[2] + gained[3])
 
-    def good(rows: Any, more: float | Array) -> npt.NDArray[np.int64]:
+    def good(rows: Any, more: float | Array) -> Integers:
         parts = work[rows], dissipated[rows], kinetic[rows] + more, change[rows]
         scale = sum(np.maximum.accumulate(np.abs(part), axis=1) for part in parts)
         bad = ~(error[rows] <= ENERGY_ALLOWANCE * (scale + floor[rows]) + 1e-300)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from hyperflex import checks, memory
 from hyperflex.budget import Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.core import status
 from hyperflex.core.chain.drive import TORQUE
 from hyperflex.core.integrate import observation as output
@@ -39,7 +39,6 @@ from hyperflex.simulation.rollouts import Interval, Rollout, Watch, balanced, ou
 from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory
 
-Pieces = npt.NDArray[np.int64]
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
 # Numbers for each link and output, without contact and with it: in memory while a run is written, and in its file
 IN_MEMORY, IN_FILE = (11, 15), (5.5, 7.5)
@@ -48,7 +47,7 @@ MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fil
 
 def setup_of(
     rope: Rope | Setup, fields: Mapping[str, Any], *, refine: bool | None = False
-) -> tuple[Setup, Pieces | None]:
+) -> tuple[Setup, Integers | None]:
     """Return the set-up of a rope and of the fields that are not None; or a set-up with these fields replaced.
 
     Unless `refine` is False a rope is cut where its pegs need it; the second value is then the number of pieces of each
@@ -80,7 +79,7 @@ def setup_of(
     return Setup(rope, **given), pieces
 
 
-def per_piece(values: Any, pieces: Pieces) -> Any:
+def per_piece(values: Any, pieces: Integers) -> Any:
     """Return values (n,) of links as values of the pieces that each link was cut into; others as they are."""
     return np.repeat(values, pieces) if np.shape(values) == pieces.shape else values
 

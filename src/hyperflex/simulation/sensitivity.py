@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from hyperflex import checks, memory
 from hyperflex.budget import Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.core.chain.articulated_body import Chain, can_stick, mass_matrix
 from hyperflex.core.chain.drive import TORQUE, Drive, segment
 from hyperflex.core.integrate.rollout import JOINT, MODES, STEP
@@ -496,7 +496,7 @@ def forward_derivatives(
     return y, dy[:, :, :used]
 
 
-def _stoppable(kernel: Callable[[npt.NDArray[np.int64]], None], size: int) -> None:
+def _stoppable(kernel: Callable[[Integers], None], size: int) -> None:
     """Call a kernel that can be halted; one of a large `size` on a thread, so that Ctrl-C is heard meanwhile."""
     if size < LARGE:
         kernel(ON)

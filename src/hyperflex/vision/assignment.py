@@ -8,12 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags, Integers
 from hyperflex.core.image import pairs
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.markers import Blobs, Gate
-
-Indices = npt.NDArray[np.int64]
 
 GATE = -2.0 * math.log(0.001)  # squared Mahalanobis distance of a marker's own blob, exceeded once in 1000
 SLACK = 0.02  # relative stretch of the rope in a picture that is allowed
@@ -36,7 +34,7 @@ class Assignment(NamedTuple):
         Of the places, px^2.
     """
 
-    indices: Indices
+    indices: Integers
     places: Array
     covariances: Array
 
@@ -83,7 +81,7 @@ def assign_markers(
         pairs.pair_costs(at, wide, m, P, unseen, gate, _FORBIDDEN, cost)
         return cost
 
-    def settled(k: Indices, j: Indices) -> tuple[float, Indices]:
+    def settled(k: Integers, j: Integers) -> tuple[float, Integers]:
         """Return the cost of all pairs together, and the blob (K,) of each marker, or -1, from the first pairs on."""
         m, P, total = mean, prior, 0.0
         indices, taken = np.full(len(m), -1), np.zeros(len(at), bool)
@@ -115,7 +113,7 @@ def assign_markers(
     return Assignment(indices, places, covariances)
 
 
-def _clear_pairs(cost: Array) -> tuple[Indices, Indices]:
+def _clear_pairs(cost: Array) -> tuple[Integers, Integers]:
     """Return the pairs of the least sum of costs (K, M) that are unambiguous; the clearest one if none is."""
     from scipy.optimize import linear_sum_assignment
 
@@ -162,7 +160,7 @@ class Ordering(NamedTuple):
         Whether the rope may begin at the origin.
     """
 
-    indices: npt.NDArray[np.int64]
+    indices: Integers
     certain: bool
     margin: float
     anchored: bool = True
@@ -272,12 +270,12 @@ class ClutterMap:
         at_rest = known * n / (n + m + 1.0) / (2.0 * np.pi * np.sqrt(np.linalg.det(seen.covariances)))
         return np.asarray((1.0 + self._mean) / self._area + at_rest)
 
-    def still(self, seen: Blobs) -> npt.NDArray[np.bool_]:
+    def still(self, seen: Blobs) -> Flags:
         """Return which of M blobs lie where something was seen in `self.STILL` frames or more (M,)."""
         nearest, known = self._known(seen.places)
         return np.asarray(known & (self._counts[nearest, 0] >= self.STILL))
 
-    def learn(self, seen: Blobs, markers: npt.NDArray[np.bool_], gates: Sequence[Gate] | None = None) -> None:
+    def learn(self, seen: Blobs, markers: Flags, gates: Sequence[Gate] | None = None) -> None:
         """Learn from a frame's blobs, of which some were `markers` (M,); searched in `gates`, or as a whole (None)."""
         self._frame += 1
         nearest, known = self._known(seen.places)
@@ -298,7 +296,7 @@ class ClutterMap:
         self._places = np.concatenate([self._places[kept], new])
         self._counts = np.concatenate([self._counts[kept], np.tile([1.0, 0.0, float(self._frame)], (len(new), 1))])
 
-    def _known(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
+    def _known(self, places: Array) -> tuple[npt.NDArray[np.intp], Flags]:
         """Return the nearest known place of each blob (M,), and whether the blob is there (M,)."""
         apart = np.linalg.norm(places[:, None] - self._places, axis=2)
         return apart.argmin(axis=1), apart.min(axis=1) < self.NEAR

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.core.image import blobs
 from hyperflex.core.image.discriminant import discriminant
 from hyperflex.errors import InvalidInput
@@ -125,7 +125,7 @@ class MarkerColour:
         chroma = cv2.transform(cv2.GaussianBlur(image, (3, 3), 0).astype(np.float32), _CHROMA.astype(np.float32))
         strong = np.hypot(chroma[..., 0], chroma[..., 1])
         hue = np.arctan2(chroma[..., 1], chroma[..., 0])
-        best: tuple[float, MarkerColour | None, list[npt.NDArray[np.bool_]]] = (0.0, None, [])
+        best: tuple[float, MarkerColour | None, list[Flags]] = (0.0, None, [])
         for centre in np.linspace(-np.pi, np.pi, 24, endpoint=False):
             near = np.abs((hue - centre + np.pi) % (2.0 * np.pi) - np.pi) < np.pi / 12
             mask = (near & (strong > LEAST_CHROMA)).astype(np.uint8)
@@ -156,7 +156,7 @@ class MarkerColour:
             return self
         return replace(self, bgr=moved)
 
-    def _area_about(self, image: Image, inside: npt.NDArray[np.bool_]) -> float | None:
+    def _area_about(self, image: Image, inside: Flags) -> float | None:
         """Return the area of the blob whose core is `inside` (height, width), px^2; None if no blob is found."""
         v, u = np.nonzero(inside)
         first, last = np.array([u.min(), v.min()]), np.array([u.max(), v.max()])
@@ -198,7 +198,7 @@ class MarkerColour:
         return table
 
 
-def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, Flags, Flags]:
     """Return the colour (3,) of the surface at a place (2,), px, and masks of it and of its surroundings.
 
     Raises
@@ -222,7 +222,7 @@ def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.b
     return np.median(image[core if core.any() else inside > 0], axis=0), inside > 0, far & ~near
 
 
-def _alike(sizes: Array) -> npt.NDArray[np.bool_]:
+def _alike(sizes: Array) -> Flags:
     """Return which of some sizes (M,) are in the largest group of those that differ by less than a factor of 1.6."""
     alike = np.abs(np.log(sizes / sizes[:, None])) < np.log(1.6)
     return np.asarray(alike[int(np.argmax(alike.sum(axis=1)))])

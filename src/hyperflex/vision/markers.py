@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.core.image import blobs
 from hyperflex.vision.colour import MarkerColour
 from hyperflex.vision.video import Image
@@ -54,7 +54,7 @@ class Blobs(NamedTuple):
     covariances: Array
     streaks: Array
     areas: Array
-    merged: npt.NDArray[np.bool_]
+    merged: Flags
 
 
 class MarkerDetector:
@@ -159,7 +159,7 @@ class MarkerDetector:
         corners = np.column_stack([stats[:, :2] - 1, stats[:, :2] + stats[:, 2:4] + 1])
         return _inside(step * corners + [-pad, -pad, pad, pad], image)
 
-    def _plausible(self, table: Array) -> npt.NDArray[np.bool_]:
+    def _plausible(self, table: Array) -> Flags:
         """Return which blobs are more than noise, and no larger than two markers."""
         area, noise = table[:, blobs.AREA], table[:, -1]
         kept = area > np.maximum(5.0 * noise * np.sqrt(np.maximum(table[:, blobs.PIXELS], 1.0)), 2.0)

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.vision.video import Image
 
 ORIENTATIONS = 12  # of the filters, equally spaced over half a turn
@@ -112,7 +112,7 @@ class Mixture:
             result[own] = cover[v, u]
         return np.asarray(result * wide / (self.width * erf(wide / (np.sqrt(8.0) * 2.0**level))))
 
-    def weigh(self, places: Array, widths: Array, edges: npt.NDArray[np.bool_], evidence: Array) -> Array:
+    def weigh(self, places: Array, widths: Array, edges: Flags, evidence: Array) -> Array:
         """Return the evidence (N,) that a ridge at places (N, 2), px, some px wide, is this rope, from that it is one.
 
         Another colour than a mixture's tells against it; so does nothing of its colour, unless the wall is like it;
@@ -192,7 +192,7 @@ class Ridges:
             best[rows], most[rows], size[rows] = found[better], strength[better], k
         return best, size
 
-    def edges(self, places: Array, directions: Array, sizes: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    def edges(self, places: Array, directions: Array, sizes: npt.NDArray[np.intp]) -> Flags:
         """Return where ridges (N,), as of :meth:`at`, are only edges: a rope stands out from what is on both sides."""
         normals, result = np.stack([-np.sin(directions), np.cos(directions)], axis=1), np.zeros(len(places), bool)
         for k, (_, _, colours) in enumerate(self._levels):
@@ -363,7 +363,7 @@ def _best_of_cells(
     return row[first], turn[first]
 
 
-def _apart(history: npt.NDArray[np.complex64], place: Array, heading: Array, reach: Array) -> npt.NDArray[np.bool_]:
+def _apart(history: npt.NDArray[np.complex64], place: Array, heading: Array, reach: Array) -> Flags:
     """Return which paths (N, P) do not run beside themselves, within `reach`, at new places (N, 2), directions (N,)."""
     early = np.arange(1, history.shape[1]) < history.shape[1] - 0.5 * reach[:, None]  # before a turn
     near = np.abs(history[:, 1:] - (place @ [1.0, 1.0j])[:, None]) < reach[:, None]

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.budget import Budget, OutOfTime
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
@@ -550,7 +549,7 @@ def simulate_in_time(setup: Setup, t: Array, budget: Budget | None) -> Trajector
         return None
 
 
-def touches(run: Trajectory, obstacles: Sequence[Obstacle]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def touches(run: Trajectory, obstacles: Sequence[Obstacle]) -> tuple[Integers, Integers]:
     """Return the samples since whose predecessor the rope touched an obstacle, (k,), and which one is nearest, (k,).
 
     The obstacles are all that the rope may touch in the run. A force shows a touch, or a loss of energy while an

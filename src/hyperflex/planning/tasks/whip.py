@@ -5,11 +5,10 @@ from dataclasses import MISSING, dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.budget import Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
@@ -131,7 +130,7 @@ class Peaks(NamedTuple):
     obstacle before, or through it.
     """
 
-    row: npt.NDArray[np.int64]
+    row: Integers
     t: Array
     place: Array
     velocity: Array

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.core.image.exposure import Capsules, RowTimes, expose
 from hyperflex.files import PathLike
 from hyperflex.vision.camera import Camera
@@ -18,7 +18,7 @@ from hyperflex.vision.tone import linear_tone
 from hyperflex.vision.video import Image, VideoWriter
 
 Colour = tuple[float, float, float]  # blue, green, red, 0 to 255
-Hidden = Callable[[float], npt.NDArray[np.bool_]]  # time, s -> which markers (K,) are covered
+Hidden = Callable[[float], Flags]  # time, s -> which markers (K,) are covered
 
 RED, DARK = (40.0, 30.0, 210.0), (45.0, 45.0, 45.0)
 
@@ -194,7 +194,7 @@ class Scene:
         """Whether nothing of the rope is seen at a time, s."""
         return any(start <= t < end for start, end in self.blackouts)
 
-    def covered(self, t: float) -> npt.NDArray[np.bool_]:
+    def covered(self, t: float) -> Flags:
         """Return which markers (K,) are covered at a time, s."""
         return np.full(self.arc_lengths.size, self.is_black(t)) if self.hidden is None else self.hidden(t)
 
@@ -236,7 +236,7 @@ def random_occlusion(count: int, share: float, duration: float, *, until: float,
     lengths = rng.exponential(1.0, (count, many)) * means[(np.arange(many) + covered_first[:, None]) % 2]
     changes = np.cumsum(lengths, axis=1)
 
-    def hidden(t: float) -> npt.NDArray[np.bool_]:
+    def hidden(t: float) -> Flags:
         return ((changes <= t).sum(axis=1) + covered_first) % 2 == 1 if share > 0.0 else np.zeros(count, bool)
 
     return hidden
@@ -269,7 +269,7 @@ class Truth:
     places: Array
     pixels: Array
     streaks: Array
-    visible: npt.NDArray[np.bool_]
+    visible: Flags
     arc_lengths: Array
 
 
@@ -366,9 +366,7 @@ class Renderer:
 
         times, places, pixels = exposed(0.0)
         begin, end = (exposed(side * camera.exposure)[2] for side in (-0.5, 0.5))
-        visible: npt.NDArray[np.bool_] = np.asarray(
-            ((pixels >= 0.0) & (pixels <= np.array(camera.image_size) - 1.0)).all(axis=2)
-        )
+        visible: Flags = np.asarray(((pixels >= 0.0) & (pixels <= np.array(camera.image_size) - 1.0)).all(axis=2))
         for stamp, place, seen in zip(instants.tolist(), places, visible, strict=True):
             seen &= ~scene.covered(stamp) & ~self._behind(place, stamp) & (not scene.is_black(stamp))
         return Truth(instants, times, places, pixels, end - begin, visible, scene.arc_lengths)
@@ -400,7 +398,7 @@ class Renderer:
         places = self.motion.places(t, arcs)[each, each]
         return t, places, self.camera.project(places)
 
-    def _behind(self, places: Array, t: float) -> npt.NDArray[np.bool_]:
+    def _behind(self, places: Array, t: float) -> Flags:
         """Return which of the places (K, 3) lie behind an occluder."""
         result = np.zeros(len(places), bool)
         for bar in self.scene.occluders:
