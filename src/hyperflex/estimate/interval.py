@@ -348,4 +348,4 @@ def _gain(noise: Array, rows: Array) -> Array:
     wide = noise.T @ noise + rows.T @ rows
     size = np.sqrt(np.maximum(np.diag(wide), np.finfo(float).tiny))
     even = wide / size / size[:, None] + RIDGE * np.eye(len(wide))
-    return np.asarray(np.linalg.solve(even, (noise / size).T).T / size)
+    return np.linalg.solve(even, (noise / size).T).T / size

@@ -296,4 +296,4 @@ def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) 
         return np.full(rope.n_links, rope.hanging_angle)
     ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
     angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
-    return np.asarray(angles[np.minimum(np.searchsorted(ends, rope.link_middles), len(angles) - 1)])
+    return angles[np.minimum(np.searchsorted(ends, rope.link_middles), len(angles) - 1)]

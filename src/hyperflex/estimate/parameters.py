@@ -223,8 +223,8 @@ class ParameterStates:
     def arc_lengths(self, arc_lengths: Array, values: Array) -> Array:
         """Return the arc lengths of the markers (K,), m, at values (P,); `arc_lengths` are those at 0."""
         moved = [self.value(f"arc[{k}]", values) for k in range(len(arc_lengths))]
-        return np.asarray(arc_lengths * (1.0 + self.value("length", values)) + moved)
+        return arc_lengths * (1.0 + self.value("length", values)) + moved
 
     def possible(self, values: Array) -> Array:
         """Return the values (P,), limited to what a rope can have."""
-        return np.asarray(np.clip(values, self._least, self._most))
+        return np.clip(values, self._least, self._most)

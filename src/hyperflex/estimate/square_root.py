@@ -37,7 +37,7 @@ class Innovation(NamedTuple):
 
 def without_lower(rows: Array) -> Array:
     """Return rows (m, n) with zeros below their diagonal: np.triu with a cached mask."""
-    return np.asarray(np.where(_above(*rows.shape), rows, 0.0))
+    return np.where(_above(*rows.shape), rows, 0.0)
 
 
 @lru_cache(32)
@@ -48,7 +48,7 @@ def _above(m: int, n: int) -> Flags:
 def triangular(rows: Array) -> Array:
     """Return the upper triangular R (n, n), its diagonal not negative, with R^T R = rows^T rows, for rows (m, n)."""
     upper = without_lower(dgeqrf(rows)[0][: rows.shape[1]])
-    return np.asarray(upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None])
+    return upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None]
 
 
 def solved(upper: Array, right: Array, *, transposed: bool = False) -> Array:
@@ -75,7 +75,7 @@ def compressed(rows: Array, least: Array) -> Array:
     upper, pivots, rank, _ = dpstrf(even.T @ even, tol=1.0, overwrite_a=True)
     result = np.zeros((max(1, rank), rows.shape[1]))
     result[:rank, pivots - 1] = without_lower(upper[:rank])
-    return np.asarray(result * least)
+    return result * least
 
 
 def updated(factor: Array, across: Array, upper: Array) -> Array:
@@ -84,7 +84,7 @@ def updated(factor: Array, across: Array, upper: Array) -> Array:
     S - A (U + 1)^-1 U^-T A^T S (Andrews 1968, AIAA Journal 6(6), 1165).
     """
     half = solved(upper, across.T @ factor, transposed=True)
-    return np.asarray(factor - across @ solved(upper + np.eye(len(upper)), half))
+    return factor - across @ solved(upper + np.eye(len(upper)), half)
 
 
 def innovation_factor(factor: Array, jacobian: Array) -> tuple[Array, Array]:

@@ -355,7 +355,7 @@ def fit_state(
 
 def least_squares(matrix: Array, right: Array) -> Array:
     """Return the minimum-norm solution (k,) of a least-squares problem (m, k), (m,)."""
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64, copy=False))
+    return np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True)

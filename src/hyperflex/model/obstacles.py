@@ -250,7 +250,7 @@ def _segment_distance(begin: Array, end: Array, first: Array, last: Array) -> Ar
     near = np.minimum(near, np.minimum(_distance(begin, first, last), _distance(end, first, last)))
     apart = _side(first, begin, end) * _side(last, begin, end) >= 0.0
     apart |= _side(begin, first, last) * _side(end, first, last) >= 0.0
-    return np.asarray(np.where(apart, near, 0.0))
+    return np.where(apart, near, 0.0)
 
 
 def _distance(point: Array, begin: Array, end: Array) -> Array:
@@ -259,13 +259,13 @@ def _distance(point: Array, begin: Array, end: Array) -> Array:
     out = point - begin
     square = np.maximum(x * x + y * y, 1e-300)
     part = np.clip((out[..., 0] * x + out[..., 1] * y) / square, 0.0, 1.0)
-    return np.asarray(np.hypot(out[..., 0] - part * x, out[..., 1] - part * y))
+    return np.hypot(out[..., 0] - part * x, out[..., 1] - part * y)
 
 
 def _side(point: Array, begin: Array, end: Array) -> Array:
     """Twice the signed area (...) of the triangles of points and segments, m^2."""
     way, out = end - begin, point - begin
-    return np.asarray(way[..., 0] * out[..., 1] - way[..., 1] * out[..., 0])
+    return way[..., 0] * out[..., 1] - way[..., 1] * out[..., 0]
 
 
 def round_places(obstacles: Sequence[Obstacle]) -> list[int]:

@@ -272,7 +272,7 @@ class Rope:
         Angles q, rad, and rates qd (..., n), rad/s; `velocity` (..., 2), m/s, is that of the first joint.
         """
         steps = (self.length * qd)[..., None] * unit_across(q)
-        return np.asarray(np.cumsum(np.concatenate([velocity[..., None, :], steps], axis=-2), axis=-2))
+        return np.cumsum(np.concatenate([velocity[..., None, :], steps], axis=-2), axis=-2)
 
     def mass_points(self, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
         """Return places, m, and velocities, m/s, of the links' centres of mass and of the tip (..., n + 1, 2).

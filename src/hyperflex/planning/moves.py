@@ -72,7 +72,7 @@ class Moves:
     def starts(self, limits: MotorLimits) -> Array:
         """Return the start of each move (k,), s."""
         rests, durations, _ = self.timing(limits)
-        return np.asarray(np.cumsum(rests) + np.cumsum(durations) - durations)
+        return np.cumsum(rests) + np.cumsum(durations) - durations
 
     def stops(self, limits: MotorLimits) -> float:
         """Return the time at which the arm stops, s."""

@@ -278,7 +278,7 @@ def _within_a_turn(angle: Array) -> Array:
     """Return angles (T, n) without the whole turns of each column's first known one."""
     known = ~np.isnan(angle)
     first = np.where(known.any(axis=0), np.take_along_axis(angle, known.argmax(axis=0)[None], axis=0)[0], 0.0)
-    return np.asarray(angle - 2.0 * math.pi * np.round(first / (2.0 * math.pi)))
+    return angle - 2.0 * math.pi * np.round(first / (2.0 * math.pi))
 
 
 def _agreed(raw: Raw, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Unpack
 
-import numpy as np
-
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, listed
@@ -146,4 +144,4 @@ def read_channels(
         fix = "Export it with all columns at the same times"
         raise InvalidInput(f"{content.source} has columns at different times", got=list(names), fix=fix)
     declared = sense or content.declared.get("sense") or content.usual.get("sense")
-    return np.asarray(content.take(names) * (-1.0 if declared == "-x" else 1.0))
+    return content.take(names) * (-1.0 if declared == "-x" else 1.0)

@@ -193,7 +193,7 @@ class Recording:
         if self.kind == "angles":
             raise InvalidInput("a recording of angles has no lengths", got=self.kind, allowed="markers")
         along = self._lines("lengths of links")
-        return np.asarray(np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0))
+        return np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0)
 
     def check(self) -> "list[Finding]":
         """Return the faults of the samples; nothing is repaired.

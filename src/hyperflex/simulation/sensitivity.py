@@ -720,4 +720,4 @@ def _first_nudges(setup: Setup, count: int, rng: np.random.Generator) -> Array:
     """Random changes (count, 2, n) of all angles and rates, each of the size 1."""
     q = setup.start()[0]
     changes = rng.normal(0.0, 1.0, (count, 2, q.size))
-    return np.asarray(changes / _displaced(setup, q, changes)[..., None])
+    return changes / _displaced(setup, q, changes)[..., None]

@@ -135,7 +135,7 @@ def _margins(cost: Array) -> Array:
         if len(each) > 1:
             least, second = np.partition(each, 1, axis=0)[:2]
             np.minimum(best, np.where(each > least, least, second), out=best)
-    return np.asarray(others - cost)
+    return others - cost
 
 
 CERTAIN = 4.0  # cost by which the next best order must be worse

@@ -311,7 +311,7 @@ class Camera:
     def _to_plane(self) -> Array:
         """Matrix (3, 3) that leads from a picture without distortion to the swing plane, homogeneous coordinates."""
         rotation, translation = self.axes
-        return np.asarray(np.linalg.inv(np.column_stack([rotation[:, :2], translation])))
+        return np.linalg.inv(np.column_stack([rotation[:, :2], translation]))
 
     @property
     def pixels_per_metre(self) -> float:
@@ -404,7 +404,7 @@ class Camera:
         seen = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         axis = 1 if self.readout_direction in ("down", "up") else 0
         share = seen[:, axis] / max(self.image_size[axis] - 1, 1)
-        return np.asarray(share if self.readout_direction in ("down", "right") else 1.0 - share)
+        return share if self.readout_direction in ("down", "right") else 1.0 - share
 
     def write(self, path: PathLike) -> None:
         """Write the camera to a TOML file, complete or not at all; it reads back equal to the bit."""

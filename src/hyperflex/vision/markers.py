@@ -165,7 +165,7 @@ class MarkerDetector:
         kept = area > np.maximum(5.0 * noise * np.sqrt(np.maximum(table[:, blobs.PIXELS], 1.0)), 2.0)
         if self.colour.area is not None:
             kept &= (area > 0.15 * self.colour.area) & (area < 2.6 * self.colour.area)
-        return np.asarray(kept)
+        return kept
 
     def _follow(self, table: Array) -> None:
         """Move the colour towards that of markers seen whole."""

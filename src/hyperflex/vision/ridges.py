@@ -218,7 +218,7 @@ class Ridges:
         Of more than 1.5, only 0.3 times the rest counts: a stronger ridge is hardly likelier a rope.
         """
         orders = np.log10(np.clip(power / self._strong**2, 0.1, 1e4))
-        return np.asarray(orders - 0.7 * np.maximum(orders - 1.5, 0.0))
+        return orders - 0.7 * np.maximum(orders - 1.5, 0.0)
 
     def paths(
         self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None, longest: float = np.inf

@@ -12,7 +12,7 @@ def linear_tone() -> Array:
 
 def light_per_level(light: Array, tone: Array) -> Array:
     """Return by how much light a level differs from the next where there is so much light (...)."""
-    return np.asarray(np.interp(light, tone, np.gradient(tone)))
+    return np.interp(light, tone, np.gradient(tone))
 
 
 def srgb_tone() -> Array:

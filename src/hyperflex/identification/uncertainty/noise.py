@@ -172,7 +172,7 @@ def channel_correlation(parts: Sequence[Piece], memory: Array) -> Array:
     chance = float((np.outer(own, own) + found**2).sum()) / max(count, 1.0)
     away = float(((found - np.eye(len(found))) ** 2).sum())
     part = min(1.0, chance / away) if away > 0.0 else 1.0
-    return np.asarray((1.0 - part) * found + part * np.eye(len(found)))
+    return (1.0 - part) * found + part * np.eye(len(found))
 
 
 def autocorrelation(pieces: Sequence[Piece]) -> float:
@@ -200,7 +200,7 @@ def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:
         m, channels = piece.seen.shape
         seen += _lagged(piece.seen, most)
         every += piece.seen.mean() * np.maximum(m - np.arange(most + 1), 0) * channels
-    return np.asarray(every / np.maximum(seen, 1.0))
+    return every / np.maximum(seen, 1.0)
 
 
 def expected_products(pieces: Sequence[Piece], most: int) -> Array:
@@ -233,7 +233,7 @@ def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Arr
 
     def miss(z: Array) -> Array:
         sums = response @ correlations(ar_coefficients(NOISE.near_one * np.tanh(z)), response.shape[1])
-        return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target)
+        return sums[1:] / max(float(sums[0]), 1e-300) - target
 
     z = np.arctanh(np.clip(start / NOISE.near_one, -0.99, 0.99))
     z = leastsq(miss, z, ftol=NOISE.least_gain)[0]
@@ -292,7 +292,7 @@ def _channel_covariance(parts: Sequence[Piece]) -> Array:
     pairs = sum(part.seen.T @ part.seen for part in parts)
     taken = sum(float((part.basis**2).sum()) for part in parts)
     values = sum(float(part.seen.sum()) for part in parts)
-    return np.asarray(products / np.maximum(pairs, 1.0) * values / max(1.0, values - taken))
+    return products / np.maximum(pairs, 1.0) * values / max(1.0, values - taken)
 
 
 def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:

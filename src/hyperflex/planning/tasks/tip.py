@@ -536,7 +536,7 @@ def unlikely(probability: SuccessProbability | None) -> str:
 
 def sample_times(near: float, after: float = 0.15, step: float = 2e-3) -> Array:
     """Return the times of a verified run's samples (T,), s, until `after` the expected time `near`, s."""
-    return np.asarray(step * np.arange(np.ceil((near + after) / step) + 1.0))
+    return step * np.arange(np.ceil((near + after) / step) + 1.0)
 
 
 def simulate_in_time(setup: Setup, t: Array, budget: Budget | None) -> Trajectory | None:

@@ -108,7 +108,7 @@ class TipTarget:
     def angle_error(self, velocity: Array) -> Array:
         """Return the signed angle (...) from the direction to a `velocity` (..., 2), m/s, in rad."""
         turn = np.arctan2(velocity[..., 1], velocity[..., 0]) - self.direction
-        return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
+        return (turn + np.pi) % (2.0 * np.pi) - np.pi
 
     def lacks(self, velocity: Array, part: float, spare: float) -> tuple[Array, Array]:
         """Return by how much a `velocity` (..., 2), m/s, lacks direction, rad, and speed, as a fraction.

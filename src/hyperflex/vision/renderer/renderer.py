@@ -527,4 +527,4 @@ def frame_times(
     times = times + step * min(jitter, 0.499) * rng.uniform(-1.0, 1.0, times.size) * (np.arange(times.size) > 0)
     kept = rng.random(times.size) >= dropped
     kept[:1] = True
-    return np.asarray(times[kept])
+    return times[kept]
