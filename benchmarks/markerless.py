@@ -3,6 +3,7 @@ errors.
 
 python -m benchmarks.markerless 10                    all cases, ten seeds each (about three hours on one core)
 python -m benchmarks.markerless 10 --case clutter     one case; --first 3 begins with seed 3
+python -m benchmarks.markerless 1 --case dim          thin, faint, noisy, blurred and compressed ropes
 python -m benchmarks.markerless 10 --videos FOLDER    folder in which videos are kept and found again
 python -m benchmarks.markerless wrong                 wrong set-ups: what is reported
 python -m benchmarks.markerless page                  the page from the existing rows
@@ -26,7 +27,7 @@ import re
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ from tests.oracles.mujoco_eye import film
 
 RESULTS = Path(__file__).parent / "results" / "markerless.jsonl"
 LINKS, WIDTH, SCALE = 50, 0.005, 1280 / 4.5  # m, px/m
-DARK = (45.0, 45.0, 45.0)
+DARK, WALL = (45.0, 45.0, 45.0), np.array([175.0, 185.0, 190.0])
 START, SETTLED = 0.05, 0.5  # s
 NINETY = float(stats.chi2.ppf(0.9, 1)), float(stats.chi2.ppf(0.9, 2))  # of a number, and of a position
 
@@ -70,12 +71,19 @@ class Case:
 
     Attributes
     ----------
-    cast : whether the rope is pumped up to some 12 m/s; else it swings freely from 1.2 m rate, exposure : frames/s, s
-    hidden : whether a board as high as a fifth of the rope moves in front of it, from its end upwards clutter : whether
-    three lines as thick and dark as the rope cross it blackouts : times at which nothing is visible, s looks : whether
-    the wall is textured, the rope throws a shadow on it, and an automatic exposure changes twice eye : whether MuJoCo
-    renders the pictures tone : whether the pictures have the usual tone curve of cameras, which the tracker knows; else
-    none
+    cast : whether the rope is pumped up to some 12 m/s; else it swings freely from 1.2 m
+    rate, exposure : frames/s, s
+    hidden : whether a board as high as a fifth of the rope moves in front of it, from its end upwards
+    clutter : whether three lines as thick and dark as the rope cross it
+    blackouts : times at which nothing is visible, s
+    looks : whether the wall is textured, the rope throws a shadow on it, and an automatic exposure changes twice
+    eye : whether MuJoCo renders the pictures
+    tone : whether the pictures have the usual tone curve of cameras, which the tracker knows; else none
+    width : of the rope, m
+    contrast : of rope and wall, levels; by default 138
+    noise : levels
+    declared : exposure that the tracker is given, s; by default the true one
+    quality : of the compression (crf of x264)
     """
 
     cast: bool = False
@@ -87,6 +95,11 @@ class Case:
     looks: bool = False
     eye: bool = False
     tone: bool = False
+    width: float = WIDTH
+    contrast: float | None = None
+    noise: float = 2.0
+    declared: float | None = None
+    quality: int = 23
 
     @property
     def duration(self) -> float:
@@ -94,6 +107,18 @@ class Case:
         return 10.0 if self.cast else 4.0
 
 
+DIM: dict[str, dict[str, Any]] = {
+    "dim: 5 mm, contrast 138, noise 2, 1/500 s, crf 20": {},
+    "dim: 2 mm": {"width": 0.002},
+    "dim: 1 mm": {"width": 0.001},
+    "dim: contrast 20": {"contrast": 20.0},
+    "dim: contrast 8": {"contrast": 8.0},
+    "dim: 1 mm, contrast 20": {"width": 0.001, "contrast": 20.0},
+    "dim: noise 8": {"noise": 8.0},
+    "dim: 1/30 s": {"exposure": 1.0 / 30.0},
+    "dim: 1/50 s, declared 1/250 s": {"exposure": 0.02, "declared": 0.004},
+    "dim: crf 35": {"quality": 35},
+}
 CASES = {
     f"{name}{rate:.0f}/s, 1/{1 / exposure:.0f} s": Case(cast, rate, exposure)
     for name, cast in (("swing ", False), ("cast ", True))
@@ -113,6 +138,7 @@ CASES = {
     "cast, MuJoCo": Case(True, eye=True),
     "swing, MuJoCo, texture, shadow, steps": Case(looks=True, eye=True),
     "cast, MuJoCo, texture, shadow, steps": Case(True, looks=True, eye=True),
+    **{name: Case(**{"tone": True, "exposure": 0.002, "quality": 20, **changed}) for name, changed in DIM.items()},
 }
 ASKED = {False: (3.0, 10.0), True: (6.0, 25.0)}  # mm, of curve and tip, by whether it is a cast
 
@@ -143,9 +169,11 @@ def scene_of(case: Case, seed: int) -> Scene:
     looks["exposure_steps"] = ((0.3 * case.duration, 0.8), (0.6 * case.duration, 1.1))
     return Scene(
         np.zeros(0),
-        rope_width=WIDTH,
-        rope_colour=DARK,
+        rope_width=case.width,
+        rope_colour=DARK if case.contrast is None else WALL - case.contrast,
+        background=WALL,
         clutter=0,
+        noise=case.noise,
         light_drift=0.1,
         **(looks if case.looks else {}),
         occluders=tuple(fronts),
@@ -164,11 +192,12 @@ def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
     path, scene = folder / f"{re.sub('[^a-z0-9]+', '-', name.lower())}-{seed}.mp4", scene_of(case, seed)
     if not path.exists():
         seen = film(camera, motion, scene, stamps) if case.eye else map(Renderer(camera, motion, scene).image, stamps)
-        with VideoWriter(path, camera.image_size, 23) as video:
+        with VideoWriter(path, camera.image_size, case.quality) as video:
             for image, stamp in zip(seen, stamps, strict=True):
                 video.write(image, stamp)
+    told = replace(camera, exposure=case.declared or case.exposure)
     with VideoReader(path) as frames, threadpool_limits(1):  # as the commands do
-        return tracked(case, motion, camera, iter(frames))
+        return tracked(case, motion, told, iter(frames))
 
 
 def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Frame]) -> dict[str, Any]:
@@ -177,16 +206,18 @@ def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Fra
     given = {"motion": SWINGS, "arm": ARM} if case.cast else {}
     estimator = RopeFilter(cable, curve_arc_lengths(cable), camera=camera, **given)
     tracker: RopeTracker | None = None
-    rows, fastest, spent = [], 0.0, []
+    rows, fastest, spent, refused = [], 0.0, [], ""
     arcs = np.append(0.0, np.cumsum(cable.length))
     for frame in frames:
         begun = time.process_time()
         if tracker is None:
             pivot = camera.project(estimator.process.base(frame.time)[:1])[0]
             try:
-                look = find_rope(frame.image, pivot, width=WIDTH * SCALE, tone=srgb_tone() if case.tone else None).look
-            except InvalidInput as refusal:
-                print(f"{frame.time:.2f} s: {refusal}")
+                width, tone = case.width * SCALE, srgb_tone() if case.tone else None
+                look = find_rope(frame.image, pivot, width=width, tone=tone).look
+            except InvalidInput as error:
+                refused = str(error).partition(":")[0]
+                print(f"{frame.time:.2f} s: {error}")
                 continue
             tracker = RopeTracker(estimator, CurveMeasurement(look))
         result = tracker.look(frame)
@@ -203,6 +234,8 @@ def tracked(case: Case, motion: RopeMotion, camera: Camera, frames: Iterator[Fra
         distance = np.einsum("ka,ka->k", across, off) ** 2 / np.einsum("ka,kab,kb->k", across, wide, across)
         within = np.append(distance < NINETY[0], off[-1] @ np.linalg.solve(wide[-1], off[-1]) < NINETY[1])
         rows.append((frame.time, (off**2).sum(axis=1), within, result.seen.mean()))
+    if tracker is None:
+        return {"reported": refused, "off": None}
     t, squares, within, seen = (np.array(column) for column in zip(*rows, strict=True))
     used = (t > t[0] + SETTLED) & ~np.any([(t >= a) & (t < b + 0.1) for a, b in case.blackouts] or [t < 0.0], axis=0)
     return {
@@ -303,7 +336,7 @@ def page(rows: list[log.Row]) -> str:
     )
     lines.append("|---" * 12 + "|")
     for name, case in CASES.items():
-        own = [row for (which, _), row in kept.items() if which == name]
+        own = [row for (which, _), row in kept.items() if which == name and "curve" in row]
         if not own:
             continue
         table: dict[str, Array] = {
@@ -327,11 +360,11 @@ def page(rows: list[log.Row]) -> str:
             f"{np.median(table['ms']):.1f} ({np.median(table['slowest, ms']):.1f})",
         ]
         lines.append(f"| {' | '.join(map(str, cells))} |")
-    wrong = [row for row in kept.values() if row["case"] in WRONG]
+    wrong = [row for row in kept.values() if "reported" in row]
     if wrong:
         lines += [
             "",
-            "## Wrong set-ups: what is reported",
+            "## Wrong set-ups and refused videos: what is reported",
             "",
             "| fault | reported | error of the end, m |",
             "|---|---|---|",

@@ -262,6 +262,7 @@ def passes(monkeypatch, first: list[DoubtKind], second: BaseException | dict[str
         doubts: tuple[Doubt, ...]
         parameters: dict[str, tuple[float, float]]
         recording: SimpleNamespace
+        notes: tuple[str, ...] = ()
 
     def track(video, tracker, **follow):
         done.append(tracker)
@@ -290,7 +291,10 @@ def test_another_length_is_kept_only_with_a_possible_camera(monkeypatch, scale, 
     estimates = {"scale": (scale, 0.02), "roll": (roll, 0.01)}
     found, stopped, _ = passes(monkeypatch, [], estimates)
     assert found.parameters == (estimates if kept == 2 else {})
-    assert [each.kind for each in found.doubts] == [DoubtKind.LENGTH]
+    (doubt,) = found.doubts
+    assert doubt.kind is (DoubtKind.LENGTH if kept == 2 else DoubtKind.OTHER_LENGTH)
+    assert str(doubt).endswith("+30.0%" if kept == 2 else "by how much is not known")  # a number of what is kept
+    assert ("--size" in " ".join(found.notes)) is (kept == 1)
     assert not stopped
 
 

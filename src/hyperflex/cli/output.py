@@ -179,8 +179,8 @@ def _rows(result: Mapping[str, Any], above: str = "", unit: str = "") -> Iterato
             words, own = words.removesuffix("_per"), f"1/{own}"
         label = f"{above} {words}".strip().replace("_", " ")
         if isinstance(value, Mapping):
-            if value.keys() == {"value", "std"}:
-                yield label, f"{value['value']:.5g} (std {value['std']:.2g}) {own}".rstrip()
+            if value.keys() >= {"value", "std"}:
+                yield label, f"{value['value']:.5g} (std {value['std']:.2g}) {value.get('unit', own)}".rstrip()
             else:
                 yield from _rows(value, label, own)
         elif isinstance(value, list) and not all(isinstance(each, int | float) for each in value):

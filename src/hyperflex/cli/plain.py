@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Pixel = tuple[float, float] | None
 FORMAT = "hyperflex answers 1"
 MEASURES = ("length", "exposure", "at")  # in the file beside the answers to questions
-CLICKED = 1.0  # px, standard deviation of a pixel that a person reads from a picture
+CLICK_STD = 1.0  # px, standard deviation of a pixel that a person reads from a picture
 # Standard deviations of what the answers leave open, freed in the fit. Of a camera: its scale as a part of itself, roll
 # (held level by eye), rad, readout of a phone's sensor, s. Of a rope: friction, that of the first joint, and drag as
 # parts of themselves. Friction and drag over an unknown mass are known by their order of magnitude; a wrong friction,
@@ -50,7 +50,7 @@ QUESTIONS = (
         "size",
         "What tells the size of the picture?",
         "The camera is taken as level, at a right angle to the swing plane and without distortion: a plane that is "
-        "turned by 5 degrees costs 0.4 % of all lengths across. Scale and roll are estimated too.",
+        "rotated by 5 degrees makes horizontal lengths 0.4 % too small. Scale and roll are estimated too.",
         (
             Way("the rope's own length", word="rope"),
             Way("two points in the swing plane, and their distance", 2, ("distance in m",)),
@@ -157,14 +157,15 @@ class Plain:
         origin = {} if lens is None else {"pivot": lens.project([[0.0, 0.0]])[0].tolist()}
         given = kept | self.answers()
         known = {name: value for name, value in (origin | given).items() if name not in replaced}
-        check_terminal([each for each in questions if each.name not in known])
+        asked = [each for each in questions if each.name not in known]
+        check_terminal(asked)
         if "pivot" in known:  # else they are checked with its answer: against the rope that hangs from it
             for name in known:
                 scene(known).check(name)
         found = ask(Dialogue(questions, known, prepare, check), image)
         own = {name: value for name, value in found.items() if name in given or name not in origin}
         if (keep := {**measures, **kept, **own}) != {**before, **kept}:
-            _keep(path, head, keep)
+            _keep(path, head, keep, said=bool(asked))
         return scene(found)
 
     def _measures(self, known: Mapping[str, Any], at: float | None) -> dict[str, float]:
@@ -216,10 +217,12 @@ def _head(video: Path, image: "Image") -> dict[str, Any]:
     return head
 
 
-def _keep(path: Path, head: Mapping[str, Any], answers: Mapping[str, Any]) -> None:
-    """Write a file of answers; where that fails, say which options give them."""
+def _keep(path: Path, head: Mapping[str, Any], answers: Mapping[str, Any], *, said: bool) -> None:
+    """Write a file of answers, and say so if it is to be `said`; where that fails, say which options give them."""
     try:
         files.write_toml(path, {**head, "answers": answers})
+        if said:
+            output.note(f"the answers are kept in {path}")
     except FileProblem as error:
         options = list[str]()
         for name, value in answers.items():
@@ -285,7 +288,7 @@ class PlainScene:
         if isinstance(tip, str):
             return found
         away = np.hypot(*(found.curve - tip).T)
-        if not away.min() <= found.look.width + 10.0 * CLICKED:  # NaN, too
+        if not away.min() <= found.look.width + 10.0 * CLICK_STD:  # NaN, too
             allowed = f"a pixel of the rope that is seen, which ends at {found.curve[-1].round().tolist()}"
             raise InvalidInput("--tip is not on the rope", got=tip, allowed=allowed)
         return replace(found, curve=found.curve[: int(away.argmin()) + 1])
@@ -303,7 +306,7 @@ class PlainScene:
         if len(numbers) == 3:
             return self._on_board(Camera.pinhole((width, height), **timing), *numbers)
         if len(numbers) == 5:
-            if not (apart := self._clicked_apart) >= CLICKED:  # NaN, too
+            if not (apart := self._clicked_apart) >= CLICK_STD:  # NaN, too
                 raise InvalidInput("--size: its two points are the same", got=numbers[:4], fix="Give two points")
             scale = apart / checks.number("--size", numbers[4], sign="positive")
         elif len(numbers) == 8:
@@ -312,7 +315,7 @@ class PlainScene:
             around = np.argsort(np.arctan2(*(corners - corners.mean(axis=0)).T))  # clicked in any order
             sides = np.linalg.norm(np.diff(corners[[*around, around[0]]], axis=0), axis=1)
             sides = 0.5 * (sides[:2] + sides[2:])
-            if not abs(sides.max() / np.sqrt(2.0) / max(sides.min(), CLICKED) - 1.0) <= 0.1:  # clicks and perspective
+            if not abs(sides.max() / np.sqrt(2.0) / max(sides.min(), CLICK_STD) - 1.0) <= 0.1:  # clicks and perspective
                 got = f"sides of {sides[0]:.0f} and {sides[1]:.0f} px"
                 allowed = "sides as 1.41 to 1, seen at a right angle"
                 raise InvalidInput("--size: these are not the corners of an A4 sheet", got=got, allowed=allowed)
@@ -390,12 +393,12 @@ class PlainScene:
     @property
     def doubts(self) -> dict[str, float]:
         """Standard deviations of what the answers leave open, to be estimated with the motion."""
-        clicked = CLICKED / self.camera.pixels_per_metre
+        clicked = CLICK_STD / self.camera.pixels_per_metre
         found = {"offset_x": clicked, "offset_y": clicked}
         if self.known_camera is None:
             size = self.answers["size"]
             apart = self.found.length if self.by_rope else self._clicked_apart if len(size) > 3 else np.inf
-            found |= _OPEN_CAMERA | {"scale": float(np.hypot(_OPEN_CAMERA["scale"], np.sqrt(2.0) * CLICKED / apart))}
+            found |= _OPEN_CAMERA | {"scale": float(np.hypot(_OPEN_CAMERA["scale"], np.sqrt(2.0) * CLICK_STD / apart))}
         return found if self.known_rope else found | _OPEN_ROPE
 
     def write(self, found: "VideoTrack", out: Path) -> dict[str, Any]:
@@ -419,15 +422,15 @@ class PlainScene:
             line = with_links(line.replace(**damping), Answers().links)
             line = line.replace(friction=line.friction[-1])
         files.rescued(line.to_toml, rope)
-        told = {"rope": rope, "camera": camera, "assumed": self._assumed(found.parameters)}
+        told = {"rope": rope, "camera": camera, "assumed": self._assumed(found.parameters, line)}
         if found.doubts:
             return told
         free = "friction:shared,inertia:shared,drag:shared,gravity_angle"
         words = ["hyperflex", "identify", out, "--rope", rope, "--free", free, "-o", "identified"]
         return told | {"next": shlex.join(map(str, words))}
 
-    def _assumed(self, found: Mapping[str, tuple[float, float]]) -> list[str]:
-        """Return what was assumed, with what the fit found of it or what it costs."""
+    def _assumed(self, found: Mapping[str, tuple[float, float]], line: "Rope") -> list[str]:
+        """Return what was assumed, with what the fit found of it or what it costs; `line` is the rope as it is now."""
         texts = {
             "roll": ("the camera is level", np.degrees(1.0), ": found {:+.2f} +- {:.2f} degrees"),
             "scale": ("the scale is as answered", 100.0, ": found {:+.2f} +- {:.2f} %"),
@@ -437,11 +440,16 @@ class PlainScene:
                 100.0,
                 ": found {:+.0f} +- {:.0f} %",
             ),
+            next((name for name in list(found)[::-1] if name.startswith("arc[")), ""): (
+                "the free end is where the rope's length ends",
+                1e3,
+                ": found {:+.1f} +- {:.1f} mm beyond",
+            ),
         }
         said = [  # of a rope that hangs still nothing is found
             text + (numbers.format(*(unit * each for each in found[name])) if name in found else "")
             for name, (text, unit, numbers) in texts.items()
-            if name in self.doubts
+            if name in self.doubts or name in found
         ]
         exposed = 1e3 * self.camera.exposure
         said += [
@@ -454,6 +462,7 @@ class PlainScene:
                 "the lens does not distort: a phone's moves places by less than 1 % of their distance from the middle",
             ]
         if self.known_rope is None and self.answers["mass"] == "unknown":
-            mass = self.rope.total_mass
-            said.append(f"the rope weighs {mass:.3g} kg: friction and inertia are true in proportion to its mass")
+            said.append(
+                f"the rope weighs {line.total_mass:.3g} kg: friction and inertia are true in proportion to its mass"
+            )
         return said

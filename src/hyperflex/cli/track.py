@@ -19,7 +19,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
-from hyperflex.cli.plain import CLICKED, Plain, PlainScene, answers_path, check_size
+from hyperflex.cli.plain import CLICK_STD, Plain, PlainScene, answers_path, check_size
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.interruption import stoppable
 
@@ -229,7 +229,7 @@ def track(
             detector = _bar_detector(video, [_pixel("--bar", each) for each in bar], at)
             found, stopped = output.run(lambda: track_bars(video, detector, plain.pivot or (), **follow))
         elif scene is None:
-            task = markers.task(_images_since(video, at), origin_doubt=CLICKED)
+            task = markers.task(_images_since(video, at), origin_doubt=CLICK_STD)
             found, stopped = _tracked(video, task, follow, False)
         else:
             follow["since"] = _since(scene.at)
@@ -276,6 +276,7 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     further pass leaves the track of the first.
     """
     from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
+    from hyperflex.estimate.doubts import Doubt, advice
     from hyperflex.model import swing_rate
 
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
@@ -311,8 +312,8 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
         if other is None or kind not in kinds or kinds & doubted & {DoubtKind.DISTURBED, DoubtKind.SHAKE}:
             continue
         if kind is DoubtKind.LENGTH and _far(other, tasks[0]):
-            said = (each for each in other.doubts if each.kind is kind)
-            found = replace(found, doubts=(*found.doubts, *said))
+            doubt = Doubt(DoubtKind.OTHER_LENGTH, math.nan)  # a pass that is not kept tells no number
+            found = replace(found, doubts=(*found.doubts, doubt), notes=(*found.notes, advice([doubt], plain=True)))
             continue
         if preview:
             spare.replace(preview)
@@ -352,7 +353,12 @@ def _further(video: Path, tasks: "Sequence[TrackingTask]", follow: dict[str, Any
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
     """Return for JSON what was estimated in addition to the motion."""
-    named = {name: {"value": value, "std": std} for name, (value, std) in values.items()}
+    from hyperflex.estimate.parameters import kind
+
+    named = {
+        name: {"value": value, "std": std, "unit": getattr(kind(name), "unit", "") or "relative"}
+        for name, (value, std) in values.items()
+    }
     return {"noise_level": noise, "estimated": named, "changes": [asdict(change) for change in changes]}
 
 

@@ -13,7 +13,7 @@ from hyperflex.model import Rope, swing_rate
 LARGE = 2.0  # errors over those of detection from which the set-up is doubted
 DISTURBED = 0.25  # (g / L)^(3/4), density of disturbances of the whole rope from which it is doubted
 SHAKING = 0.6  # px, shift of whole pictures from which the camera is doubted: three times a detection error
-ALIKE = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
+CORRELATION_TIME = 1.0  # sqrt(L / g), time over which residuals are alike from which they are no noise
 MOVED = 0.02  # of the rope's length, rms, from which a first joint moves
 SWING = 2.0  # px, rms, from which a rope swings: ten detection errors, which tell its period to about 1 %
 LONGER = 0.03  # of the rope's length, from which an estimated one contradicts it: a tape errs by a tenth of that
@@ -37,6 +37,7 @@ class DoubtKind(StrEnum):
     BASE_ELSEWHERE = "the rope's first joint is {:.2g} m from the camera's origin"
     STILL = "the rope hangs still (it moves by {:.1f} px rms): only its place is known"
     LENGTH = "the rope swings as one whose length differs from the given one by {:+.1%}"
+    OTHER_LENGTH = "the rope swings as one of another length than given; by how much is not known"
 
 
 class Doubt(NamedTuple):
@@ -124,7 +125,7 @@ def doubts(
     if shift >= SHAKING:
         found.append(Doubt(DoubtKind.SHAKE, shift))
     if level >= LARGE:
-        found.append(Doubt(DoubtKind.IMPOSSIBLE if alike * rate >= ALIKE else DoubtKind.NOISE, level))
+        found.append(Doubt(DoubtKind.IMPOSSIBLE if alike * rate >= CORRELATION_TIME else DoubtKind.NOISE, level))
     if rate > 0.0 and swing >= SWING and float(density[0]) >= DISTURBED * rate**1.5:
         found.append(Doubt(DoubtKind.DISTURBED, float(density[0])))
     return found

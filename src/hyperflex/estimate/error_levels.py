@@ -23,7 +23,7 @@ from hyperflex.status import Status
 
 LINEARISED, ROUNDS = 3, 6  # rounds: about new states; of all levels, before a last one of the markers' alone
 LONGEST = 300  # frames that are smoothed together: some 100 MB with 50 links
-ALIKE = 10.0  # observations that count for "a marker's errors are like those of the others"
+PRIOR_COUNT = 10.0  # observations that count for "a marker's errors are like those of the others"
 GAUSSIAN = 100.0  # degrees of freedom from which Student's distribution is as good as Gaussian
 
 
@@ -311,7 +311,7 @@ class _Window:
         freedom = likeliest_freedom(distances, directions)
         self.weights = np.where(directions, (freedom + directions) / (freedom + np.nan_to_num(distances)), 1.0)
         counts, weighted = directions.sum(axis=0), np.nansum(self.weights * squares, axis=0)
-        marker = np.sqrt((weighted + ALIKE * weighted.sum() / counts.sum()) / (counts + ALIKE))
+        marker = np.sqrt((weighted + PRIOR_COUNT * weighted.sum() / counts.sum()) / (counts + PRIOR_COUNT))
         self.levels = self.levels._replace(marker=marker, freedom=freedom)
         if everything:
             frames, (density, jump) = sum(each.marker.size > 0 for each in self.linear), self._disturbed()

@@ -23,7 +23,7 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import Rope
 from hyperflex.sensors import lever_arms
 
-ALIKE = 0.1  # of a standard deviation, largest difference of two fits that count as one
+SAME_FIT = 0.1  # of a standard deviation, largest difference of two fits that count as one
 
 
 class MovingHorizon(RopeFilter):
@@ -225,7 +225,7 @@ class MovingHorizon(RopeFilter):
 def _alike(one: Interval, other: Interval) -> bool:
     """Return whether two fits have converged to the same path."""
     paths = [[each.start, *(node.noise for node in each.nodes)] for each in (one, other)]
-    alike = (np.abs(a - b).max(initial=0.0) < ALIKE for a, b in zip(*paths, strict=False))
+    alike = (np.abs(a - b).max(initial=0.0) < SAME_FIT for a, b in zip(*paths, strict=False))
     return len(paths[0]) == len(paths[1]) and all(alike)
 
 

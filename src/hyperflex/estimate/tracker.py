@@ -214,7 +214,7 @@ class RopeTracker:
     @property
     def level(self) -> float:
         """Errors of the places over those of detection."""
-        stated = np.sqrt(CurveDetector.ALIKE) if self._plain else 1.0
+        stated = np.sqrt(CurveDetector.CORRELATED) if self._plain else 1.0
         return float(stated * self.estimator.measurement_noise.value)
 
     @property

@@ -197,7 +197,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     changes = tuple(change for each in found for change in each.changes)
     begun = [k for k, each in enumerate(found) if each.begun]
     curve = isinstance(tracker.measurement, CurveMeasurement)
-    alike, states = CurveDetector.ALIKE if curve else 1.0, np.array([each.x for each in found])
+    alike, states = CurveDetector.CORRELATED if curve else 1.0, np.array([each.x for each in found])
     errors = run_errors(estimator, [each.seen for each in found], states, begun, changes, alike)
     parameters, estimates = estimator.parameters, errors.estimates
     prior = dict(zip(parameters.names, parameters.std.tolist(), strict=True))

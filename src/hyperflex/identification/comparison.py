@@ -30,7 +30,7 @@ STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Rafter
 CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
 FEW = 3  # predicted stretches, fewer have no standard error to speak of
 MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
-ALIKE = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
+EQUALLY_GOOD = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
 COLUMNS = "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness"  # of the table
 MAX_ADDED = 2  # resistances beside viscous friction in one candidate
@@ -124,7 +124,7 @@ def predicts_as_well(one: HeldOut | None, best: HeldOut | None) -> bool:
         return False
     ratio, gap = float(np.sqrt(mine.mean() / other.mean())), mine - other
     if mine.size < FEW or mine.size != other.size:
-        return ratio <= ALIKE
+        return ratio <= EQUALLY_GOOD
     return bool(ratio <= MATTERS or gap.mean() <= CLEAR * gap.std(ddof=1) / np.sqrt(gap.size))
 
 

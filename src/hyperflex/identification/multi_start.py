@@ -54,7 +54,7 @@ SAME_STATE = 0.01
 # rounds of fitting a state to a part of a window, and of parameters after which states are searched
 SHORT = 15
 # ratio of costs within which two starts, or states of a window, have come to the same
-ALIKE = 1.05
+SAME_COST = 1.05
 # part of the motion that predictions of windows twice as long may err by for these to be fitted
 PREDICTED = 0.3
 # by which derivatives with respect to the state may grow from one half of a window to the next: 2 if errors grow with
@@ -277,7 +277,7 @@ class MultiStart:
             if tried.cost < found.cost:
                 history = tuple(each | entry for each in tried.history)
                 found = replace(tried, history=found.history + history)
-            agree = sum(cost <= ALIKE * found.cost for cost in costs)
+            agree = sum(cost <= SAME_COST * found.cost for cost in costs)
             best = replace(best, fit=found, settings=best.settings | {"starts": len(costs), "starts_agree": agree})
             yield best
             if tried.status is not None:
@@ -360,7 +360,7 @@ class MultiStart:
         """
         found: set[int] = set()
         for k, least in before.items():
-            least, window = least / ALIKE, windows[k]
+            least, window = least / SAME_COST, windows[k]
             usual = list(restart_states(self.plant, windows, x, states, k))
             for grow in (False, True)[: 1 + thorough]:
                 self.budget.check()

@@ -20,7 +20,7 @@ from hyperflex.model import RESISTANCES, Rope, parse_label, unit_across, unit_al
 LUMPED = ("p", "J", *(each.name for each in RESISTANCES))  # blocks of n columns, in this order
 NAMES = ("inertia", "mass", "tip_mass", *LUMPED)
 WITHIN = {"p": {"mass", "tip_mass"}, "J": {"inertia", "mass", "tip_mass"}}  # what a lumped one already contains
-ALIKE = 1e-10  # singular values below this part of the largest mean that columns cannot be told apart
+INSEPARABLE = 1e-10  # singular values below this part of the largest mean that columns cannot be told apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Regression:
         scale = np.sqrt((matrix**2).sum(axis=0))
         scale[scale == 0.0] = 1.0
         left, sizes, rows = np.linalg.svd(matrix / scale, full_matrices=False)
-        if sizes[-1] <= ALIKE * sizes[0]:
+        if sizes[-1] <= INSEPARABLE * sizes[0]:
             alike = [name for name, part in zip(self.names, np.abs(rows[-1]), strict=True) if part > 1e-3]
             raise InvalidInput(
                 "some unknowns act alike, or not at all, in these data",

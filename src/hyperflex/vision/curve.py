@@ -60,8 +60,8 @@ class CurveOffsets(NamedTuple):
     Attributes
     ----------
     offsets, variances : (K,) float64
-        Along the middle line of each piece, px and px^2; NaN: not seen. Variances are `CurveDetector.ALIKE` times those
-        of single errors: so many, of neighbours and of frames, are alike.
+        Along the middle line of each piece, px and px^2; NaN: not seen. Variances are `CurveDetector.CORRELATED` times
+        those of single errors: so many, of neighbours and of frames, are alike.
     end, end_variance : float
         Of the free end along its direction; NaN: not seen.
     """
@@ -156,7 +156,7 @@ class CurveDetector:
     DOUBT = 2.0  # px, standard deviation of an expected place in addition to what the estimator states
     WIDEST = 60.0  # px, largest offset
     STREAK = 0.08  # error of a streak's middle by compression, texture and shadows, over its half width
-    ALIKE = 8.0  # pieces and frames over which errors by compression, texture and straight links are alike
+    CORRELATED = 8.0  # pieces and frames over which errors by compression, texture and straight links are alike
     CONTRAST_STD = 0.1  # of a contrast, relative: ropes have 0.73 to 1.21; SURE and CLEAR allow 3.7 of it
     CLEAR, SURE = 3.0, 10.0  # log-likelihood ratio to "nothing" of what may be the rope, and most that a profile proves
     HIDDEN = 3.0  # log-likelihood ratio at which a piece begins or ends to be hidden
@@ -186,7 +186,7 @@ class CurveDetector:
         profiles.match_lines(shares, view.sweeps, widths, self.blur, self.STEP, reach, found)
         offsets, ratios, variances = self._rated(found)
         streaks = self.STREAK * half_sweep(view.sweeps)
-        variances = self.ALIKE * (variances + (streaks**2 + view.sagittas**2)[:, None])
+        variances = self.CORRELATED * (variances + (streaks**2 + view.sagittas**2)[:, None])
         chances = marginals(offsets, ratios, variances, prior, self.HIDDEN)
         offsets, variances = np.nan_to_num(offsets), np.nan_to_num(variances, nan=1.0)
         total = np.maximum(chances.sum(axis=1), 1e-9)
@@ -226,7 +226,7 @@ class CurveDetector:
         if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 4.0 * self.CONTRAST_STD):
             return np.nan, np.nan
         variance = noise / (found[profiles.AMPLITUDE] ** 2 * found[profiles.ENERGY])
-        variance = self.ALIKE * variance + (0.5 * look.width) ** 2  # an end may be cut or round
+        variance = self.CORRELATED * variance + (0.5 * look.width) ** 2  # an end may be cut or round
         return float(found[profiles.OFFSET]), float(variance)
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.image.profiles import sample_places
+from hyperflex.core.image.profiles import cover, sample_places
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.colour import NOISE
 from hyperflex.vision.ridges import BLUR, Ridges
@@ -283,15 +283,9 @@ def at_parts(curve: Array, parts: Array) -> Array:
     return np.stack([np.interp(parts * arcs[-1], arcs, each) for each in curve.T], axis=1)
 
 
-def profile(across: Array, width: float, blur: float = 0.6) -> Array:
-    """Return which share of points (M,) across a rope, px from its middle, it covers.
-
-    With the standard deviation `blur`, px, of the picture of a point: lens, pixel and compression.
-    """
-    from scipy.special import erf
-
-    edges = (across[:, None] + 0.5 * width * np.array([1.0, -1.0])) / (np.sqrt(2.0) * blur)
-    return np.asarray(0.5 * (erf(edges[:, 0]) - erf(edges[:, 1])))
+def profile(across: Array, width: float) -> Array:
+    """Return which share (M,) of points across a rope, px, it covers, blurred by lens, pixel and compression."""
+    return np.asarray(cover(across, width, 0.6))
 
 
 def _sharpest(off: Array, across: Array) -> npt.NDArray[np.bool_]:

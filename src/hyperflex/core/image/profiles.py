@@ -89,14 +89,19 @@ def spread_by(density, kernel_values):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def strip(width, blur, step):  # type: ignore[no-untyped-def]
-    """Return the cover (2 G + 1,) across a strip of a width, seen with a Gaussian blur, px."""
-    size = int((0.5 * width + 3.0 * blur) / step) + 1
-    out, scale = np.empty(2 * size + 1), 1.0 / (blur * math.sqrt(2.0))
-    for j in range(out.size):
-        x = (j - size) * step
-        out[j] = 0.5 * (math.erf((x + 0.5 * width) * scale) - math.erf((x - 0.5 * width) * scale))
+def cover(across, width, blur):  # type: ignore[no-untyped-def]
+    """Return which share (M,) of points across a strip, px from its middle, it covers, with a Gaussian blur, px."""
+    out, scale = np.empty(across.size), 1.0 / (blur * math.sqrt(2.0))
+    for j in range(across.size):
+        out[j] = 0.5 * (math.erf((across[j] + 0.5 * width) * scale) - math.erf((across[j] - 0.5 * width) * scale))
     return out
+
+
+@kernel
+def strip(width, blur, step):  # type: ignore[no-untyped-def]
+    """Return the cover (2 G + 1,) across a strip, in steps, as far as it reaches."""
+    size = int((0.5 * width + 3.0 * blur) / step) + 1
+    return cover(step * np.arange(-size, size + 1), width, blur)
 
 
 @kernel

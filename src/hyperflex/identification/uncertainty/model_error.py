@@ -17,7 +17,7 @@ SHOWN = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits o
 # standard deviations of a moment or inertia: what moves it, or leaves it less known, by more acts nearly as it does,
 # and would leave nothing known by a size that chance can give it; so it counts only if it is sure. A spring acts so,
 # and a string's inertia.
-ALIKE = 10.0
+OVERWHELMING = 10.0
 CLOCK_POWER = {"N m s/rad": -0.5, "N m": -1.0, "N m/rad": -1.0}  # of gravity's factor, in resistances: by their unit
 LARGEST = 3.0  # logarithm of a factor, as far as it counts: 20 times; to first order it may be any number
 
@@ -44,7 +44,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
         shown = white or own or each.significant or each.suspected
         counts = shown and each.excess_gain > SHOWN and not (each.slight and each.freed_with)
         error = _error(each, basis)
-        if each.std == np.inf or (np.diag(error) > ALIKE**2 * known).any():
+        if each.std == np.inf or (np.diag(error) > OVERWHELMING**2 * known).any():
             counts = counts and each.excess_gain > TESTING.sure
         if counts or each.name == LINKS:  # whose excess_gain is a probability
             model += each.excess_gain * error
