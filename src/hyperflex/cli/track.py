@@ -275,8 +275,7 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     no more than its place: it is tracked with the scale, roll and so on as they are given. An error or Ctrl-C in a
     further pass leaves the track of the first.
     """
-    from hyperflex.estimate import BaseElsewhere, DoubtKind, EstimatedParameter, moving_base, track_video
-    from hyperflex.estimate.doubts import Doubt, advice
+    from hyperflex.estimate import BaseElsewhere, Doubt, DoubtKind, EstimatedParameter, moving_base, track_video
     from hyperflex.model import swing_rate
 
     moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
@@ -312,8 +311,7 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
         if other is None or kind not in kinds or kinds & doubted & {DoubtKind.DISTURBED, DoubtKind.SHAKE}:
             continue
         if kind is DoubtKind.LENGTH and _far(other, tasks[0]):
-            doubt = Doubt(DoubtKind.OTHER_LENGTH, math.nan)  # a pass that is not kept tells no number
-            found = replace(found, doubts=(*found.doubts, doubt), notes=(*found.notes, advice([doubt], plain=True)))
+            found = replace(found, doubts=(*found.doubts, Doubt(DoubtKind.OTHER_LENGTH, math.nan)))
             continue
         if preview:
             spare.replace(preview)
@@ -353,10 +351,10 @@ def _further(video: Path, tasks: "Sequence[TrackingTask]", follow: dict[str, Any
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
     """Return for JSON what was estimated in addition to the motion."""
-    from hyperflex.estimate.parameters import kind
+    from hyperflex.estimate import EstimatedParameter
 
     named = {
-        name: {"value": value, "std": std, "unit": getattr(kind(name), "unit", "") or "relative"}
+        name: {"value": value, "std": std, "unit": EstimatedParameter(name, 1.0).unit}
         for name, (value, std) in values.items()
     }
     return {"noise_level": noise, "estimated": named, "changes": [asdict(change) for change in changes]}

@@ -37,7 +37,10 @@ class DoubtKind(StrEnum):
     BASE_ELSEWHERE = "the rope's first joint is {:.2g} m from the camera's origin"
     STILL = "the rope hangs still (it moves by {:.1f} px rms): only its place is known"
     LENGTH = "the rope swings as one whose length differs from the given one by {:+.1%}"
-    OTHER_LENGTH = "the rope swings as one of another length than given; by how much is not known"
+    OTHER_LENGTH = (
+        "the rope swings as one of another length than given, by how much is not known: check the length, and what "
+        "tells the size of the picture (--size)"
+    )
 
 
 class Doubt(NamedTuple):

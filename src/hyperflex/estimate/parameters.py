@@ -90,6 +90,12 @@ class EstimatedParameter:
         checks.number(f"value of {self.name}", self.value)
         checks.number(f"walk of {self.name}", self.walk, sign="nonnegative")
 
+    @property
+    def unit(self) -> str:
+        """Of its value."""
+        known = kind(self.name)
+        return known.unit if known and known.unit else "relative"
+
 
 def moving_base(rope: Rope) -> list[EstimatedParameter]:
     """Return the place of a first joint that moves in an unknown way, in 0.1 s by some 5 % of the rope's length."""
