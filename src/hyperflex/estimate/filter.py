@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.changes import Change, ChangeDetector, ChangeTests, Found
@@ -39,7 +39,7 @@ class ValidationGate:
     def __init__(self, count: int) -> None:
         self._outside = np.zeros(count, dtype=np.int64)
 
-    def accepted(self, off: Array, covariances: Array) -> npt.NDArray[np.bool_]:
+    def accepted(self, off: Array, covariances: Array) -> Flags:
         """Return which places are accepted (K,), from differences (K, 2), NaN: not seen, and their covariances."""
         seen, known = ~np.isnan(off[:, 0]), np.nan_to_num(off)
         far = np.einsum("kc,kc->k", known, np.linalg.solve(covariances, known[:, :, None])[:, :, 0])

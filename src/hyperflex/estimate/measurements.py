@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags, Integers
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.filter import each_covariance
 from hyperflex.estimate.observations import UNMEASURED, MarkerModel
@@ -69,7 +69,7 @@ class MarkerMeasurement:
 
     count, end_seen = None, 1.0
 
-    def __init__(self, *detectors: MarkerDetector, marked: npt.NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, *detectors: MarkerDetector, marked: Flags | None = None) -> None:
         self.detectors, self.marked = detectors, marked
         self._dark = self._waited = self._elsewhere = 0
         self._begun = False
@@ -159,7 +159,7 @@ class MarkerMeasurement:
         """Return pixels (M, 2) of all that looks like a marker, in the whole picture."""
         return self._detect(image)[0].places
 
-    def _detect(self, image: Image, gates: list[Gate] | None = None) -> tuple[Blobs, npt.NDArray[np.int64]]:
+    def _detect(self, image: Image, gates: list[Gate] | None = None) -> tuple[Blobs, Integers]:
         """Return the blobs of all colours (M,), and of which each is. A gate is searched for its marker's colour."""
         found = [
             each.find(image, gates and [gate for gate, own in zip(gates, self._colours, strict=True) if own in (k, -1)])
@@ -296,7 +296,7 @@ class CurveMeasurement:
         return pixels, wide
 
 
-def marked_arc_lengths(rope: Rope, markers: npt.ArrayLike, pieces: int = 40) -> tuple[Array, npt.NDArray[np.bool_]]:
+def marked_arc_lengths(rope: Rope, markers: npt.ArrayLike, pieces: int = 40) -> tuple[Array, Flags]:
     """Return arc lengths, m, at which a rope with some markers is measured, and which of them are the markers'.
 
     `markers` are theirs, m; the others are of :func:`curve_arc_lengths`.
@@ -325,7 +325,7 @@ class MarkedCurveMeasurement(CurveMeasurement):
     free end, this is measured as the marker alone.
     """
 
-    def __init__(self, look: RopeLook, marked: npt.NDArray[np.bool_], *detectors: MarkerDetector) -> None:
+    def __init__(self, look: RopeLook, marked: Flags, *detectors: MarkerDetector) -> None:
         super().__init__(look)
         self.markers, self.marked, self.count = MarkerMeasurement(*detectors, marked=marked), marked, len(marked)
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex.budget import Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.identification.fit import NORMAL, Loss, Window, averaged, fit_state, linearise, residuals_of
 from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
 from hyperflex.identification.model import Plant
@@ -78,7 +77,7 @@ class HeldOut:
         return float(np.sqrt(np.mean(off**2))) if off.size else 0.0
 
     @property
-    def began(self) -> npt.NDArray[np.intp]:
+    def began(self) -> Integers:
         """Which prediction each sample (m,) belongs to."""
         return np.searchsorted(self.starts, self.t, side="left") - 1
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex.checks import Array, Flags, Integers
 from hyperflex.core.image import pairs
@@ -296,7 +295,7 @@ class ClutterMap:
         self._places = np.concatenate([self._places[kept], new])
         self._counts = np.concatenate([self._counts[kept], np.tile([1.0, 0.0, float(self._frame)], (len(new), 1))])
 
-    def _known(self, places: Array) -> tuple[npt.NDArray[np.intp], Flags]:
+    def _known(self, places: Array) -> tuple[Integers, Flags]:
         """Return the nearest known place of each blob (M,), and whether the blob is there (M,)."""
         apart = np.linalg.norm(places[:, None] - self._places, axis=2)
         return apart.argmin(axis=1), apart.min(axis=1) < self.NEAR

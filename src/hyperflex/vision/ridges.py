@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array, Flags, Integers
 from hyperflex.vision.video import Image
 
 ORIENTATIONS = 12  # of the filters, equally spaced over half a turn
@@ -80,7 +80,7 @@ class Mixture:
         self._usual = 0.2 * self._contrast
         self.width, self._known = width, np.zeros(image.shape[:2], np.uint8)
 
-    def _at(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def _at(self, places: Array) -> tuple[Integers, Integers]:
         u, v = (np.clip(np.rint(places[:, k]).astype(int), 0, self._share.shape[1 - k] - 1) for k in range(2))
         return v, u
 
@@ -158,7 +158,7 @@ class Ridges:
             level = cv2.pyrDown(level)
             self._levels.append(_responses(level))
 
-    def at(self, places: Array, directions: Array, sizes: Array | None = None) -> tuple[Array, npt.NDArray[np.intp]]:
+    def at(self, places: Array, directions: Array, sizes: Array | None = None) -> tuple[Array, Integers]:
         """Return the strongest responses at places in directions, and their sizes.
 
         Parameters
@@ -192,7 +192,7 @@ class Ridges:
             best[rows], most[rows], size[rows] = found[better], strength[better], k
         return best, size
 
-    def edges(self, places: Array, directions: Array, sizes: npt.NDArray[np.intp]) -> Flags:
+    def edges(self, places: Array, directions: Array, sizes: Integers) -> Flags:
         """Return where ridges (N,), as of :meth:`at`, are only edges: a rope stands out from what is on both sides."""
         normals, result = np.stack([-np.sin(directions), np.cos(directions)], axis=1), np.zeros(len(places), bool)
         for k, (_, _, colours) in enumerate(self._levels):
@@ -345,9 +345,7 @@ def _shifted(picture: npt.NDArray[np.float32], du: int, dv: int) -> npt.NDArray[
     return picture[a + dv : height - a + dv, b + du : width - b + du]
 
 
-def _best_of_cells(
-    ahead: Array, heading: Array, size: Array, total: Array, most: int
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _best_of_cells(ahead: Array, heading: Array, size: Array, total: Array, most: int) -> tuple[Integers, Integers]:
     """Return rows and columns of the best candidates, `most`, one in each cell of places, sizes and directions.
 
     A cell is as large as its filter sees: else the many places on a wide thing crowd out a thin rope.
