@@ -380,11 +380,11 @@ def spread(slopes: Array, covariance: Array | None) -> Array:
     """
     n = slopes.shape[2]
     wide = np.zeros((n, n)) if covariance is None else covariance[:n, :n]
-    return np.asarray(slopes @ wide @ slopes.transpose(0, 2, 1))
+    return slopes @ wide @ slopes.transpose(0, 2, 1)
 
 
 def each_covariance(joint: Array) -> Array:
     """Return the covariance (K, 2, 2) of each of K points from that of all together (2 K, 2 K)."""
     count = len(joint) // 2
     each = np.arange(count)
-    return np.asarray(joint.reshape(count, 2, count, 2)[each, :, each])
+    return joint.reshape(count, 2, count, 2)[each, :, each]

@@ -228,7 +228,7 @@ def _spots(tracker: RopeTracker, image: Image, tracked: TrackedFrame) -> Array:
     if tracked.seen.all() or not isinstance(tracker.measurement, MarkerMeasurement):
         return tracked.places[tracked.seen]
     places = tracker.adjusted_camera.locate(tracker.measurement.spots(image))
-    return np.asarray(places[np.isfinite(places).all(axis=1)])
+    return places[np.isfinite(places).all(axis=1)]
 
 
 class CameraStateSource:
