@@ -138,7 +138,7 @@ def identify(
         motion = plan_test_motion(chosen, 0.0, stroke=stroke)
         angles = motion.angle(motion.breaks)
         plan = {
-            "duration_s": float(motion.breaks[-1]),
+            "duration_s": motion.end,
             "least_angle": float(angles.min()),
             "greatest_angle": float(angles.max()),
         }

@@ -210,7 +210,7 @@ def _show_motion(plan: "CastPlan") -> None:
     """Print the result of a dry run."""
     motion = plan.required(plan.motion, "motion")
     figures = {"peak_speed": float(abs(motion.extrema(1)[1]).max()), "torque": plan.torque}
-    figures["duration"] = float(motion.breaks[-1])
+    figures["duration"] = motion.end
     told = "The motion keeps to the limits. Nothing was connected."
     output.show({"success": True, "dry_run": True, **figures}, output.rows("Motion, SI units", figures), told)
 

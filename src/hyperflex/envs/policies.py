@@ -141,7 +141,7 @@ class PlannedCast:
         twin = type(members)(rope=members.model, target=members.pegs[0], tol=members.world.tol, **given)
         twin.reset(seed=0)
         twin.world.begin(np.array([0]), [members.model], members.pegs, members.world.q, members.world.arm_angle[0])
-        ended, end = False, float(motion.breaks[-1]) + WINDS
+        ended, end = False, motion.end + WINDS
         while not ended and members.dt * twin.steps[0] < end:
             _, _, terminated, _, info = twin.step(self._action(twin, motion)[None])
             ended, self._succeeds = bool(terminated[0]), bool(info["is_success"][0])

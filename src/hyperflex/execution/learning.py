@@ -407,7 +407,7 @@ class _Learner:
         problem, peg = self.plan.problem, self.plan.target
         motion = self.moves.motion(problem.limits)
         batch = RolloutBatch.from_state([problem.rope], [peg], [motion], state)
-        found = fly_to_strikes(problem, peg, batch, Budget(), max(problem.time, float(motion.breaks[-1]) + 0.5))
+        found = fly_to_strikes(problem, peg, batch, Budget(), max(problem.time, motion.end + 0.5))
         t = state.t + float(found.t[0])
         return RopeState(t, found.q[0], found.qd[0]) if math.isfinite(t) else None
 

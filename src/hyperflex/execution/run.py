@@ -158,7 +158,7 @@ def run_plan(
     say("simulating the plan")
     prediction, stop, found, known = Prediction.of(plan), "", None, None
     watch = RopeWatch(None, 0.0, made, plan, math.inf, lag=chosen.lag, rate=chosen.sampling)
-    duration = 120.0 + 2.0 * float(made.breaks[-1])
+    duration = 120.0 + 2.0 * made.end
     drive = MotionStream(connect, rate=chosen.rate, duration=duration, clear_fault=chosen.clear_fault)
     begun = False
 
@@ -208,7 +208,7 @@ def run_plan(
                         following = partial(follow_plan, plan, watch, motor=fed, rope=known, options=now)
                         found = _supervise(following, drive, watch)
                     criteria = plan.problem.criteria
-                    end = float((drive.motion or made).breaks[-1])
+                    end = (drive.motion or made).end
                     _sleep_until(begin + min(end, touch), drive, watch)  # what is seen after it changes nothing
                     _sleep_until(begin + end + criteria.settle + criteria.watch, drive)
                     drive.off()

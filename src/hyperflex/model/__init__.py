@@ -11,6 +11,7 @@ if TYPE_CHECKING:
         Ground,
         Obstacle,
         Peg,
+        Placed,
         Wall,
         checked_obstacles,
         gap_of,

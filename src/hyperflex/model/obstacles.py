@@ -6,6 +6,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, options
 from hyperflex.checks import Array
@@ -17,9 +18,21 @@ ELSEWHERE = {"in mu=...": ("friction",)}  # where a Rope and an Arm have viscous
 FIXED = (math.inf, 0.0)  # kg m^2 and N m s/rad, of what does not turn
 
 
+class Placed:
+    """Something that stands at x and y, m."""
+
+    x: float
+    y: float
+
+    @property
+    def point(self) -> Array:
+        """The point (2,), m."""
+        return np.array([self.x, self.y])
+
+
 @checks.named(ELSEWHERE)
 @dataclass(frozen=True)
-class Peg:
+class Peg(Placed):
     """A round peg, its axis across the plane of the rope; fixed, or a pulley that turns on an axle.
 
     Parameters
@@ -79,7 +92,7 @@ class Peg:
 
 @checks.named(ELSEWHERE)
 @dataclass(frozen=True)
-class Wall:
+class Wall(Placed):
     """A thin straight wall that a rope may touch on both sides; two of them with a gap between make a slit.
 
     Parameters
@@ -118,7 +131,7 @@ class Wall:
 
 @checks.named(ELSEWHERE)
 @dataclass(frozen=True)
-class Ground:
+class Ground(Placed):
     """Everything on one side of a straight line, solid: a floor, a ceiling, the side of a room.
 
     Parameters
@@ -202,7 +215,7 @@ def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, withi
     """
     gaps = np.empty((*begin.shape[:-2], len(obstacles), begin.shape[-2]))
     for w, each in enumerate(obstacles):
-        place: Array = np.array([each.x, each.y])
+        place = each.point
         if isinstance(each, Peg):
             gap = _distance(place, begin, end) - each.radius
         elif isinstance(each, Wall):
@@ -227,16 +240,16 @@ def _write_depths(gap: Array, wall: Wall, begin: Array, end: Array) -> None:
         beyond = np.cumsum(size[..., ::-1], axis=-1)[..., ::-1]  # of the chain, from the beginning of each link
         x, y = wall.x2 - wall.x, wall.y2 - wall.y
         length, axes = math.hypot(x, y), np.array([[x, -y], [y, x]]) / math.hypot(x, y)
-        (low, below), (high, above) = (((each[rows] - [wall.x, wall.y]) @ axes).T for each in (begin, end))
+        (low, below), (high, above) = (((each[rows] - wall.point) @ axes).T for each in (begin, end))
         part = np.clip(below / np.where(below == above, 1.0, below - above), 0.0, 1.0)
         along = np.clip(low + part * (high - low), 0.0, length)
         gap[rows] = -np.minimum(np.minimum(along, length - along), beyond[rows] - part * size[rows])
 
 
-def gap_of(obstacle: Obstacle, x: float, y: float) -> float:
-    """Distance of a place, m, from an obstacle, m, <= 0 in it."""
-    place = np.array([[x, y]])
-    return float(obstacle_gaps((obstacle,), place, place)[0, 0])
+def gap_of(obstacle: Obstacle, place: ArrayLike) -> float:
+    """Distance of a `place` (2,), m, from an obstacle, m, <= 0 in it."""
+    link = np.array([place])
+    return float(obstacle_gaps((obstacle,), link, link)[0, 0])
 
 
 def named(obstacle: Obstacle) -> str:

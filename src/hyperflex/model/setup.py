@@ -329,7 +329,7 @@ def warn_of_pegs(name: str, setup: Setup) -> None:
         if long.size:
             text = f"{name}: links of {1e3 * long.max():.3g} mm near {where} hold less than a smooth rope. "
             warnings.warn(f"{text}Give links of up to {1e3 * FINE * axis:.2g} mm.", stacklevel=3)
-        if arm is not None and math.dist(arm.pivot, (peg.x, peg.y)) < arm.length + peg.radius:
+        if arm is not None and math.dist(arm.pivot, peg.point) < arm.length + peg.radius:
             warnings.warn(f"{name}: the arm can turn through {where}, which only the rope touches.", stacklevel=3)
 
 

@@ -86,6 +86,11 @@ class Motion:
         return f"Motion({kind}{self.breaks[0]:g} to {self.breaks[-1]:g} s, {pieces}{again})"
 
     @property
+    def end(self) -> float:
+        """Last break, s: then the motion stands still or repeats."""
+        return float(self.breaks[-1])
+
+    @property
     def period(self) -> float:
         """Time after which the motion repeats, s; inf if it does not."""
         return math.inf if self.loop < 0 else float(self.breaks[-1] - self.breaks[self.loop])

@@ -419,7 +419,7 @@ def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
     runs = [each.run for each in plan.outcomes if each.run is not None]
     if len(runs) < 2 or plan.motion is None:
         return ()
-    criteria, stop = plan.problem.criteria, float(plan.motion.breaks[-1])
+    criteria, stop = plan.problem.criteria, plan.motion.end
     kept = min(np.abs(winding.turns(run, plan.target)[run.t >= stop + criteria.settle]).min() for run in runs)
     turns = math.floor(TURNS_STEPS * kept) / TURNS_STEPS
     if not 0.0 < turns < criteria.turns:
@@ -452,7 +452,7 @@ def _nearest(target: Peg, plans: list[CastPlan], rope: Rope) -> list[CastPlan]:
 
 
 def _distance(one: Peg, other: Peg) -> float:
-    return math.dist((one.x, one.y), (other.x, other.y))
+    return math.dist(one.point, other.point)
 
 
 def _swinging(problem: Problem, conditions: Conditions, target: Peg) -> tuple[Problem, str]:

@@ -121,7 +121,7 @@ def check_feasibility(problem: Problem, peg: Peg) -> Feasibility:
     target, required = _Target(problem, peg), problem.criteria.holding_force
     energy, holding = target.energy_ratio(problem.time), target.holding_force()
     impossible, message = target.geometry()
-    inside = [each for each in (*problem.criteria.behind, *problem.obstacles) if gap_of(each, peg.x, peg.y) <= 0.0]
+    inside = [each for each in (*problem.criteria.behind, *problem.obstacles) if gap_of(each, peg.point) <= 0.0]
     torque = _start_torque(problem)
     if torque > problem.limits.torque:
         needs = f"the rope that hangs from the arm needs {torque:.3g} N m at the start"
@@ -257,7 +257,7 @@ def _blocked(problem: Problem, peg: Peg, arm_angles: int = 73) -> str:
     obstacles, rope, arm = (*problem.criteria.behind, *problem.obstacles), problem.rope, problem.arm
     if not obstacles:
         return ""
-    centre: Array = np.array([[peg.x, peg.y]])
+    centre = peg.point[None]
     room = obstacle_gaps(obstacles, centre, centre)[:, 0] - peg.radius
     clearance = np.where(np.arange(len(obstacles)) < len(problem.criteria.behind), 0.0, max(problem.clearance, 0.0))
     nearest = int((room - clearance).argmin())
@@ -382,7 +382,7 @@ def nearest_feasible(problem: Problem, peg: Peg, *, margin: float = 0.0) -> Peg 
     bisection on the rays of these places. Places are rounded to a thousandth of the rope's length or less.
     """
     unit = 10.0 ** math.floor(math.log10(1e-3 * problem.rope.total_length))
-    farthest = math.dist((peg.x, peg.y), problem.arm.pivot) + problem.rope.total_length + problem.arm.length
+    farthest = math.dist(peg.point, problem.arm.pivot) + problem.rope.total_length + problem.arm.length
 
     def at(distance: float, angle: float) -> Peg:
         x, y = peg.x + distance * math.sin(angle), peg.y + distance * math.cos(angle)

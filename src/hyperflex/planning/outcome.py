@@ -201,7 +201,7 @@ def verify_cast(
         Time of the run by the clock, s; a run that takes more has failed.
     """
     budget, criteria = Budget.of(time_budget), problem.criteria
-    stop = float(motion.breaks[-1])
+    stop = motion.end
     duration = stop + criteria.settle + criteria.watch
     setup = verified_setup(problem, motion, duration, (peg,), tol=tol, contact_step=contact_step)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
@@ -236,7 +236,7 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     enough, held = turns_kept >= criteria.turns, on and slip < criteria.max_slip
     touched, covered = np.isfinite(wound.before), float(wound.contact[watched].min())
     figures = run_figures(problem, run)
-    above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
+    above = -(run.tip - peg.point) @ np.array(run.setup.rope.gravity)
     apart = way_gaps(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
     led = tuple(bool(each.all()) for each in (apart < winding.TOUCH).T)
     beside, aside, lean, doubt = _aside(run)

@@ -221,7 +221,7 @@ class Plan(ABC):
         """
         motion = self.required(self.motion, "motion")
         rate = checks.number("rate", rate, sign="positive", unit="Hz")
-        count = math.ceil(float(motion.breaks[-1]) * rate - 1e-9) + 1
+        count = math.ceil(motion.end * rate - 1e-9) + 1
         if not 2 < count <= MAX_ROWS:
             raise InvalidInput(
                 "rate does not suit the motion", got=rate, allowed="some rows a move, and 10 million in all"
@@ -301,7 +301,7 @@ class CastPlan(Plan):
     def setup(self) -> Setup:
         """Return the set-up of the verified run, with links refined near the target, and joint limits."""
         motion, criteria = self.required(self.motion, "motion"), self.problem.criteria
-        end = float(motion.breaks[-1]) + criteria.settle + criteria.watch
+        end = motion.end + criteria.settle + criteria.watch
         return verified_setup(self.problem, motion, end, (self.target,))
 
     def measure_holding_force(self) -> HoldingForce | None:

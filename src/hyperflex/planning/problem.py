@@ -102,7 +102,7 @@ class Problem:
                 fix = "Give it once, in behind alone"
                 raise InvalidInput(f"a peg that the rope is to run behind is {how}", got=peg, fix=fix)
         for each in (*self.criteria.behind, *self.obstacles):
-            room = gap_of(each, *self.arm.pivot) - self.arm.length - self.arm.radius
+            room = gap_of(each, self.arm.pivot) - self.arm.length - self.arm.radius
             if room <= 0.0:
                 what = f"the turning arm hits {named(each)}"
                 raise InvalidInput(what, got=f"{-room:.3g} m too near the shaft", fix="Move it, or give a shorter arm")

@@ -352,7 +352,7 @@ class _Contact:
     def score(self) -> tuple[float, float, float]:
         """Score, turns and slip of the run, in up to three parts: it ends after one that leaves no hope."""
         criteria, rope = self.problem.criteria, self.rope
-        stop = max(float(self.motion.breaks[-1]), 0.5)
+        stop = max(self.motion.end, 0.5)
         end, check = stop + 1.5 + criteria.settle, stop + MODEL.check
         sweep = MODEL.sweep * math.sqrt(rope.total_length / max(math.hypot(*rope.gravity), 1e-9))
         usual = min(1.0, criteria.turns / 1.25)  # the limits below suit 1.25 turns, and those of more
@@ -428,7 +428,7 @@ def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget) -> Win
     They must strike within the time of the problem, or until 0.5 s after the arm's stop. Turns are 0 without a strike
     or if a run fails.
     """
-    stop = max(float(motion.breaks[-1]) for motion in batch.motions)
+    stop = max(motion.end for motion in batch.motions)
     found = fly_to_strikes(problem, batch.pegs[0], batch, budget, max(problem.time, batch.since + stop + 0.5))
     return wound_after(problem, batch, found, budget)
 

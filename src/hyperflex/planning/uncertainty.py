@@ -311,7 +311,7 @@ class Uncertainty:
             raise InvalidInput("posterior is of another rope", got=got, allowed=f"{required}, as cast")
         if rope.radius != planned.radius:  # which no recording shows
             rope = rope.replace(radius=planned.radius)
-        x, y = np.array([peg.x, peg.y]) + self.place * rng.standard_normal(2)
+        x, y = peg.point + self.place * rng.standard_normal(2)
         target = replace(peg, x=float(x), y=float(y), mu=peg.mu * float(factors[3]))
         tilt = self.tilt * float(rng.standard_normal())
         return Scenario(scaled_rope(rope, *factors[:3]), target, lag, delays, tilt)

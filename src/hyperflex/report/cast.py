@@ -70,7 +70,7 @@ class CastReport(PlanReport[CastPlan]):
     @property
     def stop(self) -> float:
         """When the arm stops, s."""
-        return 0.0 if self.plan.motion is None else float(self.plan.motion.breaks[-1])
+        return 0.0 if self.plan.motion is None else self.plan.motion.end
 
     def strobe_of_event(self, ax: "Axes | None" = None) -> "Figure":
         """Draw the rope about the strike, or before the arm stops."""

@@ -12,7 +12,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, MotorLimits, Peg, Rope, Wall, with_links
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, MotorLimits, Peg, Placed, Rope, Wall, with_links
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -46,7 +46,7 @@ from hyperflex.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Slot:
+class Slot(Placed):
     """A gap between two thin walls in one line, through which the tip must move.
 
     Parameters
@@ -96,11 +96,6 @@ class Slot:
 
     def __post_init__(self) -> None:
         check_options(self, "slot")
-
-    @property
-    def point(self) -> Array:
-        """Middle of the gap (2,), m."""
-        return np.array([self.x, self.y])
 
     @property
     def axes(self) -> Array:

@@ -298,7 +298,7 @@ class TipPlan(Plan):
         Until the arm stops if nothing was verified.
         """
         motion = self.required(self.motion, "motion")
-        end = float(motion.breaks[-1]) if self.outcome is None else float(sample_times(self.outcome.t)[-1])
+        end = motion.end if self.outcome is None else float(sample_times(self.outcome.t)[-1])
         return verified_setup(self.problem, motion, end, self.target.walls)
 
 
@@ -335,7 +335,7 @@ class TipTask(Task):
         self.finer, self.swings = replace(problem, rope=finer), list[Candidate]()
         self.distance = math.dist(places[-1], problem.arm.pivot)
         self._needed = problem.rope.radius + max(problem.clearance, 0.0)
-        self._gaps = np.array([min(gap_of(each, *place) for place in places) for each in problem.obstacles])
+        self._gaps = np.array([min(gap_of(each, place) for place in places) for each in problem.obstacles])
         # Half of what the target leaves, at most; of the arm nothing
         self._spare = np.append(np.clip(0.5 * (self._gaps - self._needed), 0.0, OPTIONS.spare), 0.0)
         self._starts, self._begun = list[Candidate](), list[Candidate]()

@@ -12,7 +12,19 @@ from hyperflex.checks import Array, Integers
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, MotorLimits, Peg, Rope, Setup, Wall, divided, named, unit_across
+from hyperflex.model import (
+    DEFAULT_CONTACT_STEP,
+    Arm,
+    MotorLimits,
+    Peg,
+    Placed,
+    Rope,
+    Setup,
+    Wall,
+    divided,
+    named,
+    unit_across,
+)
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
@@ -46,7 +58,7 @@ from hyperflex.winding import closest_points
 
 
 @dataclass(frozen=True)
-class TipTarget:
+class TipTarget(Placed):
     """A point that the tip must pass at a peak of its speed.
 
     Parameters
@@ -99,11 +111,6 @@ class TipTarget:
     def any_direction(self) -> bool:
         """Whether any direction is allowed."""
         return self.angle_tolerance == np.pi
-
-    @property
-    def point(self) -> Array:
-        """The point (2,), m."""
-        return np.array([self.x, self.y])
 
     def angle_error(self, velocity: Array) -> Array:
         """Return the signed angle (...) from the direction to a `velocity` (..., 2), m/s, in rad."""
