@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags
@@ -97,7 +97,7 @@ class RopeFilter:
     def __init__(
         self,
         rope: Rope,
-        arc_lengths: npt.ArrayLike,
+        arc_lengths: ArrayLike,
         *,
         motion: Motion | None = None,
         arm: Arm | None = None,

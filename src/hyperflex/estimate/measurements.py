@@ -3,7 +3,7 @@
 from collections import defaultdict
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags, Integers
@@ -296,7 +296,7 @@ class CurveMeasurement:
         return pixels, wide
 
 
-def marked_arc_lengths(rope: Rope, markers: npt.ArrayLike, pieces: int = 40) -> tuple[Array, Flags]:
+def marked_arc_lengths(rope: Rope, markers: ArrayLike, pieces: int = 40) -> tuple[Array, Flags]:
     """Return arc lengths, m, at which a rope with some markers is measured, and which of them are the markers'.
 
     `markers` are theirs, m; the others are of :func:`curve_arc_lengths`.
@@ -342,7 +342,7 @@ class MarkedCurveMeasurement(CurveMeasurement):
         return pixels, wide
 
 
-def bar_arc_lengths(spans: npt.ArrayLike) -> Array:
+def bar_arc_lengths(spans: ArrayLike) -> Array:
     """Return arc lengths (2 J,), m, of two points of each bar that are equivalent to its centre and its axis.
 
     They are a radius of gyration, length / sqrt(12), to both sides of the centre: the errors of centre and axis of a

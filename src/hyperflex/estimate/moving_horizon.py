@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -76,7 +76,7 @@ class MovingHorizon(RopeFilter):
     PATIENT = 8  # starts without a valid explanation, after which the noise levels must have been too low
 
     def __init__(
-        self, rope: Rope, arc_lengths: npt.ArrayLike, *, frames: int = 8, starts: int = 16, **options: Any
+        self, rope: Rope, arc_lengths: ArrayLike, *, frames: int = 8, starts: int = 16, **options: Any
     ) -> None:
         super().__init__(rope, arc_lengths, **options)
         self.frames = checks.count("frames", frames, least=2)

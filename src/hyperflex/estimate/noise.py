@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dposv
 
 from hyperflex.checks import Array
@@ -46,7 +46,7 @@ class NoiseLevel:
     LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
     LONGEST = 1.0  # largest change of a logarithm in one frame
 
-    def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
+    def __init__(self, value: ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
         self.first = np.atleast_1d(np.asarray(value, dtype=np.float64))
         self._values, self._single = self.first.copy(), np.ndim(value) == 0
         self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self.first.size) / (2.0 * doubt) ** 2

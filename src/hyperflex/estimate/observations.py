@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags
@@ -52,11 +52,11 @@ class Observations:
     def __init__(
         self,
         t: float,
-        places: npt.ArrayLike,
-        std: npt.ArrayLike | None = None,
-        rows: npt.ArrayLike | None = None,
+        places: ArrayLike,
+        std: ArrayLike | None = None,
+        rows: ArrayLike | None = None,
         *,
-        covariances: npt.ArrayLike | None = None,
+        covariances: ArrayLike | None = None,
     ) -> None:
         found = np.array(places, dtype=np.float64)
         if found.ndim != 2 or found.shape[1] != 2:
@@ -167,7 +167,7 @@ class MarkerModel:
     def __init__(
         self,
         rope: Rope,
-        arc_lengths: npt.ArrayLike,
+        arc_lengths: ArrayLike,
         parameters: ParameterStates,
         camera: Camera | None = None,
         readout: float = 0.0,

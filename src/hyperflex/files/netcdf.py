@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.errors import InvalidInput
 from hyperflex.files.hdf5 import check_size, open_hdf5
@@ -17,7 +18,7 @@ class Variable(NamedTuple):
     """A variable of a NetCDF file: names of its dimensions, its values, and its attributes (texts)."""
 
     dims: tuple[str, ...]
-    values: npt.ArrayLike
+    values: ArrayLike
     attributes: Mapping[str, str] = {}
 
     def numbers(self, name: str) -> npt.NDArray[np.float64]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, files
 from hyperflex.budget import Budget
@@ -67,8 +67,8 @@ class Experiment:
 
     name: str
     motion: Motion | None = None
-    q0: npt.ArrayLike | None = None
-    qd0: npt.ArrayLike | None = None
+    q0: ArrayLike | None = None
+    qd0: ArrayLike | None = None
     rate: float = 30.0
     duration: float = 10.0
     markers: int | None = None

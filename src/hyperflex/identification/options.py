@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
@@ -55,12 +56,12 @@ class RecordingSetup:
 
     motion: Motion | None = None
     arm: Arm | None = None
-    arc_lengths: npt.ArrayLike | None = None
-    origin: npt.ArrayLike | None = None
-    torque: npt.ArrayLike | None = None
-    torque_noise: npt.ArrayLike | None = None
+    arc_lengths: ArrayLike | None = None
+    origin: ArrayLike | None = None
+    torque: ArrayLike | None = None
+    torque_noise: ArrayLike | None = None
     torque_joints: Sequence[int] | None = None
-    torque_constant: npt.ArrayLike = 1.0
+    torque_constant: ArrayLike = 1.0
 
     def __post_init__(self) -> None:
         if self.arm is not None and self.motion is None:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -60,7 +60,7 @@ class MotorLimits:
         """Return the arm angle at t = 0, rad: a quarter turn to `side` (-1: left), clipped to the motor's range."""
         return float(np.clip(side * 0.5 * np.pi, *self.angles))
 
-    def fastest_moves(self, angles: npt.ArrayLike, speed: npt.ArrayLike = 1.0) -> tuple[Array, Array]:
+    def fastest_moves(self, angles: ArrayLike, speed: ArrayLike = 1.0) -> tuple[Array, Array]:
         """Return duration (k,), s, and ramp (k,) of the fastest moves, as :func:`hyperflex.arm_moves` takes them.
 
         `angles` (k,) are the angles to move through, rad, not 0. `speed`, a number or (k,), is the fraction of the

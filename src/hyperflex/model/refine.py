@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags, Integers
@@ -97,7 +98,7 @@ def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None,
     return divided(rope, cuts(rope, pegs, arm=arm, ratio=ratio))
 
 
-def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
+def divided(rope: Rope, pieces: ArrayLike) -> Rope:
     """Cut each link of a rope into pieces, see :func:`refine_rope`.
 
     Parameters

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags
@@ -95,19 +95,19 @@ class Motion:
         """Time after which the motion repeats, s; inf if it does not."""
         return math.inf if self.loop < 0 else float(self.breaks[-1] - self.breaks[self.loop])
 
-    def angle(self, t: npt.ArrayLike) -> Array:
+    def angle(self, t: ArrayLike) -> Array:
         """Arm angle at times t (T,), rad."""
         return self._evaluate(t, ANGLE, 0)
 
-    def rate(self, t: npt.ArrayLike) -> Array:
+    def rate(self, t: ArrayLike) -> Array:
         """Arm rate at times t (T,), rad/s."""
         return self._evaluate(t, ANGLE, 1)
 
-    def acceleration(self, t: npt.ArrayLike) -> Array:
+    def acceleration(self, t: ArrayLike) -> Array:
         """Angular acceleration of the arm at times t (T,), rad/s^2; at a switch, that of the later piece."""
         return self._evaluate(t, ANGLE, 2)
 
-    def point(self, t: npt.ArrayLike) -> Array:
+    def point(self, t: ArrayLike) -> Array:
         """Displacement of the pivot at times t (T,): (T, 2), m."""
         return np.stack([self._evaluate(t, X, 0), self._evaluate(t, Y, 0)], axis=-1)
 
@@ -116,7 +116,7 @@ class Motion:
         """Number of joints, from the first, that have a torque."""
         return int(self.coef.shape[1]) - TORQUE
 
-    def torque(self, t: npt.ArrayLike, joint: int = 0) -> Array:
+    def torque(self, t: ArrayLike, joint: int = 0) -> Array:
         """Torque of the motor in a `joint`, by default the first, at times t (T,), N m."""
         return self._evaluate(t, TORQUE + checks.count("joint", joint, least=0, most=self.joints - 1), 0)
 
@@ -145,7 +145,7 @@ class Motion:
         after = coef[self.loop, :1] if self.loop >= 0 else [0.0] if derivative else ends[-1:]
         return self.breaks, np.concatenate([coef[:, 0], after]) - np.concatenate([still, ends])
 
-    def _evaluate(self, t: npt.ArrayLike, channel: int, derivative: int) -> Array:
+    def _evaluate(self, t: ArrayLike, channel: int, derivative: int) -> Array:
         time = checks.array("t", t, None, unit="s", infinite=True)
         start, end = self.breaks[0], self.breaks[-1]
         after = time >= end

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, files
 from hyperflex.checks import Array, Flags, Integers
@@ -155,8 +155,8 @@ class TargetGrid:
     """
 
     cells: int = option(8, "Cells of the grid, from the arm's pivot to as far as the rope comes.", sign="positive")
-    x: npt.ArrayLike | None = None
-    y: npt.ArrayLike | None = None
+    x: ArrayLike | None = None
+    y: ArrayLike | None = None
     radius: float = option(0.03, "Radius of the targets.", "m", sign="positive")
     mu: float = option(0.3, "Coefficient of friction between rope and targets.", sign="nonnegative")
 
@@ -288,7 +288,7 @@ def read_reach_map(path: str | Path) -> ReachMap:
     return ReachMap(problem, **given, **numbers | {"status": numbers["status"].astype(np.int64)})
 
 
-def _increasing(name: str, value: npt.ArrayLike) -> Array:
+def _increasing(name: str, value: ArrayLike) -> Array:
     places = checks.array(name, value, (-1,), unit="m")
     if not places.size or (np.diff(places) <= 0.0).any():
         raise InvalidInput(

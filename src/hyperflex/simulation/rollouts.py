@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, extras, memory
 from hyperflex.budget import DEFAULT_TIME, Budget
@@ -446,7 +446,7 @@ class Interval:
         switch = np.ones(2, dtype=np.bool_)
         self.drive = read_only(drive._replace(breaks=self._breaks, coef=self._coef, switch=switch, loop=-1))
 
-    def set(self, begin: float, end: float, channel: int, powers: npt.ArrayLike) -> None:
+    def set(self, begin: float, end: float, channel: int, powers: ArrayLike) -> None:
         """Set a channel to the polynomial `powers` (6,) of the time since `begin`, s, until `end`."""
         self._breaks[:] = begin, 2.0 * end - begin
         self._coef[0, channel] = powers

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
-import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from hyperflex import checks, memory
@@ -99,7 +98,7 @@ def file_size(setup: Setup, duration: float) -> float:
     return 8.0 * IN_FILE[setup.touches] * setup.rope.n_links * duration / SAMPLE_TIME
 
 
-def output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
+def output_times(t_eval: ArrayLike | None, begin: float, end: float) -> Array:
     """Check the output times (T,) of a run from `begin` to `end`, s; by default every SAMPLE_TIME and the end."""
     if t_eval is None:
         count = (end - begin) / SAMPLE_TIME

@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from hyperflex import checks, memory
@@ -308,7 +307,7 @@ def sensitivities(
     motion: Motion | None = None,
     *,
     wrt: Wrt,
-    t_eval: npt.ArrayLike | None = None,
+    t_eval: ArrayLike | None = None,
     time_budget: float | Budget | None = None,
     **setup: Unpack[SetupFields],
 ) -> Sensitivities:

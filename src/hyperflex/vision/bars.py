@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -74,7 +75,7 @@ class BarDetector:
     LEAST_ANGLE = 0.15  # rad, between the colours of two bars, seen from the wall's
     LEAST_AREA = 0.35  # of the whole bar's: with less it counts as hidden
 
-    def __init__(self, colours: npt.ArrayLike, areas: npt.ArrayLike | None = None) -> None:
+    def __init__(self, colours: ArrayLike, areas: ArrayLike | None = None) -> None:
         self.colours = checks.array("colours", colours, (-1, 3), sign="nonnegative")
         count = self.colours.shape[0]
         if not 1 <= count <= 3:
@@ -82,7 +83,7 @@ class BarDetector:
         self.areas = None if areas is None else checks.array("areas", areas, (count,), sign="positive", unit="px^2")
 
     @classmethod
-    def from_clicks(cls, image: Image, places: npt.ArrayLike) -> "BarDetector":
+    def from_clicks(cls, image: Image, places: ArrayLike) -> "BarDetector":
         """Return a detector of the bars at places (J, 2), px, in a frame that shows each whole."""
         clicks = checks.array("places", places, (-1, 2), unit="px")
         colours = [surface(image, place)[0] for place in clicks]
@@ -178,7 +179,7 @@ class BarTrack:
 def track_bars(
     video: PathLike,
     detector: BarDetector,
-    pivot: npt.ArrayLike,
+    pivot: ArrayLike,
     *,
     preview: PathLike | None = None,
     progress: Callable[[int], None] | None = None,

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
@@ -183,7 +183,7 @@ class Camera:
         image_size: tuple[int, int],
         *,
         pixels_per_metre: float,
-        origin: npt.ArrayLike,
+        origin: ArrayLike,
         roll: float = 0.0,
         focal: float | None = None,
         **timing: Any,
@@ -211,7 +211,7 @@ class Camera:
         translation = np.array([*(place - camera.matrix[:2, 2]) / scale, camera.matrix[0, 0] / scale])
         return replace(camera, rotation=_rolled(_FACING, roll), translation=translation)
 
-    def with_plane(self, points: npt.ArrayLike, pixels: npt.ArrayLike) -> "Camera":
+    def with_plane(self, points: ArrayLike, pixels: ArrayLike) -> "Camera":
         """Return this camera with the swing plane's pose found from known points of it (OpenCV's solvePnP).
 
         Parameters
@@ -265,14 +265,14 @@ class Camera:
             )
         return found
 
-    def with_origin(self, pixel: npt.ArrayLike) -> "Camera":
+    def with_origin(self, pixel: ArrayLike) -> "Camera":
         """Return this camera with the swing plane's origin moved to where it is seen at a pixel (2,)."""
         place = self.locate(checks.array("origin", pixel, (2,), unit="px")[None])[0]
         if not np.isfinite(place).all():
             raise InvalidInput("origin is not a point of the swing plane", got=pixel, allowed="a pixel of the plane")
         return self.adjusted(offset=place)
 
-    def adjusted(self, scale: float = 1.0, roll: float = 0.0, offset: npt.ArrayLike = (0.0, 0.0)) -> "Camera":
+    def adjusted(self, scale: float = 1.0, roll: float = 0.0, offset: ArrayLike = (0.0, 0.0)) -> "Camera":
         """Return this camera with another swing plane: a place p in it is at offset + scale R(roll) p in the old one.
 
         Parameters
@@ -344,11 +344,11 @@ class Camera:
                 fix="Calibrate the plane again",
             )
 
-    def project(self, points: npt.ArrayLike) -> Array:
+    def project(self, points: ArrayLike) -> Array:
         """Return pixels (K, 2) of points (K, 2) in the plane, or (K, 3) off it, m; see :meth:`linearize`."""
         return self.linearize(points)[0]
 
-    def linearize(self, points: npt.ArrayLike) -> tuple[Array, Array]:
+    def linearize(self, points: ArrayLike) -> tuple[Array, Array]:
         """Return pixels (K, 2) of points, and their derivatives (K, 2, D) with respect to the points, px/m.
 
         Parameters
@@ -364,7 +364,7 @@ class Camera:
         project(np.ascontiguousarray(given), *self._lens, pixels, slopes)
         return pixels, slopes
 
-    def locate(self, pixels: npt.ArrayLike) -> Array:
+    def locate(self, pixels: ArrayLike) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN if a pixel shows no point of the plane."""
         seen = np.array(pixels, dtype=np.float64).reshape(-1, 2)
         if not len(seen):
@@ -392,11 +392,11 @@ class Camera:
         """Return the middle of the exposure in the middle of a frame with a time stamp, s."""
         return stamp - self.delay + 0.5 * self.readout
 
-    def exposure_times(self, stamp: float, pixels: npt.ArrayLike) -> Array:
+    def exposure_times(self, stamp: float, pixels: ArrayLike) -> Array:
         """Return when pixels (K, 2) were exposed (the middle of it), s, in a frame with a time stamp, s."""
         return stamp - self.delay + self.readout * self.readout_share(pixels)
 
-    def readout_share(self, pixels: npt.ArrayLike) -> Array:
+    def readout_share(self, pixels: ArrayLike) -> Array:
         """Return the part of the readout (K,) that has passed at pixels (K, 2): 0 in the row read first, 1 in the last.
 
         It is extrapolated beyond the picture.

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags
@@ -68,7 +69,7 @@ class MarkerColour:
             )
 
     @classmethod
-    def from_click(cls, image: Image, place: npt.ArrayLike, bright: bool | None = None) -> "MarkerColour":
+    def from_click(cls, image: Image, place: ArrayLike, bright: bool | None = None) -> "MarkerColour":
         """Return the colour of the marker at a place in a frame, and its area, edges by the shares that it covers.
 
         Parameters
@@ -198,7 +199,7 @@ class MarkerColour:
         return table
 
 
-def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, Flags, Flags]:
+def surface(image: Image, place: ArrayLike) -> tuple[Array, Flags, Flags]:
     """Return the colour (3,) of the surface at a place (2,), px, and masks of it and of its surroundings.
 
     Raises

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.checks import Array
 from hyperflex.core.image import profiles
@@ -73,7 +73,7 @@ class CurveOffsets(NamedTuple):
 
 
 def view_curve(
-    moving: Array, pieces: int, covariance: Array, spacing: float, links: int, row_slope: npt.ArrayLike = (0.0, 0.0)
+    moving: Array, pieces: int, covariance: Array, spacing: float, links: int, row_slope: ArrayLike = (0.0, 0.0)
 ) -> CurveView:
     """Return the view of a rope from where its points are expected.
 

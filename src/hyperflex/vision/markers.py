@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.checks import Array, Flags
 from hyperflex.core.image import blobs
@@ -28,8 +29,8 @@ class Gate(NamedTuple):
         Its movement during the exposure, px.
     """
 
-    centre: npt.ArrayLike
-    covariance: npt.ArrayLike
+    centre: ArrayLike
+    covariance: ArrayLike
     streak: float = 0.0
 
 

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.checks import Array, Flags, Integers
 from hyperflex.vision.video import Image
@@ -221,7 +222,7 @@ class Ridges:
         return orders - 0.7 * np.maximum(orders - 1.5, 0.0)
 
     def paths(
-        self, start: npt.ArrayLike, radius: float, rope: "Mixture | None" = None, longest: float = np.inf
+        self, start: ArrayLike, radius: float, rope: "Mixture | None" = None, longest: float = np.inf
     ) -> list[Path]:
         """Return paths from a disc, the best first; many differ little.
 

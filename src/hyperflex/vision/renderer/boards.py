@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -60,7 +60,7 @@ def film_board(board: Board, video: PathLike, plane: PathLike, *, views: int = 1
 
 def render_board(
     board: Board,
-    rotation: npt.ArrayLike,
+    rotation: ArrayLike,
     translation: Array,
     *,
     legacy: bool = False,

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -39,12 +39,12 @@ class RopeMotion:
 
     def __init__(
         self,
-        t: npt.ArrayLike,
-        q: npt.ArrayLike,
-        qd: npt.ArrayLike,
-        length: npt.ArrayLike,
-        base: npt.ArrayLike | None = None,
-        base_velocity: npt.ArrayLike | None = None,
+        t: ArrayLike,
+        q: ArrayLike,
+        qd: ArrayLike,
+        length: ArrayLike,
+        base: ArrayLike | None = None,
+        base_velocity: ArrayLike | None = None,
         off_plane: OffPlane | None = None,
     ) -> None:
         from scipy.interpolate import CubicHermiteSpline
@@ -72,7 +72,7 @@ class RopeMotion:
         """Arc lengths (n + 1,) of the joints, the tip last, m."""
         return np.concatenate([[0.0], np.cumsum(self.length)])
 
-    def places(self, t: npt.ArrayLike, arc_lengths: npt.ArrayLike) -> Array:
+    def places(self, t: ArrayLike, arc_lengths: ArrayLike) -> Array:
         """Return places (m, P, 3), m: x, y and off the plane, at times (m,), s, of points (P,), m along the rope.
 
         Points beyond the tip lie on the last link's line.

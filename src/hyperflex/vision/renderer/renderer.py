@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags
@@ -119,14 +120,14 @@ class Scene:
 
     arc_lengths: Array
     marker_diameter: float = 0.025
-    marker_colours: npt.ArrayLike = RED
+    marker_colours: ArrayLike = RED
     rope_width: float = 0.006
-    rope_colour: npt.ArrayLike = DARK
+    rope_colour: ArrayLike = DARK
     rope_texture: float = 0.0
     shine: float = 0.0
     shadow: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bars: tuple[Bar, ...] = ()
-    background: npt.ArrayLike = (175.0, 185.0, 190.0)
+    background: ArrayLike = (175.0, 185.0, 190.0)
     wall_texture: float = 0.0
     clutter: int = 0
     light_drift: float = 0.0
@@ -278,7 +279,7 @@ class _Layer(NamedTuple):
 
     arcs: Array  # (C, 2) m, of their ends
     radius: float  # m
-    colour: npt.ArrayLike  # (3,), or (C, 3)
+    colour: ArrayLike  # (3,), or (C, 3)
     shine: float = 0.0  # levels, of a highlight on the side of the light
 
 
@@ -355,7 +356,7 @@ class Renderer:
         levels += self._noise[dv : dv + height, du : du + width]
         return np.asarray(cv2.convertScaleAbs(np.maximum(levels, 0.0)), dtype=np.uint8)
 
-    def truth(self, stamps: npt.ArrayLike) -> Truth:
+    def truth(self, stamps: ArrayLike) -> Truth:
         """Return the truth of frames with these time stamps (T,), s."""
         scene, camera = self.scene, self.camera
         instants = checks.array("stamps", stamps, (-1,), unit="s")
@@ -371,7 +372,7 @@ class Renderer:
             seen &= ~scene.covered(stamp) & ~self._behind(place, stamp) & (not scene.is_black(stamp))
         return Truth(instants, times, places, pixels, end - begin, visible, scene.arc_lengths)
 
-    def write(self, path: PathLike, stamps: npt.ArrayLike, quality: int = 18) -> Truth:
+    def write(self, path: PathLike, stamps: ArrayLike, quality: int = 18) -> Truth:
         """Write an MP4 of frames with these time stamps (T,), s, not negative; return the truth.
 
         Parameters
@@ -445,7 +446,7 @@ class Renderer:
         return layers
 
     def _exposures(
-        self, stamp: float, layers: list[_Layer], fronts: tuple[Occluder, ...], shift: npt.ArrayLike = (0.0, 0.0)
+        self, stamp: float, layers: list[_Layer], fronts: tuple[Occluder, ...], shift: ArrayLike = (0.0, 0.0)
     ) -> Iterator[tuple[slice, npt.NDArray[np.float32]]]:
         """Yield the rows in which something is seen, and its colour times cover, and cover, in them; or nothing."""
         if not layers and not fronts:
@@ -461,7 +462,7 @@ class Renderer:
             yield part, seen[part]
 
     def _capsules(
-        self, stamp: float, layers: list[_Layer], fronts: tuple[Occluder, ...], shift: npt.ArrayLike
+        self, stamp: float, layers: list[_Layer], fronts: tuple[Occluder, ...], shift: ArrayLike
     ) -> tuple[Capsules, RowTimes]:
         """Return what is drawn in pixels at some instants about a frame, and when its rows are exposed."""
         camera = self.camera
