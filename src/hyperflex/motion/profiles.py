@@ -19,6 +19,7 @@ from hyperflex.motion.piecewise import CHANNELS, MEET, POWERS, Motion
 
 Profile = Literal["bang-bang", "ramp", "minimum-jerk"]
 PROFILES = ("bang-bang", "ramp", "minimum-jerk")
+Pieces = tuple[list[float], list[list[float]]]  # durations, s, and ascending coefficients
 PATHS = ("under", "over")
 MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
 BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
@@ -32,9 +33,7 @@ def motion_of_pieces(durations: list[float], rows: list[list[float]], spec: dict
     return Motion(np.append(0.0, np.cumsum(durations)), coef, np.ones(len(rows) + 1, dtype=np.bool_), loop, spec)
 
 
-def move_pieces(
-    start: float, end: float, duration: float, profile: str, ramp: float
-) -> tuple[list[float], list[list[float]]]:
+def move_pieces(start: float, end: float, duration: float, profile: str, ramp: float) -> Pieces:
     """Durations and coefficients of one move from `start` to `end`; takes complex numbers too."""
     way = end - start
     if profile == "bang-bang":
@@ -142,9 +141,7 @@ def half_turn_ends(path: str) -> tuple[float, float]:
     return -0.5 * math.pi, (0.5 if path == "under" else -1.5) * math.pi
 
 
-def swing_pieces(
-    t_move: float, t_rest: float, profile: str, path: str, ramp: float
-) -> tuple[list[float], list[list[float]]]:
+def swing_pieces(t_move: float, t_rest: float, profile: str, path: str, ramp: float) -> Pieces:
     """Durations and coefficients of one cycle of :func:`arm_swings`; takes complex numbers too."""
     start, end = half_turn_ends(path)
     return sequence_pieces([start, end, start], [0.0, t_rest, t_rest], 2 * [t_move], 2 * [(profile, ramp)])
@@ -152,7 +149,7 @@ def swing_pieces(
 
 def sequence_pieces(
     angles: list[float], rests: list[float], durations: list[float], shapes: list[tuple[str, float]]
-) -> tuple[list[float], list[list[float]]]:
+) -> Pieces:
     """Durations and coefficients of moves through angles, of which each has a duration and a shape: profile and ramp.
 
     There is a rest before each move and one after the last; those of 0.0 have no piece. Takes complex numbers too.
@@ -213,9 +210,7 @@ def arm_moves(angles: ArrayLike, rests: ArrayLike, durations: ArrayLike, ramps: 
     return motion_of_pieces(*move_rows(**given), {"kind": "moves", **given})
 
 
-def move_rows(
-    angles: list[float], rests: list[float], durations: list[float], ramps: list[float]
-) -> tuple[list[float], list[list[float]]]:
+def move_rows(angles: list[float], rests: list[float], durations: list[float], ramps: list[float]) -> Pieces:
     """Durations and coefficients of the pieces of :func:`arm_moves`; takes complex numbers too."""
     shapes = [("bang-bang" if np.real(ramp) > BANG_BANG else "ramp", ramp) for ramp in ramps]
     return sequence_pieces(angles, [*rests, 0.0], durations, shapes)
