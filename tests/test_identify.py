@@ -16,7 +16,6 @@ from hyperflex.identification import FitOptions, Identification, Kind, Recording
 from hyperflex.identification.fit import Fit, Linear, Window, fit
 from hyperflex.identification.measurements import measure
 from hyperflex.identification.model import Parameters, Plant, parse, scaling
-from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.symptoms import _of_prediction
 from hyperflex.identification.uncertainty.basis import Basis
@@ -566,7 +565,8 @@ def test_progress_is_told_and_printed(free_swing, capsys, monkeypatch):
     monkeypatch.setattr(progress, "lines", lambda: nullcontext(said.append))
     identify(free_swing, GUESS, ["friction"], progress=True)
     assert said[0].startswith("first states (Ctrl-C keeps the best so far)")
-    assert all(line.startswith(message(entry)) for line, entry in zip(said[1:], told, strict=True))
+    words = [f"round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %" for entry in told]
+    assert all(each in line for line, each in zip(said[1:], words, strict=True))
     assert capsys.readouterr() == ("", "")
 
 

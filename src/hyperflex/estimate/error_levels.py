@@ -104,6 +104,11 @@ class _Linear(NamedTuple):
     slope: Array
     std: Array
 
+    def whitened(self, covariance: Array) -> tuple[Array, Array]:
+        """Return values and slopes with errors of variance 1, for errors of a covariance (m, m)."""
+        lower = np.linalg.cholesky(covariance)
+        return np.linalg.solve(lower, self.values), np.linalg.solve(lower, self.slope)
+
     def covariance(self, levels: _Levels, weights: Array) -> Array:
         """Return the covariance (m, m) of errors of `weights` (K,)."""
         own = (self.std * levels.marker[self.marker]) ** 2 / weights[self.marker]
@@ -241,7 +246,7 @@ class _Window:
                 self.mean,
                 self.rows,
                 moves,
-                [_whitened(each, count * own) for each, own in zip(self.linear, wide, strict=True)],
+                [each.whitened(count * own) for each, own in zip(self.linear, wide, strict=True)],
             )
             self.states = np.array([each.mean for each in self.smoothed])
             self.states[:, first:] = self.estimator.parameters.possible(self.states[:, first:])
@@ -334,14 +339,6 @@ class _Window:
         density = levels.density * [factor(first, end) for first, end in pairwise(kinds.tolist())]
         first = self.estimator.process_noise.first
         return np.clip(density, QUIET * first, MOST * first), levels.jump * factor(most, None)
-
-
-def _whitened(each: _Linear, covariance: Array) -> tuple[Array, Array]:
-    """Return the observations of a frame with errors of variance 1, for errors of a covariance."""
-    if not each.marker.size:
-        return each.values, each.slope
-    lower = np.linalg.cholesky(covariance)
-    return np.linalg.solve(lower, each.values), np.linalg.solve(lower, each.slope)
 
 
 def likeliest_freedom(distances: Array, directions: npt.NDArray[np.int64]) -> float:

@@ -126,8 +126,8 @@ class ParameterStates:
     names : tuple of str
     start, std, walk : (P,) float64
         Mean and standard deviation of the priors, 0 of fixed ones, and the random walks.
-    dynamic : list of int
-        Those on which the motion depends.
+    of_rope, dynamic : list of int
+        Those of the rope itself, and those on which the motion depends.
     """
 
     def __init__(
@@ -147,8 +147,8 @@ class ParameterStates:
             if name in self.names and not own.any():
                 fix = f"Give the rope some {name.replace('_', ' ')} to begin with"
                 raise InvalidInput(f"{name} is a relative change, and the rope has none", got=0.0, fix=fix)
-        self._of_rope = [k for k, name in enumerate(self.names) if name in ROPE_KINDS]
-        self.dynamic = [k for k, name in enumerate(self.names) if k in self._of_rope or (name == "delay" and moved)]
+        self.of_rope = [k for k, name in enumerate(self.names) if name in ROPE_KINDS]
+        self.dynamic = [k for k, name in enumerate(self.names) if k in self.of_rope or (name == "delay" and moved)]
         kinds = [kind(name) or Kind("", 0.0) for name in self.names]
         self._least, self._most = np.array([each.least for each in kinds]), np.array([each.most for each in kinds])
         if "tip_mass" in self.names:
@@ -208,10 +208,6 @@ class ParameterStates:
             drag=rope.drag * (1.0 + at("drag")),
             tip_mass=rope.tip_mass + at("tip_mass"),
         )
-
-    def same_rope(self, values: Array, others: Array) -> bool:
-        """Return whether two sets of values (P,) describe the same rope."""
-        return np.array_equal(values[self._of_rope], others[self._of_rope])
 
     def camera_at(self, camera: Camera, values: Array) -> Camera:
         """Return the camera with the swing plane as values (P,) describe it."""

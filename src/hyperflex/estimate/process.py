@@ -299,6 +299,7 @@ class Process:
 
     def _rope_at(self, values: Array) -> Rope:
         """Return the rope with its estimated values; it is created only when they have changed."""
-        if not self.parameters.same_rope(values, self._at):
+        own = self.parameters.of_rope
+        if not np.array_equal(values[own], self._at[own]):
             self._rope, self._at = self.parameters.rope_at(values), values.copy()
         return self._rope

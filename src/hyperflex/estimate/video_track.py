@@ -11,21 +11,26 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import Change
-from hyperflex.estimate.curve_recording import curve_places
 from hyperflex.estimate.doubts import Doubt, advice, doubts
 from hyperflex.estimate.error_levels import RunErrors, run_errors
 from hyperflex.estimate.measurements import CurveMeasurement
-from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.observations import InputFrame, Observations
 from hyperflex.estimate.parameters import BASE_KINDS, PICTURE_KINDS
 from hyperflex.estimate.picture import draw_frame
 from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.files import PathLike
 from hyperflex.interruption import interruptible
+from hyperflex.model import unit_across, unit_along
 from hyperflex.recording import Recording
+from hyperflex.sensors import lever_arms
 from hyperflex.vision import Camera, CurveDetector, Frame, Image, VideoReader, follow_video
 
 ROUNDING = 1.05  # factor by which a time may exceed the frame interval: both are rounded
 SELDOM = 0.5  # part of the frames: a marker that is seen in fewer is reported
+CURVE_PLACES = (
+    12  # of a recording of a rope without markers: more hold no more of the waves that a curve of one frame shows
+)
+BEND = 0.5  # rad, std of a joint's turn from the estimated one, over sqrt(n links): weak beside a curve
 UNDETERMINED = 0.9  # of a parameter's prior standard deviation: if more remains, the video does not determine it
 
 
@@ -210,6 +215,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     end = tracker.measurement.end_seen
     if curve and end < 1.0:  # 1: it was always seen, or a marker covers it
         end = float(np.mean([each.seen.seen[-1] for each in found]))
+    moved = np.nanvar(places[:, kept], axis=0).sum(axis=1).mean()
     doubted = doubts(
         estimator.process.rope,
         errors.level,
@@ -219,7 +225,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
         base=base if BASE_KINDS.keys() & set(parameters.names) else None,
         end=end,
         longer=estimates["length"] if prior.get("length") else (0.0, 0.0),
-        swing=tracker.camera.pixels_per_metre * _swing(places[:, kept]) if curve else math.inf,
+        swing=tracker.camera.pixels_per_metre * float(np.sqrt(moved)) if curve else math.inf,
     )
     named = defaultdict(list)
     for name in PICTURE_KINDS:
@@ -277,11 +283,6 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, reader: Vi
     )
 
 
-def _swing(places: Array) -> float:
-    """Return by how much places (T, K, 2), NaN if not seen, are off their means, m, rms."""
-    return float(np.sqrt(np.nanvar(places, axis=0).sum(axis=1).mean()))
-
-
 def _marker_places(tracker: RopeTracker, found: list[_Sighting], errors: RunErrors) -> tuple[Array, Array, Array]:
     """Return the arc lengths (K,) of the markers, their places in all frames and the errors of these (T, K, 2), m."""
     parameters, readout = tracker.estimator.parameters, tracker.estimator.model.readout
@@ -298,11 +299,40 @@ def _marker_places(tracker: RopeTracker, found: list[_Sighting], errors: RunErro
 
 
 def _curve_places(tracker: RopeTracker, found: list[_Sighting], errors: RunErrors) -> tuple[Array, Array, Array]:
-    """Return the same of a rope without markers, see :func:`curve_places`."""
-    first = 2 * tracker.estimator.n_links
-    states = np.array([np.append(frame.x[:first], final) for frame, final in zip(found, errors.values, strict=True)])
-    seen = [
-        Observations(frame.seen.t, frame.seen.places, rows=frame.seen.rows, covariances=wide)
-        for frame, wide in zip(found, errors.covariances, strict=True)
-    ]
-    return curve_places(tracker.estimator, seen, states)
+    """Return the same of a rope without markers: where each frame alone shows it, NaN where it is not seen.
+
+    Notes
+    -----
+    A rope does not stretch, so that its curve from the first joint tells the places at all arc lengths. The angles of
+    the links that fit the points of a frame best are found by least squares, near the estimated ones. Unlike smoothed
+    states, these places have errors that are independent from frame to frame and hold nothing of the assumed friction,
+    so that `identify` takes them as it takes markers. What the curve does not show (bends between two points) is the
+    estimate's.
+    """
+    estimator = tracker.estimator
+    model, n, parameters, rope = estimator.model, estimator.n_links, estimator.parameters, estimator.process.rope
+    arcs = rope.total_length * np.linspace(0.0, 1.0, 25)[1::2]  # more hold no more of the waves that a curve shows
+    turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n) / 0.5  # rad, from the estimated shape: weak beside a curve
+    _, arms = lever_arms(rope, arcs)
+    nearest = np.abs(np.subtract.outer(arcs, model.arc_lengths)).argmin(axis=1)
+    places, std = np.full((2, len(found), arcs.size, 2), np.nan)
+    for k, (frame, final, wide) in enumerate(zip(found, errors.values, errors.covariances, strict=True)):
+        seen = Observations(frame.seen.t, frame.seen.places, rows=frame.seen.rows, covariances=wide)
+        x, given = np.append(frame.x[: 2 * n], final), InputFrame(seen, seen.seen, 1.0)
+        estimated, base, length = (
+            x[:n].copy(),
+            estimator.process.base(seen.t, x),
+            1.0 + parameters.value("length", final),
+        )
+        for _ in range(3):  # Gauss-Newton steps: the third moves by a millionth of a pixel
+            off, slope = given.residuals(*model.predict(x, base, seen.rows))
+            rows = np.concatenate([slope[:, :n], turn])
+            right = np.concatenate([off, turn @ (estimated - x[:n])])
+            x[:n] += np.linalg.lstsq(rows, right, rcond=None)[0]
+        wide = np.linalg.pinv(rows.T @ rows)
+        moves = length * arms[:, None, :] * unit_across(x[:n], 0)
+        place = base[0] + parameters.base_offset(final) + length * arms @ unit_along(x[:n], 0).T
+        shown = seen.seen[nearest]
+        places[k, shown] = place[shown]
+        std[k] = np.sqrt(np.einsum("mcn,nl,mcl->mc", moves, wide, moves))
+    return arcs, places, std

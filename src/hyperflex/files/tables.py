@@ -26,7 +26,6 @@ _WORDS = re.compile(r"[^\s\[(]\S*(?:\s+[\[(][^\])]*[\])])?")  # a name, and a un
 _SEPARATOR = re.compile(r"sep=(.)\s*\Z")  # a first line that tells a spreadsheet what separates cells
 _CLOCK = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)\Z", re.ASCII)
 _FEW, _RARE = 3, 20  # cells that show how long numbers are; one in so many may be as short as a number that is cut off
-_BLOCK = 65_536  # rows that are converted together
 
 Lines = list[tuple[int, str]]  # with their numbers in the file
 
@@ -77,15 +76,10 @@ class Table:
         its column's, in a file without a final line feed: most likely it was cut off.
         """
         at = [self.names.index(name) for name in names]
-        values = np.empty((len(self.rows), len(at)))
-        checked = False
-        for first in range(0, len(self.rows), _BLOCK):
-            block = self.rows[first : first + _BLOCK]
-            whole = self._plain(block, at)
-            if whole is None:
-                whole = self._by_cell(first, block, at)
-                checked = checked or self._check_commas(at)
-            values[first : first + _BLOCK] = whole
+        values = self._plain(at)
+        if values is None:
+            values = self._by_cell(at)
+            self._check_commas(at)
         if self.cut and len(self.names) - 1 in at:
             self._check_end()
         return values
@@ -144,33 +138,33 @@ class Table:
             )
         return row
 
-    def _plain(self, block: list[str], at: list[int]) -> Array | None:
-        """Return the columns of a block of rows without gaps, quotes or decimal commas; None for any other."""
+    def _plain(self, at: list[int]) -> Array | None:
+        """Return the columns of rows without gaps, quotes or decimal commas; None for any other."""
         marks, space = len(self.names) - 1, self.mark == " "
-        if not space and any(row.count(self.mark) != marks or '"' in row for row in block):
+        if not space and any(row.count(self.mark) != marks or '"' in row for row in self.rows):
             return None
-        if space and any(len(row.split()) != marks + 1 for row in block):
+        if space and any(len(row.split()) != marks + 1 for row in self.rows):
             return None
         try:
-            values = np.loadtxt(block, delimiter=None if space else self.mark, comments=None, usecols=at, ndmin=2)
+            values = np.loadtxt(self.rows, delimiter=None if space else self.mark, comments=None, usecols=at, ndmin=2)
         except ValueError:
             return None
         return values if bool((np.abs(values) <= LARGEST).all()) else None
 
-    def _by_cell(self, first: int, block: list[str], at: list[int]) -> Array:
-        """Return the columns of a block of any rows, the first one with this index."""
-        values = np.empty((len(block), len(at)))
-        for k in range(len(block)):
-            row = self.cells(first + k)
+    def _by_cell(self, at: list[int]) -> Array:
+        """Return the columns of any rows."""
+        values = np.empty((len(self.rows), len(at)))
+        for k in range(len(self.rows)):
+            row = self.cells(k)
             for c, column in enumerate(at):
                 number = _number(row[column])
                 if number is None or abs(number) > LARGEST:
                     what = (
                         "is not a number" if number is None else "is infinite" if math.isinf(number) else "is too large"
                     )
-                    last = self.cut and first + k == len(self.rows) - 1 and column == len(self.names) - 1
+                    last = self.cut and k == len(self.rows) - 1 and column == len(self.names) - 1
                     raise InvalidInput(
-                        f"{self.path}, line {self.numbers[first + k]}, column {self.names[column]!r}, {what}",
+                        f"{self.path}, line {self.numbers[k]}, column {self.names[column]!r}, {what}",
                         got=row[column],
                         allowed=_EXAMPLE,
                         fix=_CUT if last else "",
@@ -178,10 +172,10 @@ class Table:
                 values[k, c] = number
         return values
 
-    def _check_commas(self, at: list[int]) -> bool:
+    def _check_commas(self, at: list[int]) -> None:
         """Refuse commas that may group thousands: where there are points, or where three digits follow each comma."""
         if self.mark == "," and not any('"' in row for row in self.rows):
-            return True
+            return
         first, points, grouped = None, False, True
         for k in range(len(self.rows)):
             for cell in map(self.cells(k).__getitem__, at):
@@ -196,7 +190,6 @@ class Table:
                 allowed="one decimal mark in the whole table, and no marks between thousands",
                 fix="Write numbers with decimal points, and without any other mark",
             )
-        return True
 
     def _check_end(self) -> None:
         """Refuse the last cell of a file without a final line feed when it seems to be the first part of a number.

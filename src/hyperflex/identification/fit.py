@@ -210,10 +210,6 @@ class Fit:
         square = sum(loss.cost(each) for each in self.residuals) / max(count, 1)
         return replace(self, loss=loss, noise=float(np.sqrt(square)))
 
-    def window_cost(self, window: Window, state: Array, residual: Array) -> float:
-        """Return the cost of a window from `state` (2n,) with residual (m C,)."""
-        return self.loss.cost(residual) + window.prior_cost(state)
-
 
 def residuals_of(windows: Sequence[Window], fit: Fit) -> Array:
     """Return measured less fitted channels (m, C) of all windows, rad or m, a torque last, N m; NaN in gaps."""

@@ -350,16 +350,6 @@ def _bends(rope: Rope, begin: float, end: float) -> tuple[Array, Array]:
     return np.hypot(across, along), bend - np.arctan2(across, along)[:, None]
 
 
-def first_joint(recording: Recording, arc_lengths: Array, pivot: Array) -> Array:
-    """Return a guess of the origin in the camera's frame (2,), m: the first two markers' line, back to the first joint.
-
-    `pivot` (T, 2) is the first joint in the frame of its motion, m.
-    """
-    places = recording.data.reshape(recording.t.size, -1, 2)
-    back = places[:, 0] - (places[:, 1] - places[:, 0]) * arc_lengths[0] / (arc_lengths[1] - arc_lengths[0])
-    return np.asarray(np.nanmedian(back - pivot, axis=0))
-
-
 def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup) -> tuple[Measurements, Array | None]:
     """Return the measurements, if they fit the rope, and the arc lengths of markers that are not at the joints."""
     checks.instance("recording", recording, Recording)
@@ -430,7 +420,9 @@ def build_plant(
     if origin is None:
         words = [word for word in ("origin_x", "origin_y") if word not in free]
         chosen += parse(guess, words, arc_lengths) if words else []
-        place = first_joint(recording, arc_lengths, pivot_places(motion, arm, recording.t))
+        first, second = recording.data[:, :2], recording.data[:, 2:4]  # their line, back to the first joint
+        back = first - (second - first) * arc_lengths[0] / (arc_lengths[1] - arc_lengths[0])
+        place = np.nanmedian(back - pivot_places(motion, arm, recording.t), axis=0)
     else:
         place = checks.array("origin", origin, (2,), unit="m")
     parameters = Parameters(guess, chosen).starting({"origin_x": float(place[0]), "origin_y": float(place[1])})

@@ -174,8 +174,9 @@ class Parameters:
         for parameter, each in zip(self.all, x, strict=True):
             name, value = parameter.name, parameter.value(each)
             if name in GRAVITY:
-                before = found.get("gravity", self.guess.gravity)
-                found["gravity"] = value * before if name == "gravity_scale" else rotated_gravity(before, value)
+                gravity, c, s = found.get("gravity", self.guess.gravity), np.cos(value), np.sin(value)
+                # the rope hangs at its former angle plus the value
+                found["gravity"] = value * gravity if name == "gravity_scale" else np.array([[c, -s], [s, c]]) @ gravity
             elif parameter.kind.owner == "rope":
                 found[name] = value
             elif parameter.kind.owner == "link":
@@ -232,12 +233,6 @@ def lumped(rope: Rope) -> tuple[Array, Array]:
     p = rope.mass * rope.com + rope.length * beyond
     inertia = rope.inertia + rope.mass * rope.com**2 + rope.length**2 * beyond
     return p, inertia
-
-
-def rotated_gravity(gravity: Array, angle: float) -> Array:
-    """Return gravity turned by `angle`, so that the rope hangs at its former angle plus `angle`."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * gravity[0] - s * gravity[1], s * gravity[0] + c * gravity[1]])
 
 
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
@@ -625,7 +620,9 @@ class Plant:
         shared = np.zeros((*moved.shape[:2], len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         for k, place in self._own:
-            shared[:, :, k] = self._own_slope(k, float(x[k])) * own[:, :, place]
+            parameter = self.parameters.all[k]
+            slope = self._own_value(k, x[k]) if parameter.form == "log" else parameter.derivative(x[k])
+            shared[:, :, k] = slope * own[:, :, place]
         if not (np.isfinite(seen).all() and np.isfinite(moved).all()):
             return None
         return PredictedChannels(seen, moved[:, :, : 2 * n], shared)
@@ -635,11 +632,6 @@ class Plant:
         parameter = self.parameters.all[k]
         held = self.constant if parameter.name == CONSTANT and parameter.law == "factor" else 1.0
         return float(held * parameter.value(x))
-
-    def _own_slope(self, k: int, x: float) -> float:
-        """Return the derivative of that value by x."""
-        parameter = self.parameters.all[k]
-        return self._own_value(k, x) if parameter.form == "log" else parameter.derivative(x)
 
     def _rollout(self, at: _Evaluation, t: Array, start: tuple[Array, Array], logged: bool = False) -> Rollout:
         return Rollout(self._setup, t, start, chain=at.chain, drive=at.drive, logged=logged)

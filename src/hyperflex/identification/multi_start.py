@@ -321,10 +321,13 @@ class MultiStart:
         with stoppable() as stop:
             while best.status is None:
                 loss, states = best.loss, list(best.states)
-                each = list(zip(windows, states, best.residuals, strict=True))
-                costs = np.array([loss.cost(residual) / window.values for window, _, residual in each])
+                values, squares = [window.values for window in windows], [loss.cost(each) for each in best.residuals]
+                costs = np.array(squares) / values
                 limit = min(float(np.median(costs)), np.inf if self.measured.channels.noise is None else 1.0)
-                before = {k: best.window_cost(*each[k]) for k in np.flatnonzero(costs > WORSE * limit).tolist()}
+                before = {
+                    k: squares[k] + windows[k].prior_cost(states[k])
+                    for k in np.flatnonzero(costs > WORSE * limit).tolist()
+                }
                 if not self.search_states(windows, best.x, states, before, loss, thorough=self.ambiguous):
                     break
                 again = self.fit(windows, best.x, states, report)
@@ -450,14 +453,13 @@ def restart_states(
 
 def arrived(plant: Plant, x: Array, before: Window, state: Array, window: Window) -> list[Array]:
     """Return the state (2n,) in which a window begins if the one before began in `state`, or nothing."""
-    end = plant.propagate(x, float(before.t[0]), state, float(window.t[0]))
-    return [] if end is None else [nearest_turn(end, window.guess)]
-
-
-def nearest_turn(state: Array, guess: Array) -> Array:
-    """Return a state (2n,) with whole turns added to its angles, so that they come near to those of a guess (2n,)."""
-    n = state.size // 2
-    return np.append(state[:n] + 2.0 * np.pi * np.round((guess[:n] - state[:n]) / (2.0 * np.pi)), state[n:])
+    end, n = plant.propagate(x, float(before.t[0]), state, float(window.t[0])), state.size // 2
+    if end is None:
+        return []
+    end[:n] += (
+        2.0 * np.pi * np.round((window.guess - end)[:n] / (2.0 * np.pi))
+    )  # whole turns, to come near to the guess
+    return [end]
 
 
 def search_delay(

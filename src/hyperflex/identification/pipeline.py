@@ -187,19 +187,16 @@ def rounds_shown(show: bool | Report) -> Iterator[Report]:
     with progress_bar(0.0, 1.0, shown, "first states (Ctrl-C keeps the best so far)", "fit") as bar:
         if bar is not None:
             bar(0.0)
-        yield show if callable(show) else lambda entry: bar and bar(part_done(entry), message(entry))
 
+        def draw(entry: dict[str, Any]) -> None:
+            stage = f"stage {entry['stage'] + 1:.0f} of {entry['stages']:.0f}, windows of {entry['window']:.3g} s"
+            about = f"profile of {entry['parameter']}, " if "parameter" in entry else ""
+            # stages count alike, rounds of a stage less and less
+            done = (entry["stage"] + 1.0 - 0.7 ** (entry["round"] + 1.0)) / entry["stages"]
+            if bar is not None:
+                bar(done, f"{about}{stage}: round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %")
 
-def part_done(entry: dict[str, Any]) -> float:
-    """Return the part of a fit that is done after a round: stages count alike, rounds of a stage less and less."""
-    return float((entry["stage"] + 1.0 - 0.7 ** (entry["round"] + 1.0)) / entry["stages"])
-
-
-def message(entry: dict[str, Any]) -> str:
-    """Return what a round did, in words."""
-    stage = f"stage {entry['stage'] + 1:.0f} of {entry['stages']:.0f}, windows of {entry['window']:.3g} s"
-    about = f"profile of {entry['parameter']}, " if "parameter" in entry else ""
-    return f"{about}{stage}: round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %"
+        yield show if callable(show) else draw
 
 
 @dataclass(frozen=True)

@@ -456,7 +456,9 @@ def score_findings(tests: Sequence[ScoreTest], *, odd: bool, known: bool, wrong:
     if cause is not None:
         found.append(finding(cause, Severity.WRONG))
     found += [finding(each, Severity.DOUBT) for each in tests if each is not cause and _doubtful(each, first)]
-    return [*found, *_lengths(tests), *_untested(tests)]
+    # this motion cannot show a wrong clock or wrong lengths
+    untested = any(each.name == CLOCK and each.std > REPORTED.untested for each in tests)
+    return [*found, *_lengths(tests), *([Finding(Kind.UNTESTED)] * untested)]
 
 
 def finding(test: ScoreTest, severity: Severity, tests: Sequence[ScoreTest] = ()) -> Finding:
@@ -523,9 +525,3 @@ def _lengths(tests: Sequence[ScoreTest]) -> list[Finding]:
     off, std = abs(float(np.linalg.solve(known, score)[0])), float(np.sqrt(np.linalg.inv(known)[0, 0]))
     seen = off >= max(REPORTED.short, REPORTED.certain * std)
     return [Finding(Kind.LENGTHS, Severity.DOUBT, {"off": off})] * seen
-
-
-def _untested(tests: Sequence[ScoreTest]) -> list[Finding]:
-    """Return that this motion cannot show a wrong clock or wrong lengths, where it cannot."""
-    scale = next((each for each in tests if each.name == CLOCK), None)
-    return [Finding(Kind.UNTESTED)] if scale is not None and scale.std > REPORTED.untested else []

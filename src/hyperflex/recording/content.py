@@ -111,12 +111,11 @@ def content_of_markers(
 def content_of_channels(t: Array, channels: Mapping[str, Array], source: str, **more: Any) -> Content:
     """Return the content of a file of channels, each (T,), or (T, K) for several under one name."""
     widths = {name: each.size // t.size for name, each in channels.items() if each.size > t.size}
-    take = partial(_stacked, t.size, channels)
+
+    def take(names: Sequence[str]) -> Array:
+        return np.hstack([channels[name].reshape(t.size, -1) for name in names])
+
     return Content(t, list(channels), take, widths=widths, source=source, **more)
-
-
-def _stacked(samples: int, channels: Mapping[str, Array], names: Sequence[str]) -> Array:
-    return np.hstack([channels[name].reshape(samples, -1) for name in names])
 
 
 def unused(name: str, taken: Container[str]) -> str:

@@ -133,7 +133,7 @@ OTHERS = {  # files that are often given instead, by how they begin: what they a
 def format_of(path: PathLike) -> Format:
     """Return the format of a file; InvalidInput if it has none that is known, FileProblem if it cannot be read."""
     file = as_path(path, "recording")
-    if messages.is_bag(file):
+    if file.is_dir() and (file / "metadata.yaml").exists():
         return _BAG
     head = Head(regular_file(file, "recording", float("inf")))
     others = (other for pattern, other in OTHERS.items() if re.match(pattern, head.raw, re.DOTALL))

@@ -20,6 +20,7 @@ from hyperflex.recording.content import (
 from hyperflex.recording.recording import FACTS, VARIABLE, Kind
 
 _AXES = ("zero", "sense", "angles", "y_axis")  # declarations that our NetCDF files have as attributes
+_WORDS = "node_names", "track_names"
 _BLOCK = "values_block_0"  # of a table that pandas wrote
 
 
@@ -80,7 +81,8 @@ def read_sleap(path: PathLike, selection: Selection) -> Content:
     with open_hdf5(path) as file:
         tracks = _numbers(path, file["tracks"])
         scores = _numbers(path, file["point_scores"]) if "point_scores" in file else None
-        nodes, animals = (_texts(file[key]) if key in file else [] for key in ("node_names", "track_names"))
+        words = (np.ravel(file[key].asstr(errors="replace")[()]).tolist() if key in file else [] for key in _WORDS)
+        nodes, animals = words
         count, axes, parts, frames = tracks.shape
         if axes not in (2, 3) or len(nodes) != parts or (scores is not None and scores.shape != (count, parts, frames)):
             raise ValueError("tracks do not fit their names")
@@ -167,11 +169,6 @@ def _numbers(path: PathLike, item: Any) -> Array:
     """Return a dataset as numbers; ValueError where it says that it is larger than its file can hold."""
     check_size(path, item.size * max(item.dtype.itemsize, 8))
     return np.asarray(item[()], dtype=np.float64)
-
-
-def _texts(item: Any) -> list[str]:
-    """Return a dataset of texts."""
-    return [each.decode("utf-8", "replace") if isinstance(each, bytes) else str(each) for each in np.ravel(item[()])]
 
 
 def _texts_of_pickle(content: bytes) -> list[tuple[str, ...]]:

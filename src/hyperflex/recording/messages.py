@@ -4,7 +4,6 @@ import json
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,11 +50,6 @@ class Message(NamedTuple):
     values: Sequence[float]
     rates: Sequence[float] = ()
     std: Sequence[float] = ()
-
-
-def is_bag(path: Path) -> bool:
-    """Return whether a path is a folder that holds a bag."""
-    return path.is_dir() and (path / "metadata.yaml").exists()
 
 
 def read_mcap(path: PathLike, selection: Selection) -> Content:

@@ -90,7 +90,9 @@ class Recording:
         kind = cast(Kind, checks.choice("kind", self.kind, KINDS))
         t = checks.times("t", self.t, least=2)
         data = checks.array("data", _as_column(kind, self.data), (t.size, -1), unit=UNIT[kind], gaps=True)
-        _check_columns(kind, data)
+        if data.shape[1] < 1 or (kind == "markers" and data.shape[1] % 2):
+            allowed = {"angles": "one column a link", "markers": "x and y of each marker: 2, 4, 6, ... columns"}
+            raise InvalidInput("data has the wrong number of columns", got=data.shape[1], allowed=allowed[kind])
         for name in ("convention", "name", "source"):
             checks.text(f"recording {name}", getattr(self, name))
         values: dict[str, object] = {"t": t, "data": data, "convention": self.convention or CONVENTION[kind]}
@@ -261,14 +263,6 @@ def unwrap(angle: Array) -> Array:
         known = ~np.isnan(column)
         column[known] = np.unwrap(column[known])
     return result
-
-
-def _check_columns(kind: Kind, data: Array) -> None:
-    """Refuse a number of columns that does not fit the kind."""
-    columns = data.shape[1]
-    if columns < 1 or (kind == "markers" and columns % 2):
-        allowed = {"angles": "one column a link", "markers": "x and y of each marker: 2, 4, 6, ... columns"}
-        raise InvalidInput("data has the wrong number of columns", got=columns, allowed=allowed[kind])
 
 
 def _as_column(kind: Kind, values: object) -> object:

@@ -65,6 +65,7 @@ def _link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTes
     parts = np.abs(np.divide(then - now, now, out=np.zeros(x.size), where=now > 0.0))
     probability, of_finer = _probability(basis, pairs), replace(some, windows=seen, fit=again)
     shown = [each for each in others if each.refitted and probability > TESTING.likely]
+    refits = [(each, of_finer.refit(each.name)) for each in shown]
     test = ScoreTest(
         LINKS,
         max(before - after, 0.0) / before if before > 0.0 else 0.0,
@@ -72,7 +73,11 @@ def _link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTes
         shift=shift,
         excess_gain=probability,
         ratio_sensitivity=float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0)),
-        explains=tuple(each.name for each in shown if of_finer.refit_gain(each.name) > TESTING.seeming * each.gain),
+        explains=tuple(
+            each.name
+            for each, after in refits
+            if after is not None and again.cost - after.fit.cost > TESTING.seeming * each.gain * again.cost
+        ),
     )
     return (test,)
 

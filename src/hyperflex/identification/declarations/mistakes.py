@@ -66,12 +66,6 @@ Variant = tuple[Finding, Array, float]  # a mistake; the data as they would be t
 Tried = tuple[float, list[Finding]]  # part of the motion that is left, and what that means
 
 
-def _declared_as(recording: Recording, data: Array, factor: float = 1.0) -> Recording:
-    """Return a recording with other data, its noise multiplied by a factor."""
-    noise = None if recording.noise is None else recording.noise * factor
-    return replace(recording, data=data.reshape(recording.data.shape), noise=noise, rates=None)
-
-
 def _angles_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
     """Yield the usual mistakes in angles."""
     q = recording.data
@@ -218,7 +212,9 @@ def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
     """
     free = [word for word in left.free if word == "gravity_angle"]
     for finding, data, factor in MEANT[recording.kind](recording, left.setup):
-        part, angles = left(_declared_as(recording, data, factor), free)
+        noise = None if recording.noise is None else recording.noise * factor
+        meant = replace(recording, data=data.reshape(recording.data.shape), noise=noise, rates=None)
+        part, angles = left(meant, free)
         yield part if all(np.cos(angle) > np.sqrt(0.5) for angle in angles) else np.inf, [finding]
 
 

@@ -79,11 +79,6 @@ class Basis:
             found = self._refits[name] = replace(found, information=own)
         return found
 
-    def refit_gain(self, name: str) -> float:
-        """Return the part of the fit's cost that `name`, free as well, takes away; 0 where no fit converges."""
-        after = self.refit(name)
-        return 0.0 if after is None or self.fit.cost <= 0.0 else 1.0 - after.fit.cost / self.fit.cost
-
     def pieces(self, budget: Budget) -> list[Piece]:
         """Return the windows' residuals, with all directions that the fit absorbs, the 2n of the state first."""
         mean = sensitivities(self.windows, self.fit)[1]

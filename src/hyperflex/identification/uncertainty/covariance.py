@@ -51,7 +51,7 @@ class Information:
     (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. model (P, P): the same of errors of the
     model, which come on top. correlation: autocorrelation time of the residuals, samples. plain (P, P): the covariance
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
-    memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
+    agrees: whether a stationary noise explains the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters share an
     unknown common factor. scaled (P + 1, P + 1): covariance
     of x and of the logarithm of a factor on all lengths, as lengths, clock and torque may be off. estimated:
@@ -68,7 +68,6 @@ class Information:
     plain: Array = field(default_factory=lambda: np.zeros((0, 0)))
     variance: float = 1.0
     freedom: float = np.inf
-    memory: Array = field(default_factory=lambda: np.ones(1))
     whiteness: float = 1.0
     follow: tuple[Array, ...] = ()
     agrees: bool = True
@@ -128,16 +127,11 @@ def _variances(gradient: Array, covariance: Array | float) -> Array:
     return np.asarray(np.maximum(found, 0.0))  # but for rounding
 
 
-def not_estimated(plant: Plant, fit: Fit) -> Information:
-    """Return the information of a fit that ended before deviations were computed: all is unknown."""
-    widths, total = plant.parameters.widths, len(plant.parameters)
-    none, one = np.zeros((total, total)), np.eye(total)
-    return Information(fit.x, widths, np.zeros(total), none[:, :0], one, none, 1.0, none, estimated=False)
-
-
 def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> tuple[Information, Status | None]:
     """Return the information of the windows, and why fit or information ended early; then it is of GRACE at most."""
-    known = not_estimated(plant, found)
+    widths, none = plant.parameters.widths, np.zeros((found.x.size, found.x.size))
+    unknown = np.eye(found.x.size)
+    known = Information(found.x, widths, none.sum(axis=0), none[:, :0], unknown, none, 1.0, none, estimated=False)
     with stoppable() as stop:
         if found.status is None:
             known = estimate_covariance(plant, windows, found)
@@ -191,7 +185,6 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
         plain=plain * scale,
         variance=variance,
         freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),
-        memory=memory,
         whiteness=whiteness(pieces),
         follow=tuple(model.follow for model in models),
         agrees=agrees,

@@ -421,8 +421,10 @@ def all_intervals(
             found = profiled(along, level, begun=begun, budget=budget, report=heard)
             if found.kind == "profile":
                 result[label] = _with_model_error(along, found)
-            if remarks is not None:
-                remarks += _remarks(found)
+            if remarks is not None and found.gain > WALK.better:
+                remarks.append(Finding(Kind.BETTER_OPTIMUM, Severity.LIMIT, {"name": label, "gain": found.gain}))
+            elif remarks is not None and found.kind == "covariance":
+                remarks.append(Finding(Kind.PROFILE_GIVEN_UP, Severity.LIMIT, {"name": label}))
     return stop.deliver(result)
 
 
@@ -439,13 +441,6 @@ def _with_model_error(along: Coordinate, found: Profile) -> Interval:
     least = along.value(along.bound)
     ends: tuple[End, End] = ("bound" if low <= least else found.ends[0], found.ends[1])
     return Interval(max(low, least), high, "profile", ends, found.level)
-
-
-def _remarks(found: Profile) -> list[Finding]:
-    """Return that a profile has found a better optimum, or took too long."""
-    if found.gain > WALK.better:
-        return [Finding(Kind.BETTER_OPTIMUM, Severity.LIMIT, {"name": found.name, "gain": found.gain})]
-    return [Finding(Kind.PROFILE_GIVEN_UP, Severity.LIMIT, {"name": found.name})] * (found.kind == "covariance")
 
 
 def skewed(basis: Basis) -> list[int]:
