@@ -27,10 +27,6 @@ from hyperflex.vision import Camera, CurveDetector, Frame, Image, VideoReader, f
 
 ROUNDING = 1.05  # factor by which a time may exceed the frame interval: both are rounded
 SELDOM = 0.5  # part of the frames: a marker that is seen in fewer is reported
-CURVE_PLACES = (
-    12  # of a recording of a rope without markers: more hold no more of the waves that a curve of one frame shows
-)
-BEND = 0.5  # rad, std of a joint's turn from the estimated one, over sqrt(n links): weak beside a curve
 UNDETERMINED = 0.9  # of a parameter's prior standard deviation: if more remains, the video does not determine it
 
 
@@ -319,11 +315,8 @@ def _curve_places(tracker: RopeTracker, found: list[_Sighting], errors: RunError
     for k, (frame, final, wide) in enumerate(zip(found, errors.values, errors.covariances, strict=True)):
         seen = Observations(frame.seen.t, frame.seen.places, rows=frame.seen.rows, covariances=wide)
         x, given = np.append(frame.x[: 2 * n], final), InputFrame(seen, seen.seen, 1.0)
-        estimated, base, length = (
-            x[:n].copy(),
-            estimator.process.base(seen.t, x),
-            1.0 + parameters.value("length", final),
-        )
+        estimated, base = x[:n].copy(), estimator.process.base(seen.t, x)
+        length = 1.0 + parameters.value("length", final)
         for _ in range(3):  # Gauss-Newton steps: the third moves by a millionth of a pixel
             off, slope = given.residuals(*model.predict(x, base, seen.rows))
             rows = np.concatenate([slope[:, :n], turn])
