@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.recording import Recording, read_recording
-from hyperflex.recording.proposal import propose, python_line
+from hyperflex.recording.read import propose, python_line
 from tests.faults.bounds import apart, examples, refused_or_done
 from tests.faults.test_readers import CHANGE, changed
 from tests.recording.samples import ANGLE, BOTH, RATE, SAMPLES, Sample

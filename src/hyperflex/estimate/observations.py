@@ -74,7 +74,7 @@ class Observations:
             covariances = each[:, None, None] ** 2 * np.eye(2)
         wide = np.array(np.broadcast_to(np.asarray(covariances, dtype=np.float64), (k, 2, 2)))
         wide[unseen] = np.eye(2)
-        if not np.isfinite(wide).all() or not _positive_definite(wide):
+        if not np.isfinite(wide).all() or not (np.linalg.eigvalsh(wide) > 0.0).all():
             got = covariances if std is None else std
             raise InvalidInput("the uncertainty of an observation is not positive", got=got, allowed="> 0, finite")
         late = np.nan_to_num(np.broadcast_to(0.0 if rows is None else np.asarray(rows, float), (k,)))
@@ -85,12 +85,6 @@ class Observations:
     def seen(self) -> Flags:
         """Which markers were seen (K,)."""
         return ~np.isnan(self.places[:, 0])
-
-
-def _positive_definite(wide: Array) -> bool:
-    """Whether symmetric matrices (K, 2, 2) are positive definite."""
-    (a, b), (c, d) = wide.transpose(1, 2, 0)
-    return bool((a > 0.0).all() and (a * d > b * c).all())
 
 
 @dataclass(frozen=True, eq=False)

@@ -268,7 +268,10 @@ class ExperimentDesign(Ranking):
             e = plan.experiment
             cells = [e.name, f"{e.rate:g}", f"{e.duration:g}", str(e.markers or "angles")]
             if not plan.reason:
-                cells += [_percent(plan.score), *(_figure(plan.std[label]) for label in labels)]
+                cells += [
+                    _percent(plan.score),
+                    *(f"{plan.std[label]:.3g}".replace("inf", "not determined") for label in labels),
+                ]
             rows.append((cells, f"failed: {plan.reason}" if plan.reason else ""))
         return self._text(f"Experiments for {', '.join(self.want)}", rows)
 
@@ -400,10 +403,6 @@ def _recommendation(ranked: Sequence[ExperimentPlan], want: Sequence[str], free:
         f"No candidate determines {lost}: {why}.{scales} Or measure the torque of the motor that drives the rope "
         f"(arm=..., torque_noise=...). Ratios over the first moment need neither: want={FORCELESS}."
     )
-
-
-def _figure(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "not determined"
 
 
 def _percent(value: float) -> str:

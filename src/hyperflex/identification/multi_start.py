@@ -321,8 +321,8 @@ class MultiStart:
         with stoppable() as stop:
             while best.status is None:
                 loss, states = best.loss, list(best.states)
-                values, squares = [window.values for window in windows], [loss.cost(each) for each in best.residuals]
-                costs = np.array(squares) / values
+                squares = [loss.cost(each) for each in best.residuals]
+                costs = np.array(squares) / [window.values for window in windows]
                 limit = min(float(np.median(costs)), np.inf if self.measured.channels.noise is None else 1.0)
                 before = {
                     k: squares[k] + windows[k].prior_cost(states[k])

@@ -3,8 +3,7 @@
 from hyperflex.recording.content import Content
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations, Raw, to_recording
 from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
-from hyperflex.recording.proposal import propose, python_line
-from hyperflex.recording.read import read_channels, read_recording
+from hyperflex.recording.read import propose, python_line, read_channels, read_recording
 from hyperflex.recording.recording import UNIT, Recording, unwrap
 
 __all__ = [

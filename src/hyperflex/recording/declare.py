@@ -161,7 +161,14 @@ def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) 
             data = _within_a_turn(data) if declared.get("wrapped") else data
         facts, t = dict(raw.facts), raw.t
         if t.size and (epoch := float(t[0]) * time) > EPOCHS[0]:
-            _check_epoch(epoch, declared["time_unit"])
+            if epoch > EPOCHS[1]:  # beyond any date of a recording: in a smaller unit
+                known = (f"time_unit={each!r}" for each in SECONDS if EPOCHS[0] < t[0] * SECONDS[each] < EPOCHS[1])
+                raise InvalidInput(
+                    f"the times begin {epoch / (365.25 * 86400.0):.3g} years after 1970",
+                    got=f"time_unit = {declared['time_unit']!r}",
+                    allowed="stamps since 1970 up to the year 2286",
+                    fix=f"Pass {next(known, 'the right time_unit')}",
+                )
             t, facts["epoch"] = t - t[0], epoch
         if swing is not None:
             facts |= {"out_of_plane": swing.rms * size, **({} if swing.tilt is None else {"tilt": swing.tilt})}
@@ -259,19 +266,6 @@ def _in_plane(raw: Raw, declared: Mapping[str, Any]) -> tuple[Raw, _Swing | None
     slope = np.diff(moved, axis=1)[pairs] / far[pairs]
     tilt = math.sqrt(2.0 * float(np.mean(slope**2))) if slope.size else None
     return replace(raw, data=data, in_space=False), _Swing(name, rms, lean, tilt)
-
-
-def _check_epoch(epoch: float, unit: str) -> None:
-    """Refuse stamps, s, that are beyond any date of a recording: they are in a smaller unit."""
-    if epoch > EPOCHS[1]:
-        counted = epoch / SECONDS.get(unit, 1.0)
-        likely = (f"time_unit={each!r}" for each, size in SECONDS.items() if EPOCHS[0] < counted * size < EPOCHS[1])
-        raise InvalidInput(
-            f"the times begin {epoch / (365.25 * 86400.0):.3g} years after 1970",
-            got=f"time_unit = {unit!r}",
-            allowed="stamps since 1970 up to the year 2286",
-            fix=f"Pass {next(likely, 'the right time_unit')}",
-        )
 
 
 def _within_a_turn(angle: Array) -> Array:

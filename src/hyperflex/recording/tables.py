@@ -61,7 +61,10 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         if declared.setdefault("time_unit", unit) != unit:
             what = f"{path}: header and notes disagree on time_unit"
             raise InvalidInput(what, got=[unit, declared["time_unit"]], fix="Correct one of them")
-    found = {what: _numbered(names, pattern) for what, pattern in _NUMBERED.items()}
+    found = {
+        what: {int(match[1]): name for name in names if (match := pattern.match(name))}
+        for what, pattern in _NUMBERED.items()
+    }
     noise = {name.removeprefix(_NOISE): name for name in names if name.startswith(_NOISE)}
     others = [name for name in names if not _COUNTERS.fullmatch(name) and name not in noise.values()]
     chosen = selection.columns is not None or selection.markers is not None
@@ -103,10 +106,6 @@ def _name_and_unit(name: str) -> tuple[str, str | None]:
     begin = 1 + max(inner.rfind(")"), inner.rfind("]"))
     opening = re.compile(r"[\[(]").search(inner, begin) if name.endswith((")", "]")) else None
     return (inner[: opening.start()].rstrip(), inner[opening.end() :].strip()) if opening else (name, None)
-
-
-def _numbered(names: Sequence[str], pattern: re.Pattern[str]) -> dict[int, str]:
-    return {int(match[1]): name for name in names if (match := pattern.match(name))}
 
 
 def _numbered_points(

@@ -13,7 +13,6 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit import Window
 from hyperflex.identification.model import Mask
 from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
@@ -139,7 +138,9 @@ def _orthogonal(pieces: Sequence[Piece], own: int) -> list[Piece]:
 
 def _patterns(basis: Basis, recording: Recording) -> Iterator[_Pattern]:
     """Yield all faults: a zero of each channel that moves or is off, links whose samples are late, and smoothing."""
-    fitted = [_fitted(basis, *each) for each in zip(basis.windows, basis.fit.states, strict=True)]
+    every = list(zip(basis.windows, basis.fit.states, strict=True))
+    seen = [basis.plant.predict(basis.fit.x, window.t, state) for window, state in every]  # also in gaps
+    fitted = [window.y if each is None else each for each, (window, _) in zip(seen, every, strict=True)]
     steps = np.zeros(sum(len(seen) for seen in fitted), dtype=np.bool_)
     always = np.arange(steps.size) == 0
     steps[CHANNEL_TEST.side : -CHANNEL_TEST.side] = True
@@ -157,12 +158,6 @@ def _patterns(basis: Basis, recording: Recording) -> Iterator[_Pattern]:
         np.gradient(rate, window.t, axis=0) * window.weight for rate, window in zip(rates, basis.windows, strict=True)
     ]
     yield _Pattern(Kind.SMOOTHED, 0, bent, always)
-
-
-def _fitted(basis: Basis, window: Window, state: Array) -> Array:
-    """Return the fitted channels (m, C), also in gaps."""
-    seen = basis.plant.predict(basis.fit.x, window.t, state)
-    return window.y if seen is None else seen
 
 
 def _shifts(basis: Basis, recording: Recording, fitted: Array) -> Array:
