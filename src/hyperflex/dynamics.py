@@ -30,7 +30,7 @@ class PartialLinearization(NamedTuple):
     b_u : (n,) float64
         B_u = -M_uu^-1 M_ua.
     effective_inertia : float
-        M_aa + M_ua^T B_u, kg m^2: what the motor feels.
+        M_aa + M_ua^T B_u, kg m^2: the inertia at the motor.
     arm_bias : float
         C_a + P_a - F_a + M_ua^T A_u, N m: the torque at which the arm does not accelerate.
     """
@@ -86,7 +86,7 @@ def forward_kinematics(rope: Rope, q: ArrayLike, *, arm: Arm | None = None, arm_
     Returns
     -------
     (..., n + 1, 2) float64
-        Joints from the motor's side on, the tip last, m; x to the right, y upwards. For places between joints see
+        Joints from the motor to the tip, m; x to the right, y upwards. For points between joints see
         :class:`hyperflex.sensors.Markers`.
 
     Examples
@@ -177,12 +177,12 @@ def bias(
 ) -> Array:
     """Return C + P - F of (1), N m: the torques (n,) that keep every acceleration at zero at q, rad, and qd, rad/s.
 
-    With an arm, its angle, rad, and rate, rad/s, its entry comes first, and there are n + 1.
+    With an arm, which has an angle, rad, and a rate, rad/s, there are n + 1 torques, the arm's first.
 
     Notes
     -----
-    From the accelerations of one O(n) sweep: bias = -M qdd for tau = 0. Dry friction counts where a joint turns; one at
-    rest transmits what the motion asks of it, which is not known here. Paper (1).
+    From the accelerations of one O(n) sweep: bias = -M qdd for tau = 0. Dry friction is included for rotating joints; a
+    joint at rest transmits the torque that the motion requires, which is unknown here. Paper (1).
     """
     angles = _joined(rope, q, "q", "rad", arm, arm_angle)
     rates = _joined(rope, qd, "qd", "rad/s", arm, arm_rate)
@@ -200,12 +200,12 @@ def bias(
 def partial_linearization(
     rope: Rope, arm: Arm, q: ArrayLike, qd: ArrayLike, arm_angle: float, arm_rate: float
 ) -> PartialLinearization:
-    """Return A_u and B_u of (2), and what (3) needs, by two O(n) sweeps; angles in rad, rates in rad/s.
+    """Return A_u and B_u of (2) and the terms of (3), by two O(n) sweeps; angles in rad, rates in rad/s.
 
     Notes
     -----
-    Joints that dry friction holds while the arm keeps its rate (u = 0) count as locked; where u makes them come loose,
-    (2) is another one. The arm's own dry friction counts where it turns.
+    Joints that dry friction holds while the arm keeps its rate (u = 0) count as locked; if u releases them, (2)
+    changes. The dry friction of the arm is included if it rotates.
     """
     angles = checks.array("q", q, (rope.n_links,), unit="rad")
     rates = checks.array("qd", qd, (rope.n_links,), unit="rad/s")
@@ -217,7 +217,7 @@ def partial_linearization(
     shaft = arm.shaft_torque(rope.gravity, np.array(angle), np.array(rate), np.zeros(()))
 
     def driven(u: float) -> tuple[Array, float]:
-        """Rope accelerations (n,) and motor torque where the arm has the acceleration u."""
+        """Rope accelerations (n,) and motor torque at the arm's acceleration u."""
         interval.set(0.0, 1.0, ANGLE, [angle, rate, 0.5 * u, 0.0, 0.0, 0.0])
         loads = np.empty((1, 5))
         observe(chain, interval.drive, t, y, slip, *outputs, loads)

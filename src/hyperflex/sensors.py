@@ -21,9 +21,9 @@ from hyperflex.trajectory import State
 
 __all__ = ["Accelerometer", "Angles", "Markers", "Measurement", "MotorTorque", "PostureSensor", "Sensor", "lever_arms"]
 
-ROUNDING = 1e-9  # of the rope's length: more than the rounding error of sums of link lengths
-ANGLE_STEP = 1e-5  # rad, and relative: differences of a smooth function then have relative errors of 1e-10
-RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so that the only error is rounding
+ROUNDING = 1e-9  # of the rope's length: larger than the rounding error of sums of link lengths
+ANGLE_STEP = 1e-5  # rad, and relative: step of differences, which have relative errors of 1e-10 for a smooth function
+RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so only rounding errors occur
 
 
 class Measurement(NamedTuple):
@@ -56,7 +56,7 @@ class Sensor(Protocol):
         state : State
             Unknown (None) ``arm_angle`` and ``arm_rate`` count as 0.
         acceleration : float
-            Of the arm, rad/s^2; it has no effect on places and angles.
+            Of the arm, rad/s^2; it has no effect on positions and angles.
 
         Raises
         ------
@@ -80,8 +80,8 @@ def angles_and_rates(rope: Rope, arm: Arm, state: State) -> tuple[Array, Array]:
 class PostureSensor(ABC):
     """A sensor of the posture of a rope.
 
-    `placed` is true if it measures places, which depend on the first joint's; `values` (V,) are parameters of the
-    sensor that may be fitted.
+    `placed` is true if it measures positions, which depend on that of the first joint; `values` (V,) are the parameters
+    of the sensor that can be fitted.
     """
 
     placed = False
@@ -93,15 +93,15 @@ class PostureSensor(ABC):
 
     @abstractmethod
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
-        """Return channels (m, C) from angles (m, n), rad, and the first joint's places (m, 2), m."""
+        """Return channels (m, C) from angles (m, n), rad, and the first joint's positions (m, 2), m."""
 
     @abstractmethod
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
-        """Return their derivatives (m, C, D) from those of angles (m, n, D), pivot (m, 2, D) and lengths (n, D)."""
+        """Return the channels' derivatives (m, C, D) from those of angles (m, n, D), pivot (m, 2, D), lengths (n, D)."""
 
     @abstractmethod
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
-        """Return their derivatives with respect to the sensor's values (m, C, V)."""
+        """Return derivatives of the channels with respect to the sensor's values (m, C, V)."""
 
     def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
         """Return the channels in one state, with derivatives; see :class:`Sensor`."""
@@ -136,13 +136,13 @@ class Angles(PostureSensor):
 
 
 class Markers(PostureSensor):
-    """Places of K markers along the rope, m, in channels x0, y0, x1, y1, ...
+    """Positions of K markers along the rope, m, in channels x0, y0, x1, y1, ...
 
     Parameters
     ----------
     arc_lengths : (K,) array_like
-        Distance along the rope from the first joint, m. Markers beyond the tip lie on the last link's line; those
-        before the first joint on the first's.
+        Distance along the rope from the first joint, m. Markers beyond the tip lie on the line of the last link, those
+        before the first joint on the line of the first link.
     origin : (2,) array_like
         Origin in the camera's frame, m.
 
@@ -179,9 +179,9 @@ class Markers(PostureSensor):
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
         link, arms = lever_arms(rope, self.arc_lengths)
         along, across = unit_along(q), unit_across(q)
-        before = np.tril(np.ones((q.shape[1], q.shape[1])), -1)[link]  # (K, n): which links lie before a marker's own
+        before = np.tril(np.ones((q.shape[1], q.shape[1])), -1)[link]  # (K, n): links before the link of each marker
         result = np.einsum("ki,mia,mid->mkad", arms, across, dq, optimize=True)
-        if dlength.any():  # a marker keeps its arc length: links before it grow, its part of its own link shrinks
+        if dlength.any():  # a marker keeps its arc length: longer links before it shorten its part of its own link
             result += np.einsum("ki,mia,id->mkad", before, along, dlength, optimize=True)
             result -= np.einsum("mka,kd->mkad", along[:, link], before @ dlength, optimize=True)
         result += dpivot[:, None]
@@ -199,8 +199,8 @@ class Markers(PostureSensor):
 def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
     """Return the links (K,) of points at arc lengths (K,), m, and the length of each link before them (K, n), m.
 
-    The latter times the links' directions gives the points; beyond the tip they lie on the line of the last link,
-    before the first joint on that of the first.
+    These lengths times the links' directions give the points. Points beyond the tip lie on the line of the last link,
+    points before the first joint on the line of the first link.
     """
     ends = rope.link_ends
     link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
@@ -210,7 +210,7 @@ def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Ar
 
 
 class Accelerometer:
-    """Proper acceleration (2,) of a place on a link, acceleration less gravity, m/s^2, in the link's own frame.
+    """Proper acceleration (2,) of a point on a link, acceleration minus gravity, m/s^2, in the frame of the link.
 
     The frame is the world's, rotated by the link's angle q: x is (cos q, sin q), across the link, and y is
     (-sin q, cos q), along it towards the motor. A rope that hangs at rest reads (0, 9.81).
@@ -256,18 +256,18 @@ class Accelerometer:
         return Accelerometer(self.link, float(values[2]), values[:2])
 
     def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
-        """Return what is seen in one state, y (2,), with derivatives; see :class:`Sensor`.
+        """Return the measurement in one state, y (2,), with derivatives; see :class:`Sensor`.
 
         Raises
         ------
         InvalidInput
-            If the place is not on the link, or an argument cannot be used.
+            If the point is not on the link, or an argument cannot be used.
 
         Notes
         -----
-        Exact derivatives, as those of :func:`hyperflex.linearize`: free flight, joints that dry friction holds in this
-        state locked. Where a torque drives the arm, its acceleration depends on the state too: let A, B be those of
-        ``linearize(..., command="torque")`` without `dt`; then H + D A[n + 1] and D B[n + 1] are the derivatives.
+        Derivatives are exact, as in :func:`hyperflex.linearize`: in free flight, with joints locked that dry friction
+        holds in this state. If a torque drives the arm, its acceleration depends on the state too: with A, B of
+        ``linearize(..., command="torque")`` without `dt`, the derivatives are H + D A[n + 1] and D B[n + 1].
         """
         q, w, alphas, slopes = _moving(rope, arm, state, acceleration)
         link, arms = self.link + 1, np.append(arm.length, rope.length)  # the arm is treated as a link before the others
@@ -289,7 +289,7 @@ class Accelerometer:
         return np.column_stack([np.eye(2), [alphas[self.link + 1], rates[self.link + 1] ** 2]])
 
     def _beyond(self, rope: Rope) -> float:
-        """Return how far beyond its link's first joint it sits, m."""
+        """Return the distance of the sensor from its link's first joint, m."""
         if self.link >= rope.n_links:
             raise InvalidInput("link is not of this rope", got=self.link, allowed=f"0 to {rope.n_links - 1}")
         begin = float(rope.length[: self.link].sum())
@@ -314,9 +314,9 @@ def _moving(rope: Rope, arm: Arm, state: State, acceleration: float) -> tuple[Ar
 class MotorTorque:
     """Torque (m,) of the motor of a prescribed `arm`, N m, as ``Trajectory.motor_torque`` defines it.
 
-    It follows from the state at a sample without integration; its derivatives are central differences, at the slip or
-    stick of each joint as it is there, chained with the exact derivatives of the state. Its values, (4,), are the arm's
-    inertia, kg m^2, viscous, N m s/rad, and dry friction, N m, and `constant`.
+    The torque follows from the state at a sample without integration. Its derivatives are central differences with each
+    joint slipping or sticking as in the sample, chained with the exact derivatives of the state. The sensor's values
+    (4,) are the arm's inertia, kg m^2, viscous, N m s/rad, and dry friction, N m, and `constant`.
 
     Parameters
     ----------
@@ -360,7 +360,7 @@ class MotorTorque:
     def jacobian(
         self, chain: Chain, drive: Drive, parts: tuple[ParameterChange, ...], t: Array, y: Array, dy: Array
     ) -> Array:
-        """Return its derivatives (m, 2n + P): by the start's state, and by the parameters whose changes are `parts`.
+        """Return the torque's derivatives (m, 2n + P): by the initial state, and by parameters whose changes are `parts`.
 
         `parts` are P changes of the chain, or of the drive's ``breaks`` and ``coef``; y is (m, 2n or more), dy
         (m, 2n, 2n + P) the derivatives of angles and rates along the same directions.
@@ -384,7 +384,7 @@ class MotorTorque:
         return result
 
     def value_jacobian(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
-        """Return its derivatives (m, 4) with respect to its values."""
+        """Return derivatives of the torque (m, 4) with respect to the sensor's values."""
         _, _, rate, acceleration = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size))).T
         sense = np.sign(np.where(rate != 0.0, rate, acceleration))
         by_torque = -self.predict(chain, drive, t, y)
@@ -406,7 +406,7 @@ class MotorTorque:
 
 
 def _changed(chain: Chain, drive: Drive, part: ParameterChange, step: float) -> tuple[Chain, Drive]:
-    """Return chain and drive with the properties in `part` changed by `step` times as much as it says."""
+    """Return chain and drive with their properties changed by `step` times `part`."""
     of_chain, of_drive = dict[str, Any](), dict[str, Any]()
     for name, change in part.items():
         known = PROPERTIES.get(name)

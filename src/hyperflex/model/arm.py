@@ -93,7 +93,7 @@ class Arm:
         return self.tip(angle), self.tip_velocity(angle, motion.rate(t))
 
     def rope_tip(self, length: Array, angle: ArrayLike, rate: ArrayLike, q: Array, qd: Array) -> tuple[Array, Array]:
-        """Return place (..., 2), m, and velocity (..., 2), m/s, of the tip of a rope.
+        """Return position (..., 2), m, and velocity (..., 2), m/s, of the tip of a rope.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class Arm:
         return cls(**table)
 
     def rope_torque(self, angle: ArrayLike, loads: Array) -> Array:
-        """Return the torque (T,), N m, that turns the rope.
+        """Return the torque (T,), N m, that moves the rope.
 
         Parameters
         ----------
@@ -130,13 +130,13 @@ class Arm:
         return np.asarray(moment + self.length * (np.cos(angle) * fx + np.sin(angle) * fy))
 
     def shaft_torque(self, gravity: Array, angle: Array, rate: Array, acceleration: Array) -> Array:
-        """Return the torque (T,), N m, that turns the arm alone: for its inertia, weight and friction.
+        """Return the torque (T,), N m, that the arm alone requires: for its inertia, weight and friction.
 
         Parameters
         ----------
         gravity : (2,) array, m/s^2
         angle, rate, acceleration : (T,) arrays, rad, rad/s, rad/s^2
-            At rest, dry friction resists as the arm is about to move.
+            At rest, dry friction opposes the impending motion.
         """
         gx, gy = gravity
         sense = np.sign(np.where(rate != 0.0, rate, acceleration))

@@ -1,4 +1,4 @@
-"""Limits of the motor that turns an arm: what a plan keeps to, and what a drive is never asked to exceed."""
+"""Limits of the motor that turns an arm, for plans and for the goals of a drive."""
 
 import math
 from dataclasses import dataclass
@@ -63,9 +63,9 @@ class MotorLimits:
     def fastest_moves(self, angles: ArrayLike, speed: ArrayLike = 1.0) -> tuple[Array, Array]:
         """Return duration (k,), s, and ramp (k,) of the fastest moves, as :func:`hyperflex.arm_moves` takes them.
 
-        `angles` (k,) are the angles to move through, rad, not 0. `speed`, a number or (k,), is the fraction of the
-        motor's speed that may be used, 0 to 1; of its acceleration it is the square of that. A ramp of 0.5 does not
-        reach the greatest speed.
+        `angles` (k,) are the angles to move through, rad, not 0. `speed`, a number or (k,), is the usable fraction of
+        the motor's speed, 0 to 1; the usable fraction of its acceleration is the square of `speed`. A ramp of 0.5 does
+        not reach the greatest speed.
         """
         way, part = np.abs(np.asarray(angles, dtype=np.float64)), np.asarray(speed, dtype=np.float64)
         top, rise = part * self.speed, part**2 * self.acceleration

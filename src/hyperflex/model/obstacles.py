@@ -14,8 +14,8 @@ from hyperflex.core.contact.gaps import Pegs
 from hyperflex.errors import InvalidInput
 from hyperflex.options import option
 
-ELSEWHERE = {"in mu=...": ("friction",)}  # where a Rope and an Arm have viscous friction, an obstacle has a coefficient
-FIXED = (math.inf, 0.0)  # kg m^2 and N m s/rad, of what does not turn
+ELSEWHERE = {"in mu=...": ("friction",)}  # viscous friction of a Rope and an Arm, a coefficient of an obstacle
+FIXED = (math.inf, 0.0)  # kg m^2 and N m s/rad, of a fixed obstacle
 
 
 class Placed:
@@ -44,7 +44,7 @@ class Peg(Placed):
     mu : float
         Coulomb's coefficient of friction between rope and peg, >= 0.
     restitution : float
-        Part of the speed with which a point bounces back, 0 to 1.
+        Fraction of the speed with which a point bounces back, 0 to 1.
     inertia : float, optional
         Moment of inertia about its axle, kg m^2, > 0, of a peg that turns; by default it is fixed.
     bearing : float
@@ -81,12 +81,12 @@ class Peg(Placed):
 
     @property
     def turns(self) -> bool:
-        """Whether it turns on an axle."""
+        """Whether the peg turns on an axle."""
         return self.inertia is not None
 
     @property
     def axle(self) -> tuple[float, float]:
-        """Its inertia, kg m^2, infinite if it is fixed, and its bearing, N m s/rad."""
+        """Inertia, kg m^2, infinite for a fixed peg, and bearing, N m s/rad."""
         return FIXED if self.inertia is None else (self.inertia, self.bearing)
 
 
@@ -102,7 +102,7 @@ class Wall(Placed):
     mu : float
         Coulomb's coefficient of friction between rope and wall, >= 0.
     restitution : float
-        Part of the speed with which a point bounces back, 0 to 1.
+        Fraction of the speed with which a point bounces back, 0 to 1.
 
     Raises
     ------
@@ -132,7 +132,7 @@ class Wall(Placed):
 @checks.named(ELSEWHERE)
 @dataclass(frozen=True)
 class Ground(Placed):
-    """Everything on one side of a straight line, solid: a floor, a ceiling, the side of a room.
+    """A solid half plane: a floor, a ceiling, the side of a room.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ KINDS: dict[str, type[Obstacle]] = {"pegs": Peg, "walls": Wall, "grounds": Groun
 
 
 def checked_obstacles(pegs: object, name: str = "pegs") -> tuple[Obstacle, ...]:
-    """Return the obstacles of a sequence as a tuple; InvalidInput, with its `name`, if they are something else."""
+    """Return a sequence of obstacles as a tuple; InvalidInput, with its `name`, for other objects."""
     given = tuple(pegs) if isinstance(pegs, Iterable) else (None,)
     for peg in given:
         if not isinstance(peg, Obstacle):
@@ -184,7 +184,7 @@ def _check(obstacle: Obstacle, what: str) -> None:
 
 
 def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
-    """Return obstacles as the kernels take them, for a rope of `radius`, m, whose link `first` is its first.
+    """Return the kernels' arrays of obstacles, for a rope of `radius`, m, that begins at link `first` of the chain.
 
     A wall becomes a face and two pegs of no radius at its ends.
     """
@@ -208,10 +208,10 @@ def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
 def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, within: float = math.inf) -> Array:
     """Distances (..., w, k), m, of the axes of k links of a chain from `begin` to `end` (..., k, 2) from w obstacles.
 
-    Below 0 inside. Of a ground the end of a link counts. For a link through a wall the depth is the distance along the
-    wall from the crossing to the nearer end of the wall, or the length of the chain beyond it if that is less: roughly
-    how far it is from not touching the wall. A distance that is greater than `within`, m, may be stated as smaller, but
-    not below it: that is faster for walls.
+    Negative inside. The distance from a ground is that of the link's end. For a link through a wall, the depth is the
+    distance along the wall from the crossing to the nearer end of the wall, or the length of the chain beyond it if
+    that is smaller: roughly the distance to the nearest position without contact. A distance above `within`, m, may be
+    underestimated, but not below `within`: this is faster for walls.
     """
     gaps = np.empty((*begin.shape[:-2], len(obstacles), begin.shape[-2]))
     for w, each in enumerate(obstacles):
@@ -221,7 +221,9 @@ def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, withi
         elif isinstance(each, Wall):
             last: Array = np.array([each.x2, each.y2])
             away, long = begin - 0.5 * (place + last), float(np.abs(end - begin).max(initial=0.0))
-            most = math.sqrt(2.0) * long + 0.5 * math.dist(place, last)  # by which they can be nearer than their begins
+            most = math.sqrt(2.0) * long + 0.5 * math.dist(
+                place, last
+            )  # by which links can be nearer than their beginnings
             gap = np.hypot(away[..., 0], away[..., 1]) - most
             near = gap <= within
             gap[near] = _segment_distance(begin[near], end[near], place, last)
@@ -233,7 +235,7 @@ def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array, withi
 
 
 def _write_depths(gap: Array, wall: Wall, begin: Array, end: Array) -> None:
-    """Write the depths, < 0, to the gaps (..., k), m, of links through a wall, which are 0."""
+    """Replace the gaps (..., k), m, of links through a wall, which are 0, by the negative depths."""
     rows = np.nonzero(gap == 0.0)
     if rows[0].size:
         size = np.hypot(*np.moveaxis(end - begin, -1, 0))
@@ -247,13 +249,13 @@ def _write_depths(gap: Array, wall: Wall, begin: Array, end: Array) -> None:
 
 
 def gap_of(obstacle: Obstacle, place: ArrayLike) -> float:
-    """Distance of a `place` (2,), m, from an obstacle, m, <= 0 in it."""
+    """Distance of a point from an obstacle, m, <= 0 inside."""
     link = np.array([place])
     return float(obstacle_gaps((obstacle,), link, link)[0, 0])
 
 
 def named(obstacle: Obstacle) -> str:
-    """Return the name of an obstacle, by its kind and place."""
+    """Return a name of an obstacle from its kind and position."""
     return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
 
 
@@ -282,13 +284,13 @@ def _side(point: Array, begin: Array, end: Array) -> Array:
 
 
 def round_places(obstacles: Sequence[Obstacle]) -> list[int]:
-    """Return where the round pegs stand in what :func:`packed` returns, in their order."""
+    """Return the indices of the round pegs in the arrays of :func:`packed`, in their order."""
     sizes = [3 if isinstance(each, Wall) else 1 for each in obstacles]
     return [sum(sizes[:k]) for k, each in enumerate(obstacles) if isinstance(each, Peg)]
 
 
 def obstacle_tables(obstacles: Sequence[Obstacle]) -> dict[str, Any]:
-    """Return the tables of a TOML file: arrays with one entry an obstacle; a fixed peg's inertia is inf."""
+    """Return the tables of a TOML file: arrays with one entry per obstacle; a fixed peg's inertia is inf."""
     named = {}
     for name, kind in KINDS.items():
         some = [each for each in obstacles if isinstance(each, kind)]
@@ -307,7 +309,7 @@ def obstacles_of(named: Mapping[str, Any]) -> tuple[Obstacle, ...]:
 
 
 def _rows(kind: type[Obstacle], what: str, table: Mapping[str, Any]) -> Iterator[Obstacle]:
-    """Yield the obstacles of a table; a number stands for one, or for all but in a field that has no default."""
+    """Yield the obstacles of a table; a number applies to one obstacle, or to all in a field with a default."""
     names = [f.name for f in fields(kind)]
     needed = [f.name for f in fields(kind) if f.default is MISSING]
     checks.keys(f"the {what} table", table, names, needed=needed, elsewhere=ELSEWHERE)

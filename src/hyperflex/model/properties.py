@@ -1,4 +1,4 @@
-"""Table of physical properties: name, unit, bounds, kernel field, how each is fitted.
+"""Table of physical properties: name, unit, bounds, kernel field, parametrisation in a fit.
 
 A new property of the links is a row here, an argument of :class:`hyperflex.model.Rope` and a field of
 ``core.chain.Chain``; files, identification, the comparison of models, derivatives and reports read the row.
@@ -18,42 +18,41 @@ Cut = Literal["shared", "alike", "joint", "bending", "limit", "stays"]
 
 @dataclass(frozen=True)
 class Property:
-    """A property and what is done with it.
+    """A property and its treatment.
 
     Attributes
     ----------
     name : str
         In the API, in files and in ``free``.
     words : str
-        For people.
+        In texts.
     unit : str
         SI.
     field : str
-        In :class:`hyperflex.core.chain.articulated_body.Chain`; of a resistance also the word for it in the names of
+        In :class:`hyperflex.core.chain.articulated_body.Chain`; for a resistance also its word in the names of
         candidate models.
     owner : str
-        Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, its
-        ``view`` (camera or encoder that is not level), each ``marker``, the ``encoder`` of the angles, the ``arm`` or
-        each ``motor``.
+        Owner: each ``link`` (or its joint), the whole ``rope``, of the ``motion``, the ``camera``, its ``view`` (camera
+        or encoder that is not level), each ``marker``, the ``encoder`` of the angles, the ``arm`` or each ``motor``.
     sign : str
-        What values are allowed, see :mod:`hyperflex.checks`.
+        Allowed values, see :mod:`hyperflex.checks`.
     default : float or None
-        Value that does nothing (inf is allowed then, too), from which a fit starts what no object holds; None: it must
-        be given, or follows from others.
+        Value without an effect (which allows inf as well), from which a fit starts if no object has the property; None:
+        the property must be given, or follows from others.
     form : str or None
-        How a fit sees it: its logarithm, the value itself, or a value kept >= 0; None: it cannot be free.
+        Variable of a fit: its logarithm, the value itself, or a value kept >= 0; None: it cannot be free.
     power : int
-        It goes with this power of the unknown common factor of a free swing.
+        Power of the unknown common factor of a free swing with which it scales.
     cut : str
-        What becomes of it where a rope is cut into other links: it is ``shared`` out, or ``alike`` in all pieces of a
-        link; of a joint it is ``joint``, whatever it joins, resists ``bending``, inverse to the length that the joint
-        stands for, or is a ``limit``, so that the least bend radius stays; or it ``stays`` where it is. Empty: it
+        Rule when a rope is divided into other links: ``shared`` out among the pieces of a link, or ``alike`` in all of
+        them; for a joint ``joint``, equal at any joint, ``bending``, inversely proportional to the length that the
+        joint represents, or ``limit``, which preserves the least bend radius; or it ``stays`` at its joint. Empty: it
         follows from the others.
     symbol, ratio : str
-        Of a resistance to the motion: its symbol, and the unit of its ratio over the first moment p1.
+        For a resistance to the motion: its symbol, and the unit of its ratio to the first moment p1.
     least : float
-        Smallest value of a fit, in parts of its scale, of what a run without any leaves out altogether, and so does not
-        tell what it would do.
+        Smallest value of a fit, as a fraction of its scale, for an effect that a run without it omits completely and
+        therefore gives no derivative of.
     """
 
     name: str
@@ -132,13 +131,13 @@ _TABLE = (
 PROPERTIES = {each.name: each for each in _TABLE}
 LINK_PROPERTIES = tuple(each for each in _TABLE if each.owner == "link")
 LINK_NAMES = tuple(each.name for each in LINK_PROPERTIES)
-RESISTANCES = tuple(each for each in LINK_PROPERTIES if each.ratio)  # linear in the torques, beside masses and inertias
-DAMPING = tuple(each.name for each in RESISTANCES if each.unit != "N m/rad")  # but springs: they take energy away
-FREE_PROPERTIES = {each.name: each for each in _TABLE if each.form}  # what can be fitted
+RESISTANCES = tuple(each for each in LINK_PROPERTIES if each.ratio)  # linear in the torques, like masses and inertias
+DAMPING = tuple(each.name for each in RESISTANCES if each.unit != "N m/rad")  # without springs: these dissipate energy
+FREE_PROPERTIES = {each.name: each for each in _TABLE if each.form}  # properties that can be fitted
 
 
 class Ratio(NamedTuple):
-    """Ratio that a motion without known forces determines, over p of link 0: its description and unit."""
+    """Ratio to p of link 0 that a motion without known forces determines: its description and unit."""
 
     words: str
     unit: str
@@ -162,7 +161,7 @@ class Label(NamedTuple):
 
 
 def parse_label(text: object) -> Label | None:
-    """Return what a label names, or None where it is none; a place and a law exclude each other."""
+    """Return the meaning of a label, or None if it has none; an index and a law exclude each other."""
     match = _LABEL.match(text) if isinstance(text, str) else None
     if match is None or (match["place"] and match["law"]):
         return None

@@ -15,16 +15,16 @@ from hyperflex.model.obstacles import Obstacle, Peg, checked_obstacles
 from hyperflex.model.properties import LINK_PROPERTIES
 from hyperflex.model.rope import MOST_LINKS, Rope, bend_limits, bend_ratios
 
-MIDDLE = 1e-9  # part of its length by which a uniform link's centre of mass may be off its middle
+MIDDLE = 1e-9  # fraction of its length by which a uniform link's centre of mass may be off its middle
 
 
 def uniform(rope: Rope) -> Flags:
-    """Return which links (n,) have their centre of mass in their middle."""
+    """Return whether each link (n,) has its centre of mass in the middle."""
     return np.abs(rope.com - 0.5 * rope.length) <= MIDDLE * rope.length
 
 
 def across(rope: Rope) -> Array:
-    """Return the part of each link's inertia (n,) that its radius makes and its length does not, kg m^2."""
+    """Return the part of each link's inertia (n,) that is due to its radius, kg m^2."""
     return np.minimum(0.25 * rope.mass * rope.radius**2, rope.inertia)
 
 
@@ -40,18 +40,18 @@ def stretched(rope: Rope, length: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any
     Returns
     -------
     dict of str to (n,) ndarray
-        A link's mass is where it was, as a part of the length; its inertia grows with the square of the length, but for
-        what the radius makes.
+        The centre of mass keeps its fraction of the length; the inertia scales with the square of the length, except
+        for the part of the radius.
     """
     ratio, flat = length / rope.length, across(rope)
-    with np.errstate(over="ignore", invalid="ignore"):  # a rope refuses what is beyond all numbers
+    with np.errstate(over="ignore", invalid="ignore"):  # a rope refuses infinite values
         inertia = flat + (rope.inertia - flat) * ratio**2
     return {"length": length, "com": rope.com * ratio, "inertia": inertia}
 
 
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
-COARSE = 1.0  # the same, from which a set-up's rope is reported to hold less: by 15 % at 2
-MOST_PIECES = 10_000  # that a rope is cut into: with more of them a run takes hours
+COARSE = 1.0  # ratio above which a set-up's rope is reported to hold less: by 15 % at 2
+MOST_PIECES = 10_000  # of a divided rope: with more of them a run takes hours
 
 
 def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Rope:
@@ -99,19 +99,19 @@ def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None,
 
 
 def divided(rope: Rope, pieces: ArrayLike) -> Rope:
-    """Cut each link of a rope into pieces, see :func:`refine_rope`.
+    """Divide each link of a rope into pieces, see :func:`refine_rope`.
 
     Parameters
     ----------
     rope : Rope
         Links to be divided must have their centre of mass in the middle.
     pieces : int or (n,) array_like of int
-        Pieces that a link is cut into, >= 1.
+        Pieces of each link, >= 1.
 
     Raises
     ------
     InvalidInput
-        If a link that is to be cut is not uniform, or `pieces` does not fit.
+        If a link to be divided is not uniform, or `pieces` does not fit.
     """
     given = checks.array("pieces", pieces, (rope.n_links,), scalar=True)
     pieces = given.astype(np.int64)
@@ -120,7 +120,7 @@ def divided(rope: Rope, pieces: ArrayLike) -> Rope:
     if (pieces == 1).all():
         return rope
     _refuse_uneven(rope, pieces > 1)
-    flat = across(rope)  # goes with the mass; the inertia along the link with its length squared, too
+    flat = across(rope)  # scales with the mass; the inertia along the link also with its length squared
     parts = {name: getattr(rope, name) / pieces for name in ("length", "mass", "com")}
     parts["inertia"] = (rope.inertia - flat) / pieces**3 + flat / pieces
     parts |= {each.name: getattr(rope, each.name) for each in LINK_PROPERTIES if each.cut == "alike"}
@@ -129,7 +129,7 @@ def divided(rope: Rope, pieces: ArrayLike) -> Rope:
 
 
 def _refuse_uneven(rope: Rope, cut: Flags) -> None:
-    """Refuse links to be cut (n,) that are not uniform."""
+    """Refuse links to be divided (n,) that are not uniform."""
     uneven = cut & ~uniform(rope)
     if uneven.any():
         k = int(np.argmax(uneven))
@@ -188,7 +188,7 @@ def with_links(rope: Rope, n_links: int) -> Rope:
     middle = 0.5 * (low + high) - cuts[:-1, None]
     total = mass.sum(axis=1)
     com = (mass * middle).sum(axis=1) / np.maximum(total, 1e-300)
-    flat = across(rope)  # as in `divided`, the rest of a link's inertia goes with the square of its length
+    flat = across(rope)  # as in `divided`, the rest of a link's inertia scales with the square of its length
     own = (rope.inertia - flat) / (rope.mass * rope.length**2)
     inertia = (mass * (part**2 * own + (middle - com[:, None]) ** 2 + flat / rope.mass)).sum(axis=1)
     alike = {each.name: part @ getattr(rope, each.name) / length for each in LINK_PROPERTIES if each.cut == "alike"}
@@ -202,11 +202,11 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
     if arm is not None:
         checks.instance("arm", arm, Arm)
     reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
-    far = reach + rope.link_ends  # of each link's far joint at most
+    far = reach + rope.link_ends  # largest one of each link's far joint
     pieces = np.ones(rope.n_links, dtype=np.int64)
     for peg in pegs:
         if not isinstance(peg, Peg):
-            continue  # nothing winds round what is straight
+            continue  # a rope does not wind round a straight obstacle
         axis = peg.radius + rope.radius
         near = far >= np.hypot(peg.x - x, peg.y - y) - axis
         needed = np.ceil(rope.length / (ratio * axis) - 1e-9)
@@ -222,12 +222,12 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
 
 
 def _share(length: Array) -> Array:
-    """Length of rope that each joint stands for (n,): half of both its links; the first one's means nothing."""
+    """Length of rope that each joint represents (n,): half of both its links; meaningless for the first joint."""
     return 0.5 * (np.append(length[0], length[:-1]) + length)
 
 
 def _joints(rope: Rope, length: Array) -> dict[str, Array]:
-    """Return the properties of the joints of the same rope cut into links of other lengths (m,)."""
+    """Return the joint properties of the same rope divided into links of other lengths (m,)."""
     old, new = (np.cumsum(each) - each for each in (rope.length, length))
     found = {}
     for each in LINK_PROPERTIES:
@@ -246,7 +246,7 @@ def _joints(rope: Rope, length: Array) -> dict[str, Array]:
 
 
 def _along(value: Array, length: Array, shorter: Array) -> Array:
-    """Return what resists bending at the new joints from what does at the old ones: alike per length, but the hinge."""
+    """Return the bending resistance of the new joints from that of the old ones: equal per length, except at the hinge."""
     bending = value * _share(length)
     if bending.size > 1:
         bending[0] = bending[1]

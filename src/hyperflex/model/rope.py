@@ -17,9 +17,9 @@ from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES, PROPERTIES
 
-MOST_LINKS = 100_000  # far beyond use: a typing error must not fill the memory
+MOST_LINKS = 100_000  # far above any use, so that a typing error cannot fill the memory
 DENSITIES = (0.01, 1e5)  # kg/m^3: a hundredth of air's, and four times that of the densest metal
-TOTALS = ("length", "mass")  # in a file of the whole rope or of each link: the key says which
+TOTALS = ("length", "mass")  # in a file, of the whole rope or of each link, as its key states
 GRAVITY = (0.0, -9.81)  # m/s^2
 FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
@@ -146,7 +146,7 @@ class Rope:
             )
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a rope that was pickled or copied: numpy forgets that its arrays cannot be written to."""
+        """Restore a pickled or copied rope and make its arrays read-only again."""
         for name, value in state.items():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
@@ -165,7 +165,7 @@ class Rope:
         air_density: float = 1.204,
         **others: Any,
     ) -> "Rope":
-        """Cut a uniform cable into equal links.
+        """Divide a uniform cable into equal links.
 
         Parameters
         ----------
@@ -178,9 +178,9 @@ class Rope:
         inertia : float, optional
             Of one link about its centre of mass, kg m^2; by default the cylinder's.
         friction : float
-            Viscous friction of each joint, N m s/rad. It must be given: without friction (0.0) a rope that swings wide
-            is a tangle after some seconds, in which no result can be predicted. Of one material it is in inverse
-            proportion to the length of a link.
+            Viscous friction of each joint, N m s/rad. It must be given: without friction (0.0) a widely swinging rope
+            becomes an unpredictable tangle within seconds. For one material it is inversely proportional to the length
+            of a link.
         drag_coefficient, air_density : float
             Of the cable across the wind (a cylinder's is about 1.2) and of the air, kg/m^3 (default: at 20 degrees
             Celsius and 1013 hPa): they give `drag`; without a coefficient there is none.
@@ -275,7 +275,7 @@ class Rope:
         return np.cumsum(np.concatenate([velocity[..., None, :], steps], axis=-2), axis=-2)
 
     def mass_points(self, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
-        """Return places, m, and velocities, m/s, of the links' centres of mass and of the tip (..., n + 1, 2).
+        """Return positions, m, and velocities, m/s, of the links' centres of mass and of the tip (..., n + 1, 2).
 
         Angles `q` (..., n), rad, and rates `qd`, rad/s; `base`, m, and `velocity`, m/s, (..., 2) of the first joint.
         """
@@ -290,7 +290,7 @@ class Rope:
         return replace(self, **changes)
 
     def with_bend_radius(self, radius: float) -> "Rope":
-        """Return the rope with joint limits that let its axis bend to a circle of `radius`, m, and no tighter.
+        """Return the rope with joint limits that allow its axis to bend to a circle of `radius`, m, and no tighter.
 
         A joint's limit is 2 atan(l / (2 radius)), with l half of both its links' lengths: a polygon whose sides touch
         the circle in their middles. The first joint is a hinge, and keeps its limit.
@@ -318,7 +318,7 @@ class Rope:
         return rope_html(self)
 
     def chain(self) -> Chain:
-        """Return the arrays as the kernels take them."""
+        """Return the arrays of the kernels."""
         chain = Chain(
             **{each.field: getattr(self, each.name) for each in LINK_PROPERTIES},
             tip_mass=self.tip_mass,
@@ -343,7 +343,7 @@ class Rope:
     def from_table(cls, table: Mapping[str, Any]) -> "Rope":
         """Build a rope from a ``[rope]`` table, see docs/how-to/files.md.
 
-        Length and mass are arrays with one entry a link, or ``total_length`` and ``total_mass`` of the whole rope, or
+        Length and mass are arrays with one entry per link, or ``total_length`` and ``total_mass`` of the whole rope, or
         ``link_length`` and ``link_mass`` of each of ``n_links`` equal links.
         """
         content = dict(checks.mapping("the rope table", table))
@@ -397,17 +397,17 @@ def unit_along(angle: ArrayLike, axis: int = -1) -> Array:
 
 
 def unit_across(angle: ArrayLike, axis: int = -1) -> Array:
-    """Return unit vectors across links or arms, to where they turn, at angles (...), rad; x and y are on `axis`."""
+    """Return unit vectors across links or arms, in positive sense, at angles (...), rad; x and y are on `axis`."""
     return np.stack([np.cos(angle), np.sin(angle)], axis=axis)
 
 
 def swing_rate(rope: Rope) -> float:
-    """Return sqrt(g / L), rad/s: about how fast a rope swings."""
+    """Return sqrt(g / L), rad/s: the approximate angular frequency of a swing."""
     return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
 
 
 def warn_of_grade(path: str | Path, content: Mapping[str, Any]) -> None:
-    """Warn (UserWarning) of a rope in a file whose identification found that it must not be used."""
+    """Warn (UserWarning) of a rope in a file whose identification is graded "do not use"."""
     found = content.get("identification")
     if isinstance(found, Mapping) and found.get("grade") == "do not use":
         text = f"{path}: the identification of this rope is graded 'do not use'. {found.get('message', '')}"
@@ -420,21 +420,21 @@ def table_keys() -> list[str]:
 
 
 def bend_ratios(max_bend: Array) -> Array:
-    """Return twice the bend radius of joints over the length that each stands for; 0 for a joint without a limit."""
+    """Return twice the bend radius of joints over the length that each represents; 0 for a joint without a limit."""
     return np.where(max_bend < np.pi, 1.0 / np.tan(0.5 * np.minimum(max_bend, np.pi)), 0.0)
 
 
 def bend_limits(ratios: Array) -> Array:
-    """Return the joint limits, rad, that belong to such ratios; inf where one is 0."""
+    """Return the joint limits, rad, for such ratios; inf for 0."""
     return np.where(ratios > 0.0, 2.0 * np.arctan2(1.0, ratios), np.inf)
 
 
 def check_density(length: Any, mass: Any, radius: Any) -> None:
-    """Refuse a density that no material has: most likely grams were given for kilograms, or mm for m."""
+    """Refuse an impossible density: most likely grams were given for kilograms, or mm for m."""
     try:
         r, total_length, total = float(radius), float(np.sum(length)), float(np.sum(mass))
     except (TypeError, ValueError, OverflowError):
-        return  # refused by its own check
+        return  # refused by a separate check
     volume = np.pi * r**2 * total_length
     if r <= 0.5 * total_length and volume > 0.0 < total and not DENSITIES[0] <= total / volume <= DENSITIES[1]:
         raise InvalidInput(

@@ -26,8 +26,8 @@ from hyperflex.options import option
 
 METHODS = ("extrapolation", "rk4")
 _STILL = hold_arm(0.0)
-PLAN = "plan"  # table in which a planner keeps what a run does not need
-PLANNING = (PLAN, "target", "slot", "limits", "behind")  # tables of a planner, which a run leaves alone
+PLAN = "plan"  # table of data that only a planner uses
+PLANNING = (PLAN, "target", "slot", "limits", "behind")  # tables of a planner, which a run ignores
 DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
 Control = Callable[[float, float, float, Array, Array], float]
@@ -146,7 +146,7 @@ class Setup:
         if (self.control is None) != (self.control_rate is None):
             got, allowed = self.control_rate, "both, or neither"
             raise InvalidInput("control_rate belongs to a torque callback", got=got, allowed=allowed)
-        if self.qd0 is None or not self.qd0.any():  # the angles of a rope in motion may count many turns
+        if self.qd0 is None or not self.qd0.any():  # the angles of a moving rope may include many turns
             checks.meant("q0", 0.0 if self.q0 is None else self.q0, "rad")
         if self.arm_rate0 == 0.0:
             checks.meant("arm_angle0", self.arm_angle0, "rad")
@@ -226,7 +226,7 @@ class Setup:
         return np.append(self.arm_angle0, q), np.append(self.arm_rate0, qd)
 
     def first_joint(self, t: Array) -> Array:
-        """Return the places (T, 2), m, of the chain's first joint at times t (T,), s."""
+        """Return the positions (T, 2), m, of the chain's first joint at times t (T,), s."""
         motion = self.motion or _STILL
         place: Array = motion.point(t)
         if self.arm is None:
@@ -238,7 +238,7 @@ class Setup:
         return self.arm.chain(self.rope) if self.torque_driven and self.arm else self.rope.chain()
 
     def drive(self) -> Drive:
-        """Return the drive of the chain, as the kernels take it."""
+        """Return the kernels' drive of the chain."""
         source = self.torque or self.motion or _STILL
         coef = source.coef
         if self.arm is not None and any(self.arm.pivot):
@@ -260,7 +260,7 @@ class Setup:
         return bool(self.pegs) or self.rope.limited
 
     def contacts(self) -> Pegs:
-        """Return the obstacles as the kernels take them."""
+        """Return the kernels' arrays of obstacles."""
         return packed(self.pegs, self.rope.radius, 1 if self.torque_driven else 0)
 
     def dumps(self) -> str:
@@ -312,13 +312,13 @@ class Setup:
         """
         text = files.read_text(path, "TOML file")
         setup = cls.loads(text, str(path), Path(path).parent)
-        if f"\n[{PLAN}]" not in text:  # whose rope was cut, and whose arm is clear
+        if f"\n[{PLAN}]" not in text:  # with a divided rope and a clear arm
             warn_of_pegs(str(path), setup)
         return setup
 
 
 def warn_of_pegs(name: str, setup: Setup) -> None:
-    """Warn of pegs for which the links of a rope are too long, or that its arm can turn through."""
+    """Warn of pegs for which the links of a rope are too long, or through which its arm can rotate."""
     rope, arm = setup.rope, setup.arm
     for peg in setup.round_pegs:
         axis, where = (
@@ -334,9 +334,9 @@ def warn_of_pegs(name: str, setup: Setup) -> None:
 
 
 def check_tables(name: str, content: Mapping[str, Any], more: Sequence[str] = ()) -> None:
-    """Refuse tables and keys of the file `name` that are not known where they are, and say where they belong.
+    """Refuse unknown tables and keys of the file `name`, and state where a misplaced one belongs.
 
-    `more` are tables that are known in addition to those of a set-up.
+    `more` are known tables in addition to those of a set-up.
     """
     known: dict[str, Sequence[str]] = {"rope": table_keys(), "arm": [each.name for each in fields(Arm)]}
     known |= {table: [each.name for each in fields(kind)] for table, kind in KINDS.items()}
