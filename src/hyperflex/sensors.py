@@ -97,7 +97,7 @@ class PostureSensor(ABC):
 
     @abstractmethod
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
-        """Return the channels' derivatives (m, C, D) from those of angles (m, n, D), pivot (m, 2, D), lengths (n, D)."""
+        """Return the channels' derivatives (m, C, D) from those of angles (m, n, D), pivot (m, 2, D), length (n, D)."""
 
     @abstractmethod
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
@@ -360,7 +360,7 @@ class MotorTorque:
     def jacobian(
         self, chain: Chain, drive: Drive, parts: tuple[ParameterChange, ...], t: Array, y: Array, dy: Array
     ) -> Array:
-        """Return the torque's derivatives (m, 2n + P): by the initial state, and by parameters whose changes are `parts`.
+        """Return the torque's derivatives (m, 2n + P) by the initial state and by parameters whose changes are `parts`.
 
         `parts` are P changes of the chain, or of the drive's ``breaks`` and ``coef``; y is (m, 2n or more), dy
         (m, 2n, 2n + P) the derivatives of angles and rates along the same directions.

@@ -246,7 +246,7 @@ def _joints(rope: Rope, length: Array) -> dict[str, Array]:
 
 
 def _along(value: Array, length: Array, shorter: Array) -> Array:
-    """Return the bending resistance of the new joints from that of the old ones: equal per length, except at the hinge."""
+    """Return the bending resistance of new joints from that of the old ones: equal per length, except at the hinge."""
     bending = value * _share(length)
     if bending.size > 1:
         bending[0] = bending[1]
