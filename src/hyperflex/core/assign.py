@@ -1,7 +1,7 @@
 """Assignment of whole arrays of one shape.
 
-``out[:] = values`` does the same, but checks the shapes, and numba compiles that check and its message anew wherever
-it stands: a hundred times the code of the loop.
+``out[:] = values`` does the same but checks the shapes, and numba compiles this check and its message again at each
+use: a hundred times the code of the loop.
 """
 
 from hyperflex.core.jit import non_allocating

@@ -1,9 +1,9 @@
 """Disk cache of compiled kernels.
 
-One file for each kernel and argument types, in a folder for each state of the sources of all kernels: numba's own cache
-does not notice an edit in *another* file. A file is written whole or not at all, and is read only if its checksum is
-right. So a cache that is read-only, full, damaged or filled by several processes at once costs time and never gives a
-wrong run. Damage, and what cannot be kept, are reported on standard error.
+There is one file for each kernel and argument types, in one folder for each state of the sources of all kernels:
+numba's own cache does not detect an edit in *another* file. A file is written completely or not at all, and is read
+only if its checksum is right. A cache that is read-only, full, damaged or filled by several processes at once therefore
+costs time but never gives a wrong run. Damaged files and failed writes are reported on standard error.
 
 ``HYPERFLEX_CACHE_DIR`` names the cache; without it, it is ``hyperflex`` in the user's cache folder.
 """
@@ -32,11 +32,11 @@ def _source_hash() -> str:
     return digest.hexdigest()[:16]
 
 
-SOURCE_HASH = _source_hash()  # of all kernels and of what compiles them
+SOURCE_HASH = _source_hash()  # of all kernels and of their compiler
 
 
 def folder() -> Path:
-    """Return the folder of all compiled kernels; it need not be there."""
+    """Return the folder of all compiled kernels; it may not exist."""
     chosen, caches = os.environ.get("HYPERFLEX_CACHE_DIR"), Path(os.environ.get("XDG_CACHE_HOME", ""))
     try:
         if chosen:
@@ -47,19 +47,19 @@ def folder() -> Path:
 
 
 def kernels_folder() -> Path:
-    """Return the folder of the kernels as their sources are now."""
+    """Return the folder of the kernels for their present sources."""
     return folder() / f"kernels-{SOURCE_HASH}"
 
 
 def compiled(kernels: Sequence[tuple[str, str]]) -> int:
-    """Return how many kernels (module and function) have been compiled, for whatever arguments."""
+    """Return the number of kernels (module and function) that have been compiled for any arguments."""
     place = kernels_folder()
     there = {path.name.rsplit("-", 2)[0] for path in place.glob("*.nbc")} if place.is_dir() else set()
     return sum(f"{module}.{name}" in there for module, name in kernels)
 
 
 def load(name: str, key: str) -> bytes | None:
-    """Return the content saved for a kernel under a key; None if there is none, or it is damaged.
+    """Return the content saved for a kernel under a key; None if it is missing or damaged.
 
     Damage is reported once on standard error.
     """
@@ -84,13 +84,13 @@ def save(name: str, key: str, content: bytes) -> None:
 
 
 def _place(name: str, key: str) -> tuple[Path, bytes]:
-    """Return the file of a kernel, and how its content begins after the checksum."""
+    """Return the file of a kernel, and the beginning of its content after the checksum."""
     head = f"{SOURCE_HASH} {name} {key}\n".encode()
     return kernels_folder() / f"{name}-{hashlib.sha256(head).hexdigest()[:16]}.nbc", head
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, and make its folder."""
+    """Write a file completely or not at all, and make its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
     try:

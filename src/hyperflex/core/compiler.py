@@ -1,11 +1,11 @@
-"""How numba compiles a kernel. The one place that uses what numba does not promise to keep.
+"""Compilation of a kernel by numba. The only module that uses private interfaces of numba.
 
-A kernel that Python calls is a *door*, one that kernels call a *part*; the same function may be both. Numba alone
-optimises each kernel, makes machine code of it and wraps it for Python, and does so again for all it calls within each
-caller. Here a part is only translated to LLVM's language. A door is linked with all the parts that it needs, and
-optimised and turned into machine code once. That takes half of the time and gives the same code.
+A kernel that Python calls is a *door*, one that kernels call a *part*; the same function may be both. Plain numba
+optimises each kernel, generates its machine code and wraps it for Python, and repeats this for all its callees within
+each caller. Here a part is only translated to LLVM IR. A door is linked with all parts that it needs, then optimised
+and compiled to machine code once. This takes half of the time and gives the same code.
 
-Both are kept on disk, see :mod:`hyperflex.core.cache`.
+Both are cached on disk, see :mod:`hyperflex.core.cache`.
 """
 
 import functools
@@ -32,7 +32,7 @@ from hyperflex.core import cache
 
 @intrinsic
 def read_only(_context: Any, array: Any) -> Any:
-    """Return an array that a kernel has made as one of the kind that its callers give: not to be written to."""
+    """Return a kernel's own array with the read-only type of its callers' arrays."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return impl_ret_borrowed(context, builder, signature.return_type, arguments[0])
@@ -46,8 +46,8 @@ CACHE_LINE = 64  # bytes
 def _slots(context: Any, builder: Any, signature: Any, row: Any, width: Any, at: Any, slots: Any) -> list[Any]:
     """Return pointers to the numbers in some slots of a row, see :func:`read_slots`.
 
-    Loops over lanes keep packed numbers on the stack. The stack begins at a cache line there, because packed loads that
-    cross one cost a tenth of the speed, and LLVM does not align what it spills.
+    Loops over lanes keep packed numbers on the stack. The stack is aligned to a cache line, because packed loads that
+    cross one cost a tenth of the speed, and LLVM does not align spilled values.
     """
     attributes = builder.function.attributes
     attributes.alignstack = CACHE_LINE
@@ -71,7 +71,7 @@ def read_slots(_context: Any, row: Any, _width: Any, _at: Any, slots: Any) -> An
 
 @intrinsic
 def write_slots(_context: Any, row: Any, _width: Any, _at: Any, slots: Any, values: Any) -> Any:
-    """Write a tuple of numbers where :func:`read_slots` reads them."""
+    """Write a tuple of numbers to the slots of :func:`read_slots`."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         for k, place in enumerate(_slots(context, builder, signature, *arguments[:4])):
@@ -82,31 +82,31 @@ def write_slots(_context: Any, row: Any, _width: Any, _at: Any, slots: Any, valu
 
 
 class Timer(event.Listener):  # type: ignore[misc]
-    """Adds up the time that the compiler takes; it compiles one function at a time, and what that calls within it."""
+    """Sum of the compile time; a function's callees are compiled within its own compilation."""
 
     def __init__(self, announce: Callable[[], None]) -> None:
         self.spent, self._depth, self._since, self._announce = 0.0, 0, 0.0, announce
         event.register("numba:compile", self)
 
     def on_start(self, _event: event.Event) -> None:
-        """Note when the first of them begins."""
+        """Record the start of the outermost compilation."""
         if self._depth == 0:
             self._since = time.monotonic()
             self._announce()
         self._depth += 1
 
     def on_end(self, _event: event.Event) -> None:
-        """Add what it took."""
+        """Add its duration."""
         self._depth -= 1
         if self._depth == 0:
             self.spent += time.monotonic() - self._since
 
 
 class Door(CPUDispatcher):  # type: ignore[misc]
-    """A kernel for Python, compiled on its first call; kernels that call it find its part instead.
+    """A kernel for Python, compiled on its first call; kernels that call it get its part instead.
 
     `py_func` is a function of a module (not within another function), `targetoptions` are those of ``numba.njit``, and
-    ``_nrt``, whether references to arrays that it makes are counted.
+    ``_nrt``, whether references to its own arrays are counted.
     """
 
     def __init__(self, py_func: Callable[..., Any], *arguments: Any, **named: Any) -> None:
@@ -115,7 +115,7 @@ class Door(CPUDispatcher):  # type: ignore[misc]
 
     @functools.cached_property
     def part(self) -> Any:
-        """The same kernel, for kernels that call it."""
+        """The part of this kernel, for calling kernels."""
         options = {**self.targetoptions, "no_cpython_wrapper": True}
         part = _PartDispatcher(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
         part._cache = _Kept(self.py_func, "part", _pack_part, _unpack_part)
@@ -126,13 +126,13 @@ class Door(CPUDispatcher):  # type: ignore[misc]
         return Dispatcher(self.part)
 
     def compile(self, sig: Any) -> Any:
-        """Compile the kernel for a signature, as numba does."""
+        """Compile the kernel for a signature, like numba."""
         with _economical():
             return _with_room(super().compile, sig)
 
 
 class _PartDispatcher(CPUDispatcher):  # type: ignore[misc]
-    """A kernel for kernels. A literal number in the call does not make another specialisation, as it does in numba."""
+    """A kernel for kernels. Unlike in numba, a literal number in a call does not create another specialisation."""
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return super().get_call_template(
@@ -141,13 +141,13 @@ class _PartDispatcher(CPUDispatcher):  # type: ignore[misc]
 
 
 def _part_decorator(template: Any) -> Any:
-    """Return the decorator of what serves a builtin, such as ``np.zeros``: as for a part, without machine code."""
+    """Return the decorator of implementations of builtins such as ``np.zeros``: like a part, without machine code."""
     return functools.partial(_jit_decorator(template), pipeline_class=_PartCompiler, no_cfunc_wrapper=True)
 
 
 @contextmanager
 def _economical() -> Iterator[None]:
-    """Resolve each builtin operation once, and let the garbage collector walk less often through what is compiled."""
+    """Resolve each builtin operation once, and run the garbage collector less often while compiling."""
     was = gc.get_threshold()
     gc.set_threshold(20_000, 20, 100)
     _Function.get_call_type, _Overload._get_jit_decorator = _remembered_type, _part_decorator
@@ -165,9 +165,9 @@ _jit_decorator: Any = _OverloadFunctionTemplate._get_jit_decorator
 
 
 def _remembered_type(function: Any, context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
-    """Return the signature of a call as numba does, which tries all of a dozen overloads for each ``x + y``.
+    """Return the signature of a call like numba, which tries a dozen overloads for each ``x + y``.
 
-    It is remembered by the types of the arguments, unless an overload serves: that depends on how it is compiled.
+    It is cached by the types of the arguments, except for overloads, which depend on compile options.
     """
     known = function.__dict__.setdefault("_signatures", {})
     if kws or args not in known:
@@ -182,14 +182,14 @@ def _with_room(function: Callable[[Any], Any], argument: Any) -> Any:
     return function(argument)
 
 
-# Python keeps the frames of calls in pieces of 16 kB, and asks the system for one, and gives it back, each time a call
-# crosses the end of a piece: with calls as deep as the compiler's a fifth of its time. A frame that wants more than
-# that gets a large piece, in which all calls below it fit.
+# Python keeps call frames in chunks of 16 kB, and allocates and frees one each time a call crosses the end of a chunk:
+# a fifth of the time in the deep calls of the compiler. A frame that needs more gets a large chunk, in which all deeper
+# calls fit.
 _with_room.__code__ = _with_room.__code__.replace(co_stacksize=1 << 17)
 
 
 class _Part(JITCodeLibrary):  # type: ignore[misc]
-    """A kernel in LLVM's language, with all it calls: for being linked into others, not for being run."""
+    """A kernel in LLVM IR with all its callees, to be linked into others, not to be run."""
 
     def finalize(self) -> None:
         self._raise_if_finalized()
@@ -199,7 +199,7 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]
         self._finalize_dynamic_globals()
         for each in self._final_module.functions:
             if not each.is_declaration and each.linkage == llvm.Linkage.external:
-                each.linkage = "linkonce_odr"  # several of what is linked together may hold it
+                each.linkage = "linkonce_odr"  # several linked modules may contain it
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
@@ -208,7 +208,7 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]
 
 
 class _PartCompiler(compiler.Compiler):  # type: ignore[misc]
-    """Numba's pipeline, ended before machine code is made."""
+    """Numba's pipeline without the generation of machine code."""
 
     def define_pipelines(self) -> list[Any]:
         self.state.library = _Part(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
@@ -222,21 +222,21 @@ class _PartCompiler(compiler.Compiler):  # type: ignore[misc]
 
 
 def _name_of_its_own() -> Any:
-    """Return the key by which numba finds a part: a function of the kind it expects, unique and never called."""
+    """Return the key by which numba finds a part: a unique function of the expected kind, which is never called."""
     return [].append
 
 
 class _Kept:
-    """The cache of one kernel, as numba uses it.
+    """The cache of one kernel, with numba's interface.
 
     Parameters
     ----------
     function : callable
-        The kernel as written.
+        The Python function of the kernel.
     kind : {"door", "part"}
-        What it is compiled as.
+        Kind of compilation.
     pack, unpack : callable
-        Make something that can be pickled of what was compiled, and the reverse.
+        Convert a compiled kernel to an object that can be pickled, and back.
     """
 
     def __init__(self, function: Callable[..., Any], kind: str, pack: Any, unpack: Any) -> None:
@@ -252,19 +252,19 @@ class _Kept:
         return repr((argument_types, codegen.magic_tuple()))
 
     def load_overload(self, argument_types: Any, context: Any) -> Any:
-        """Return the compiled kernel for such types of arguments, None if there is none that can be used."""
+        """Return the compiled kernel for such types of arguments, None if no usable one exists."""
         context.refresh()
         packed = cache.load(self._name, self._key(argument_types, context.codegen()))
         return None if packed is None else self._unpack(context, *pickle.loads(packed))
 
     def save_overload(self, argument_types: Any, made: Any) -> None:
-        """Keep a compiled kernel; where that fails it is compiled again by the next process."""
+        """Save a compiled kernel; if this fails, the next process compiles it again."""
         packed = serialize.dumps(self._pack(made))
         cache.save(self._name, self._key(argument_types, made.library.codegen), packed)
 
 
 def _pack_part(made: Any) -> Any:
-    made.fndesc.typemap = made.fndesc.calltypes = None  # needed no more, and not to be pickled
+    made.fndesc.typemap = made.fndesc.calltypes = None  # no longer needed, and cannot be pickled
     module = made.library._get_module_for_linking().as_bitcode()
     return made.library.name, module, made.fndesc, made.signature, tuple(made.library._reload_init)
 

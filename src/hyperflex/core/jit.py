@@ -1,4 +1,4 @@
-"""Decorators of kernels: the one place with numba's options."""
+"""Decorators of kernels, with all options of numba."""
 
 import functools
 import sys
@@ -29,9 +29,9 @@ def kernel(function: _F) -> _F:
 
 
 def non_allocating(function: _F) -> _F:
-    """Compile a kernel that makes no arrays: it counts no references, which costs small kernels half of their time.
+    """Compile a kernel that makes no arrays, without reference counts, which take half of the time of small kernels.
 
-    Its arrays are its callers'. It returns numbers alone, and assigns to slices no more than numbers.
+    Its arrays belong to its callers. It returns only numbers, and assigns only numbers to slices.
     """
     return _compiled(function, counts=False)
 
@@ -39,13 +39,13 @@ def non_allocating(function: _F) -> _F:
 def absorbed(function: _F) -> _F:
     """Compile a kernel as :func:`non_allocating` does, and copy it into its callers.
 
-    A call hands arrays over word by word, and many of them cost more than what a small step of a long one does.
+    A call passes arrays word by word, which for many arrays costs more than a small step of a long run.
     """
     return _compiled(function, counts=False, forceinline=True)
 
 
 def summing(function: _F) -> _F:
-    """Compile a kernel whose sums are taken in any order, so that they turn into SIMD code. It must call no sines."""
+    """Compile a kernel whose sums may be reordered, so that they become SIMD code. It must not compute sines."""
     return _compiled(function, more={"reassoc"})
 
 
@@ -59,7 +59,7 @@ def _compiled(function: _F, counts: bool = True, more: AbstractSet[str] = frozen
 
 
 class _Inlined:
-    """A function whose body numba copies into kernels; numba needs no more of it than these attributes."""
+    """A function whose body numba copies into kernels; numba uses only these attributes."""
 
     targetoptions: ClassVar = {"inline": "always"}
     _numba_type_ = types.Dummy("inlined")
@@ -73,15 +73,15 @@ class _Inlined:
 
 
 def inlined(function: _F) -> _F:
-    """Copy a function into the kernels that call it, so that loops over lanes around it turn into SIMD code.
+    """Copy a function into the kernels that call it, so that surrounding loops over lanes become SIMD code.
 
-    Python calls it as it is, with numbers or numpy arrays.
+    Python calls the plain function, with numbers or numpy arrays.
     """
     return function if numba.config.DISABLE_JIT else _Inlined(function)  # type: ignore[return-value]
 
 
 def _constant(array: Any) -> Any:
-    """Return an array that a kernel has made as one of the kind that its callers give: not to be written to."""
+    """Return a kernel's own array with the read-only type of its callers' arrays."""
     return array
 
 
@@ -116,7 +116,7 @@ else:
 
 @functools.cache
 def _announce() -> None:
-    """Report on standard error, once a process, that kernels are being compiled."""
+    """Report on standard error, once per process, that kernels are being compiled."""
     there, loaded = cache.compiled(KERNELS), len(KERNELS)
     known = f"{there} of the {loaded} loaded were compiled before{', for other arguments' if there == loaded else ''}"
     if not there:
@@ -132,5 +132,5 @@ _TIMER = compiler.Timer(_announce)
 
 
 def compiling() -> float:
-    """Return the time that this process has spent on compiling until now, s."""
+    """Return the time that this process has spent on compiling so far, s."""
     return _TIMER.spent

@@ -1,4 +1,4 @@
-"""Arrays that cannot be written to: what kernels only read is given to them so, for they are compiled for one kind."""
+"""Read-only arrays: kernels receive arrays that they only read in this form, because they are compiled for one type."""
 
 from typing import Any, TypeVar
 

@@ -27,23 +27,23 @@ from hyperflex.core.jit import kernel, non_allocating, zeros
 class Stiction(NamedTuple):
     """Tolerances of dry friction."""
 
-    # links whose rates differ by no more than this part of them, and
+    # links whose rates differ by at most this fraction of them, and
     same: float = 4e-15
-    # rad/s, this much, turn alike: one switch's rounding of the arm's rate
+    # rad/s, this much, rotate together: rounding of the arm's rate by one switch
     still: float = 1e-12
     # part of the dry friction, and
     slack: float = 1e-12
-    # part of all torques on a link, by which a torque must exceed dry friction to count: above rounding
+    # fraction of all torques on a link, by which a torque must exceed dry friction to count: above rounding
     noise: float = 1e-13
-    # s, how well an event is located
+    # s, accuracy of the location of an event
     instant: float = 1e-13
     # s; event after event in steps shorter than this is chatter
     quick: float = 1e-9
     # powers of ten by which `slack` and `noise` are widened at most, see ``tolerance_factor``
     widest: float = 8.0
-    # quick events beyond those that joints may need, after which they chatter
+    # quick events in excess of the normal ones, after which joints chatter
     hopeless: float = 30.0
-    # part of the largest acceleration below which the sense of a joint's acceleration is rounding
+    # fraction of the largest acceleration below which the sign of a joint's acceleration is rounding
     sense: float = 1e-11
     # rad/s, slower than this a joint that chatters may be brought to rest
     calm: float = 1e-8
@@ -57,10 +57,10 @@ class StictionWorkspace(NamedTuple):
 
     alpha: Array  # (n,)
     load: Array  # (n,) friction torque of each joint, N m
-    slack: Array  # (n,) by how much a torque must exceed dry friction to count, N m
+    slack: Array  # (n,) N m, excess over dry friction from which a torque counts
     work: Array  # (6 n,)
     state: Array  # (2 n,) angles and rates in the middle of a step
-    margin: Array  # (2, n) and the margins there
+    margin: Array  # (2, n) margins in the middle of a step
 
 
 @kernel
@@ -71,7 +71,7 @@ def new_stiction_workspace(n):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ignore[no-untyped-def]
-    """Accelerations, and the friction torque of each joint, also of stuck ones; two passes, O(n).
+    """Accelerations, and the friction torque of each joint, including stuck ones; two passes, O(n).
 
     Newton's and Euler's equations link by link, from the tip: independent of the elimination in the sweep. Arguments as
     in ``articulated_body.accelerations``; results in ``alpha``, ``load`` and ``slack`` of `workspace`.
@@ -82,7 +82,7 @@ def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ign
     air_loads(chain, w, base, work, 2 * n, 1)
     px = base[0] - chain.gx
     py = base[1] - chain.gy
-    for i in range(n):  # sines and cosines are where the sweep left them; what it kept for the way back is spent
+    for i in range(n):  # sines and cosines are those of the sweep; its other data for the backward pass are overwritten
         work[i], work[n + i] = px, py
         rate2 = w[i] * w[i]
         px += chain.length[i] * (work[5 * n + i] * alpha[i] - work[4 * n + i] * rate2)
@@ -124,7 +124,7 @@ def tolerance_factor(chatter, n):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def at_rest(rate, up):  # type: ignore[no-untyped-def]
-    """Whether two links' rates are the same but for rounding."""
+    """Whether two links' rates are equal up to rounding."""
     return abs(rate - up) <= STICTION.still + STICTION.same * (abs(rate) + abs(up))
 
 
@@ -137,10 +137,11 @@ def margins(chain, q, w, slip, base, torque, widen, workspace, out):  # type: ig
 
 @non_allocating
 def margins_of(chain, w, slip, base, widen, workspace, out):  # type: ignore[no-untyped-def]
-    """Margin of each joint to a change of its mode, and its slope, where the constraint torques are known.
+    """Margin of each joint to a change of its mode, and its slope, from known constraint torques.
 
-    ``out`` (2, n): of a slipping joint the relative rate in its sense, rad/s, and how fast that grows, rad/s^2; of a
-    stuck one how far its load is below its dry friction, as a part of that, and 0.0; inf without dry friction.
+    ``out`` (2, n): for a slipping joint the relative rate in its sense, rad/s, and its derivative, rad/s^2; for a stuck
+    one the distance of its load from its dry friction, as a fraction of the friction, and 0.0; inf without dry
+    friction.
     """
     for i in range(w.size):
         out[0, i], out[1, i] = np.inf, 0.0
@@ -194,7 +195,7 @@ def midpoint_state(step, q, w, alpha, out, workspace):  # type: ignore[no-untype
 
 @non_allocating
 def stuck_power(chain, w, slip, load):  # type: ignore[no-untyped-def]
-    """Power that stuck joints take from the chain, W: none if their torques act on both links, which turn alike."""
+    """Power that stuck joints take from the chain, W: none if their torques act on both links, which turn together."""
     power = 0.0
     if len(chain.reaction) == 1:
         for i in range(w.size):
@@ -205,7 +206,7 @@ def stuck_power(chain, w, slip, load):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def stuck_loss(power, step, part):  # type: ignore[no-untyped-def]
-    """Energy that stuck joints take within the first `part` of a step, J; power (3,), W, at 0, 1/2 and 1 of it."""
+    """Energy that stuck joints take in the first fraction `part` of a step, J; power (3,), W, at 0, 1/2 and 1 of it."""
     p0, pm, p1 = power
     slope, bend = 4.0 * pm - 3.0 * p0 - p1, 2.0 * (p0 - 2.0 * pm + p1)
     return step * part * (p0 + part * (slope / 2.0 + part * bend / 3.0))
@@ -213,7 +214,7 @@ def stuck_loss(power, step, part):  # type: ignore[no-untyped-def]
 
 @kernel
 def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  # type: ignore[no-untyped-def]
-    """Decide the modes after an event or at a start; where joints chatter, with wider tolerances.
+    """Determine the modes after an event or at a start, with wider tolerances if joints chatter.
 
     Parameters
     ----------
@@ -247,7 +248,7 @@ def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  
 
 @kernel
 def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: ignore[no-untyped-def]
-    """Find the modes at an instant, to `slip` (n,), with their accelerations and loads in `workspace`.
+    """Find the modes at an instant and write them to `slip` (n,), with accelerations and loads in `workspace`.
 
     Parameters
     ----------
@@ -286,10 +287,10 @@ def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: igno
 def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, workspace):  # type: ignore[no-untyped-def]
     """Active-set search: change the modes of the `resting` joints, all stuck at first, until they obey (M.16).
 
-    The joint that violates (M.16) most changes, a stuck one whose torque exceeds its dry friction to slip, a slipping
-    one that would turn against its sense to stick. For friction that acts on both links this is a convex problem, and
-    after some turns the first violation is changed instead, a rule that ends. Returns False where it did not; `moved`
-    (n,) is 1.0 for each joint that was changed.
+    The joint with the largest violation of (M.16) changes: a stuck one whose torque exceeds its dry friction slips, a
+    slipping one that would move against its sense sticks. If friction acts on both links, this is a convex problem;
+    after a number of rounds the first violation is changed instead, a rule that terminates. Returns False if it did
+    not; `moved` (n,) is 1.0 for each changed joint.
     """
     max_changes = 2 * resting + 8
     for turn in range(max_changes if len(chain.reaction) == len(ONE_SIDED) else 20 + 12 * resting):
@@ -306,7 +307,7 @@ def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, wo
 
 @non_allocating
 def worst_violation(chain, q, w, base, torque, widen, slip, workspace, any_will_do):  # type: ignore[no-untyped-def]
-    """Return the joint at rest that violates (M.16) most, or with `any_will_do` the first; -1: none."""
+    """Return the joint at rest with the largest violation of (M.16), or with `any_will_do` the first one; -1: none."""
     constraint_torques(chain, q, w, slip, base, torque, workspace)
     largest = abs(base[2])
     for i in range(q.size):
@@ -326,17 +327,17 @@ def worst_violation(chain, q, w, base, torque, widen, slip, workspace, any_will_
 
 @kernel
 def continuation(chain, q, w, base, torque, moved, slip, workspace):  # type: ignore[no-untyped-def]
-    """Find modes of the joints at rest that have `moved` (n,), by continuation from no dry friction to all of it.
+    """Find modes of the joints at rest that have `moved` (n,), by continuation from zero to full dry friction.
 
-    The other joints at rest are held, whatever that takes. Without friction each that has moved slips as it is pulled.
-    As the friction grows, in proportion to `part`, the modes change one by one, and between two changes all loads and
-    accelerations are linear in it. The path may turn back for a while, but it cannot end: such loads solve a
+    The other joints at rest are held by any torque. Without friction each moved joint slips in the direction of its
+    load. As the friction grows, in proportion to `part`, the modes change one by one, and between two changes all loads
+    and accelerations are linear in it. The path may turn back temporarily, but it cannot end: such loads solve a
     variational inequality on a box, which has a solution for any friction (Hartman and Stampacchia 1966,
     doi:10.1007/BF02392210).
 
     Returns
     -------
-    bool : False where rounding has broken the path.
+    bool : False if rounding has broken the path.
     """
     n = q.size
     none, full = np.empty((2, n)), np.empty((2, n))
@@ -351,7 +352,7 @@ def continuation(chain, q, w, base, torque, moved, slip, workspace):  # type: ig
     for _ in range(20 + 12 * int(moved.sum())):
         continuation_margins(chain, q, w, base, torque, moved, 0.0, slip, workspace, none)
         continuation_margins(chain, q, w, base, torque, moved, 1.0, slip, workspace, full)
-        if last >= 0:  # what has just changed comes away from its limit
+        if last >= 0:  # a joint that has just changed moves away from its limit
             way = 1.0 if full[side, last] > none[side, last] else -1.0
         far, last, side = first_breakpoint(none, full, part, way)
         if way > 0.0 and part + far >= 1.0:
@@ -368,10 +369,10 @@ def continuation(chain, q, w, base, torque, moved, slip, workspace):  # type: ig
 
 @kernel
 def continuation_margins(chain, q, w, base, torque, moved, part, slip, workspace, out):  # type: ignore[no-untyped-def]
-    """Margins of the joints that have moved, with only a part of their dry friction.
+    """Margins of the joints that have moved, with a fraction of their dry friction.
 
-    ``out`` (2, n): of a slipping joint its relative acceleration in its sense, rad/s^2, and 1.0; of a stuck one its
-    dry friction less its load in either sense, N m; 1.0 of any other.
+    ``out`` (2, n): for a slipping joint its relative acceleration in its sense, rad/s^2, and 1.0; for a stuck one its
+    dry friction minus its load in either sense, N m; 1.0 for any other.
     """
     dry = chain.dry * (1.0 - (1.0 - part) * moved)
     out[:] = 1.0

@@ -1,13 +1,13 @@
 """Air drag of a link, quadratic in its normal velocity (M.29)-(M.32).
 
-A link of drag c, kg/m^2, feels the force -c |v| v a length against the velocity v across it, which is u at its
-motor-side joint and grows to u + w l at its far joint. With S = |u| + |u + w l| and xi = (2 u + w l) / S no integral
-needs to know whether v changes its sign on the way, and none cancels where the link hardly turns.
+Drag c, kg/m^2, gives the force per length -c |v| v against the velocity v across a link, which is u at its motor-side
+joint and u + w l at its far joint. With S = |u| + |u + w l| and xi = (2 u + w l) / S the integrals do not depend on
+whether v changes its sign on the link, and have no cancellation at small w.
 """
 
 from hyperflex.core.jit import inlined, non_allocating
 
-TINY = 1e-140  # m/s, negligible against any speed; its square is still a number
+TINY = 1e-140  # m/s, negligible against any speed; its square does not underflow
 
 
 @inlined
@@ -16,8 +16,8 @@ def link_drag(drag, length, across, turn):  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    drag, length : kg/m^2, m
-    across, turn : velocity across the link at its motor-side joint, and what it gains up to the far joint, m/s
+    drag, length : kg/m^2, m across, turn : velocity across the link at its motor-side joint, and its change up to the
+    far joint, m/s
 
     Returns
     -------
@@ -55,7 +55,7 @@ def drag_slopes(drag, length, across, turn):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def air_loads(chain, w, base, work, at, stride):  # type: ignore[no-untyped-def]
-    """Torque of the air on each link, with the drag of all that lies beyond it, (M.32); O(n).
+    """Torque of the air on each link, including the drag of the chain beyond it, (M.32); O(n).
 
     Parameters
     ----------

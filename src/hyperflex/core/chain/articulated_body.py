@@ -34,11 +34,11 @@ class Chain(NamedTuple):
     tip_mass: float
     gx: float
     gy: float
-    reaction: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or ONE_SIDED
+    reaction: tuple[int, ...]  # one entry for each link on which a joint's friction acts: MUTUAL or ONE_SIDED
 
     @property
     def joints(self) -> tuple[Array, Array, Array, Array]:
-        """All joints as ``joint_law`` takes them."""
+        """All joints in the form of ``joint_law``."""
         return self.viscous, self.dry, self.stiffness, self.rest
 
 
@@ -50,10 +50,10 @@ BASE_SIZE = (
     9  # numbers of the first joint's motion, before the torques of motors in inner joints (``drive.base_state``)
 )
 WAY_BACK = tuple(range(4))  # of ``accelerations``' scratch, for each link
-MANY_DRY = 16  # joints with dry friction from which their events set the length of steps
+MANY_DRY = 16  # number of joints with dry friction from which their events determine the length of steps
 
 _ONE_OVER_PI = 1.0 / math.pi
-_ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and taking it away rounds to the nearest integer
+_ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds to the nearest integer
 # pi in three parts; the first two have so few bits that a whole multiple of up to 2**20 of them is exact
 _PI_A = float.fromhex("0x1.921fb50000000p+1")
 _PI_B = float.fromhex("0x1.110b460000000p-25")
@@ -102,24 +102,24 @@ def link_step(link, joint, free, reaction_factor, sin, cos, rate2, beyond):  # t
     joint : (T, T_back, kappa, kappa_back)
         Joint torque T - kappa (alpha - alpha_up) on this link, N m; the part ``_back`` of it acts on the parent.
     free : float
-        1.0; 0.0 for a stuck joint, which bears any torque, so that alpha = alpha_up.
+        1.0; 0.0 for a stuck joint, which transmits any torque, so that alpha = alpha_up.
     reaction_factor : float
         Part of the torque of a stuck joint that acts on the parent: 1.0, or 0.0 for the printed friction model.
     sin, cos, rate2 : float
         Of this link's angle; its squared angular rate.
     beyond : (axx, axy, ayy, fx, fy, bx, by, s, beta, ayx, ux, uy)
-        Answer of everything beyond this link's far joint, where p is that joint's acceleration less gravity and
+        Response of the chain beyond this link's far joint, where p is the acceleration of that joint minus gravity and
         alpha the acceleration of this link: force A p + f alpha + b, torque u.p + s alpha + beta.
 
     Returns
     -------
     at : tuple
-        The same answer at this link's motor-side joint.
+        The response at this link's motor-side joint.
     back : (r inv, ex inv, ey inv, k, inv)
-        For the way back: alpha = inv (r - e.p) + k alpha_up, with inv = 1 / D and k = kappa / D; 0 and 1 if stuck.
+        For the backward pass: alpha = inv (r - e.p) + k alpha_up, with inv = 1 / D and k = kappa / D; 0 and 1 if stuck.
 
-    Where friction is mutual, axy = ayx and f = u; callers pass the same value twice and the compiler does the rest.
-    Sums are grouped so that what comes late, the answer of the link beyond, enters last.
+    If friction is mutual, axy = ayx and f = u; callers pass the same value twice and the compiler removes the
+    duplicates. Sums are grouped so that the response of the link beyond, which is available late, enters last.
     """
     length, ma, inertia, mass = link
     torque, torque_back, kappa, kappa_back = joint
@@ -163,7 +163,7 @@ def link_step(link, joint, free, reaction_factor, sin, cos, rate2, beyond):  # t
 
 @inlined
 def mutual(beyond):  # type: ignore[no-untyped-def]
-    """Return the answer as it is where a joint's friction acts on both links: ayx = axy, (ux, uy) = (fx, fy)."""
+    """Return the response for friction that acts on both links: ayx = axy, (ux, uy) = (fx, fy)."""
     return *beyond[:9], beyond[1], beyond[3], beyond[4]
 
 
@@ -177,7 +177,7 @@ def sines(q, out, at):  # type: ignore[no-untyped-def]
         out[at + n + i] = cos
 
 
-@inlined  # it returns references to arrays, and callers may count none
+@inlined  # it returns references to arrays, which callers may not count
 def chain_of_rows(rows, tip_mass, gx, gy, reaction):  # type: ignore[no-untyped-def]
     """Chain from its properties of links, `rows` (10 or more, n), in the order of its fields, and the rest."""
     links = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9])
@@ -198,13 +198,13 @@ def relative(values, i, parent):  # type: ignore[no-untyped-def]
 
 @inlined
 def motor_torque(base, torque, i):  # type: ignore[no-untyped-def]
-    """Torque of all motors on link i, N m: `torque` of the first joint's, and those that `base` has of inner joints."""
+    """Torque of all motors on link i, N m: `torque` of the first joint's motor, and those of inner joints in `base`."""
     return (torque if i == 0 else 0.0) + (base[BASE_SIZE + i] if BASE_SIZE + i < base.size else 0.0)
 
 
 @inlined
 def joint_of(chain, i):  # type: ignore[no-untyped-def]
-    """Joint i as ``joint_law`` takes it."""
+    """Joint i in the form of ``joint_law``."""
     return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
 
 
@@ -263,7 +263,7 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
     return fx, fy, moment
 
 
-# Whether dry friction may hold a joint: tuples, whose length the compiler knows, so that it leaves stiction out
+# Whether dry friction may hold a joint: tuples, whose length the compiler knows, so that it omits stiction
 SLIDING, STICKING = (), (0,)
 
 
@@ -307,8 +307,8 @@ def lost_power(chain, w, slip, base, work):  # type: ignore[no-untyped-def]
 def energies(chain, q, w, base, trig):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy (gravity and springs; zero with all at the origin), J.
 
-    `base` (9,) is the motion of the first joint (``drive.base_state``). `trig` (2 n,) or more is scratch, which holds
-    the links' sines and cosines then.
+    `base` (9,) is the motion of the first joint (``drive.base_state``). The links' sines and cosines are written to the
+    scratch array `trig` (2 n or more,).
     """
     angle, vx, vy, x, y = base[4], base[5], base[6], base[7], base[8]
     kinetic = potential = 0.0
@@ -344,7 +344,7 @@ def joints(length, q, base, out):  # type: ignore[no-untyped-def]
         x, y = base[row, 0], base[row, 1]
         out[row, 0, 0], out[row, 0, 1] = x, y
         for i in range(n):
-            reduced[i] = q[row, i] if abs(q[row, i]) < 1e6 else q[row, i] % (2.0 * math.pi)  # as sincos takes them
+            reduced[i] = q[row, i] if abs(q[row, i]) < 1e6 else q[row, i] % (2.0 * math.pi)  # in the range of sincos
         sines(reduced, trig, 0)
         for i in range(n):
             x += length[i] * trig[i]

@@ -9,31 +9,31 @@ from hyperflex.core.chain.articulated_body import BASE_SIZE, sincos
 from hyperflex.core.jit import inlined, non_allocating
 
 ANGLE, X, Y, TORQUE = range(4)  # channels of Drive.coef; then the torques of motors in joints 1, 2, ...
-ROUNDING = 1e-12  # relative; some thousand times that of the arithmetic
+ROUNDING = 1e-12  # relative; about a thousand times the rounding error
 
 
 class Drive(NamedTuple):
     """Piecewise polynomials of arm angle (rad), pivot x, y (m) and torques of the chain's joints from the first (N m).
 
     Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j]: 4 channels, one more for each joint up to
-    the last that has a motor, 6 ascending powers of the time since breaks[j]. After the last break the pieces from
-    `loop` on repeat for ever; where `loop` is negative, and before the first break, the end values are constant.
+    the last one with a motor, 6 ascending powers of the time since breaks[j]. After the last break the pieces from
+    `loop` on repeat for ever; if `loop` is negative, and before the first break, the end values are constant.
     """
 
     breaks: npt.NDArray[np.float64]  # (k + 1,), s
     coef: npt.NDArray[np.float64]  # (k, 4 or more, 6)
     switch: npt.NDArray[np.bool_]  # (k + 1,) where acceleration or torque jumps: integration restarts there
-    loop: int  # first piece of those that repeat, -1: none
+    loop: int  # first repeated piece, -1: none
     arm_length: float  # m, from the pivot to the first joint
     torque_limit: float  # N m, of the first joint's motor
 
 
 class Segment(NamedTuple):
-    """The smooth stretch of a drive around a time: between two switches."""
+    """The smooth part of a drive around a time: between two switches."""
 
     start: float
     end: float  # s, absolute; may be inf
-    offset: float  # s, of the period's beginning
+    offset: float  # s, beginning of the period
     first: int  # pieces first..last; first > last where the drive is at rest
     last: int
 
@@ -43,7 +43,7 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
     """Return the Segment that begins at or before t and ends after it; at a switch, within rounding, the later."""
     breaks = drive.breaks
     k = breaks.size - 1
-    t += ROUNDING * (1.0 + abs(t))  # cycles are sums and products: the same instant comes out in several ways
+    t += ROUNDING * (1.0 + abs(t))  # cycles are sums and products, so the same instant is computed in several ways
     if t < breaks[0]:
         return Segment(-np.inf, breaks[0], 0.0, 0, -1)
     offset = 0.0
@@ -54,7 +54,7 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
         begin = drive.loop
         period = breaks[k] - breaks[begin]
         cycle = np.floor((t - breaks[begin]) / period)
-        if cycle * period + breaks[k] <= t:  # the division rounded down at the very end of a cycle
+        if cycle * period + breaks[k] <= t:  # the division rounded down at the end of a cycle
             cycle += 1.0
         offset = cycle * period
     j = begin
@@ -67,7 +67,7 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
     while last < k - 1 and not drive.switch[last + 1]:
         last += 1
     end = offset + breaks[last + 1]
-    if last == k - 1 and drive.loop < 0 and not drive.switch[k]:  # it comes to rest without a jump
+    if last == k - 1 and drive.loop < 0 and not drive.switch[k]:  # the drive comes to rest without a jump
         end = np.inf
     return Segment(offset + breaks[first], end, offset, first, last)
 
@@ -91,7 +91,7 @@ def within(drive, part, t):  # type: ignore[no-untyped-def]
 
 @inlined
 def base_size(drive):  # type: ignore[no-untyped-def]
-    """Size of what :func:`base_state` writes: of the motion, and of torques on links up to the last with a motor."""
+    """Size of the output of :func:`base_state`: the motion, and torques on links up to the last one with a motor."""
     motors = drive.coef.shape[1] - TORQUE - 1
     return BASE_SIZE + motors + 1 if motors > 0 else BASE_SIZE
 
@@ -126,7 +126,7 @@ def write_base(length, arm, x, y, base, at, stride):  # type: ignore[no-untyped-
 def write_inner_torques(drive, part, t, out, at, stride):  # type: ignore[no-untyped-def]
     """Write the torque of motors in inner joints on each link up to the last, N m, to ``out[at + stride i]``.
 
-    A motor turns its joint's link, and the link before it the other way.
+    A motor acts on its joint's link, and with the opposite torque on the link before it.
     """
     piece, s, still = within(drive, part, t)
     beyond = 0.0
@@ -162,9 +162,9 @@ def first_joint(drive, part, t, base):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
-    """Write the motion of the first joint as :func:`first_joint`, and return the torque of its motor.
+    """Write the motion of the first joint like :func:`first_joint`, and return the torque of its motor.
 
-    Where there is room (:func:`base_size`) the torque of motors in inner joints on each link, N m, comes behind.
+    If `base` is large enough (:func:`base_size`), the torques of motors in inner joints on each link, N m, follow.
     """
     torque = first_joint(drive, part, t, base)
     if base.size > BASE_SIZE:

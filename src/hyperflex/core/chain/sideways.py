@@ -3,9 +3,9 @@
 Link i leans by a small angle phi_i out of the plane of the run q(t); x holds these angles, v their rates. The equations
 are (M.40)-(M.45) of docs/models.md: those of a straight chain across the plane, M x'' = -K x - joints - air + loads.
 
-Joints are hinges across the plane and across the link (universal joints), which resist bending alike in all directions
-and carry twist. A link's small rotation is the vector rho = phi c + s d in the plane, c = d x z; its part s along the
-link is the twist that the links before have given to it.
+Joints are hinges across the plane and across the link (universal joints), which resist bending equally in all
+directions and transmit twist. A link's small rotation is the vector rho = phi c + s d in the plane, c = d x z; its
+component s along the link is the twist transmitted by the links before it.
 """
 
 import math
@@ -28,7 +28,7 @@ GAMMA = 0.5 + math.sqrt(3.0) / 6.0  # of the two-stage implicit Runge-Kutta meth
 
 @non_allocating
 def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped-def]
-    """Write what the planar motion q, w, a (n,) of a chain is to its motion sideways to the rows of `out` (ROWS, n).
+    """Write the coefficients of the motion out of the plane for a planar motion q, w, a (n,) to `out` (ROWS, n).
 
     `base` (9,) is the motion of the first joint (``drive.base_state``), `push` a force on the tip, N, as (x, y), h the
     time, s, over which stiffness and friction are implicit (M.44); with h = 0 the factors of the sweep in `out` stay.
@@ -58,7 +58,7 @@ def planar_loads(chain, q, w, a, base, push, h, out):  # type: ignore[no-untyped
         out[FY, i] += resistance * sin
         out[RATE, i], out[ALONG, i] = w[i], x * sin - y * cos
     sx, sy = chain.tip_mass * (px - chain.gx) - push[0], chain.tip_mass * (py - chain.gy) - push[1]
-    # What lies beyond a link resists where its joint moves (bulk), and where it twists (roll; with both: cross).
+    # The chain beyond a link resists the motion of its joint (bulk) and its twist (roll; both: cross).
     bulk, cross, roll, g, e = chain.tip_mass, 0.0, 0.0, 0.0, chain.length[n - 1] * chain.tip_mass
     own = chain.length[n - 1] * e
     for way in range(n):
@@ -96,15 +96,13 @@ def side_accelerations(chain, at, x, v, load, out, work):  # type: ignore[no-unt
 
     Parameters
     ----------
-    at : (ROWS, n), of ``planar_loads``
-    x, v : (n,) angles out of the plane, rad, and rates, rad/s
-    load : (2, n) given forces across the plane, N, and their moments about the links' first joints, N m
-    out : (n,) comes with a guess, for which x and v are those at the end of its h
-    work : (3, n) scratch
+    at : (ROWS, n), of ``planar_loads`` x, v : (n,) angles out of the plane, rad, and rates, rad/s load : (2, n) given
+    forces across the plane, N, and their moments about the links' first joints, N m out : (n,) contains a guess on
+    entry, for which x and v are the values at the end of its h work : (3, n) scratch
     """
     n = x.size
     past = twist = a = b = aside = 0.0  # of the link before: angles, and rates of its rho; the velocity of the joint
-    up = turn = 0.0  # of the link before: the guess, and what it is about the link
+    up = turn = 0.0  # of the link before: the guess, and its component about the link
     for i in range(n):
         sin, cos, rate, lean, swing = at[SIN, i], at[COS, i], at[RATE, i], x[i], v[i]
         before, twist = cos * past + sin * twist, cos * twist - sin * past  # about c and d of this link
@@ -136,7 +134,7 @@ def side_accelerations(chain, at, x, v, load, out, work):  # type: ignore[no-unt
 
 @non_allocating
 def between(values, k, part, out):  # type: ignore[no-untyped-def]
-    """Write angle, rate and acceleration `out` (3, n) at a part of the way from sample k to the next; quintic Hermite.
+    """Write angle, rate and acceleration `out` (3, n) at a fraction of the interval after sample k; quintic Hermite.
 
     `values` are samples (T,) of the time and (T, n) of the other three.
     """
@@ -156,11 +154,9 @@ def lean(chain, drive, values, load, push, parts, angles, rates):  # type: ignor
 
     Parameters
     ----------
-    chain, drive : Chain, Drive
-    values : (t (T,), q, w, a (T, n)), of the run
-    load, push : as of ``side_accelerations`` and ``planar_loads``
-    parts : steps from sample to sample
-    angles, rates : (T, m, n) out, rad and rad/s; those at the first sample are given
+    chain, drive : Chain, Drive values : (t (T,), q, w, a (T, n)), of the run load, push : as for ``side_accelerations``
+    and ``planar_loads`` parts : steps from sample to sample angles, rates : (T, m, n) out, rad and rad/s; those at the
+    first sample are given
     """
     _, m, n = angles.shape
     at, planar, base = np.empty((ROWS, n)), np.empty((3, n)), np.empty(9)
@@ -173,7 +169,7 @@ def lean(chain, drive, values, load, push, parts, angles, rates):  # type: ignor
         x, v = angles[k + 1], rates[k + 1]
         x[:], v[:] = angles[k], rates[k]
         for part in range(parts):
-            # place of a stage in the step, and the weight of the first stage in it
+            # position of a stage in the step, and the weight of the first stage in it
             for place, weight in ((GAMMA, 0.0), (1.0 - GAMMA, 1.0 - 2.0 * GAMMA)):
                 s, known = part + place, weight * h
                 between(values, k, s / parts, planar)

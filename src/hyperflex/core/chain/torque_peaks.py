@@ -4,8 +4,8 @@ import math
 
 from hyperflex.core.jit import non_allocating
 
-WINDOWS = (5e-4, 5e-3)  # s; an impact takes no time, so its torque is a mean over some
-PARTS = 10  # cells of a window, which slides over them; the cell that it leaves counts in part
+WINDOWS = (5e-4, 5e-3)  # s; an impact has no duration, so its torque is a mean over a window
+PARTS = 10  # cells of a sliding window; the cell that it leaves counts partially
 CELLS = PARTS + 1
 END, CELL, SUM, PEAK, WHEN, FIRST = range(6)  # of a window: end, last cell, N m s, peak, its time, first cell
 COLUMNS = FIRST + CELLS
@@ -13,7 +13,7 @@ COLUMNS = FIRST + CELLS
 
 @non_allocating
 def watch_torque(peaks, impulse, t, h):  # type: ignore[no-untyped-def]
-    """Add a step from t, s, of length h, s, to sliding windows (k, COLUMNS), which begin anew after free flight.
+    """Add a step from t, s, of length h, s, to sliding windows (k, COLUMNS), which restart after free flight.
 
     `impulse` is that of the torque about the shaft, N m s. ``PEAK`` is the mean torque of greatest size, N m, with the
     motor's sign; ``WHEN`` is its time.
@@ -44,7 +44,7 @@ def add_impulse(row, width, impulse, t, h):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def move_window(row, cell):  # type: ignore[no-untyped-def]
-    """Let a window end with a later cell; what it leaves behind is forgotten."""
+    """Move a window to a later cell; earlier cells are dropped."""
     last = int(row[CELL])
     for j in range(max(last, cell - CELLS) + 1, cell + 1):
         at = FIRST + j % CELLS

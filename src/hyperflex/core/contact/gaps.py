@@ -1,10 +1,9 @@
 """Gap functions: closest point of each link to an obstacle, gap and closing speed.
 
-A link touches a peg with its axis at the distance ``reach`` (peg radius plus rope radius) from the peg's centre. Of a
-straight face only the joints can come near, so each link answers for the joint at its end; the ends of a face are pegs
-of no radius. The
-contact force acts on the axis: the rope is thin in so far as the lever of friction about the axis is left out, so that
-the capstan law of a thin rope holds (docs/models.md).
+A link touches a peg with its axis at the distance ``reach`` (peg radius plus rope radius) from the peg's centre. Only
+joints can touch a straight face, so each link represents the joint at its end; the ends of a face are pegs of radius
+zero. The contact force acts on the axis: the lever of friction about the axis is neglected, as in the capstan law of a
+thin rope (docs/models.md).
 """
 
 import math
@@ -17,7 +16,7 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.jit import kernel, non_allocating, zeros
 
 Index = npt.NDArray[np.int64]
-NOWHERE = 1e9  # m, gap of what cannot touch
+NOWHERE = 1e9  # m, gap of links that cannot touch
 LARGEST_TURN = 1.5  # rad, largest arc of a single contact; more is a kink
 
 
@@ -26,19 +25,19 @@ class Pegs(NamedTuple):
 
     x: Array  # m, centre of a peg, first end of a face
     y: Array
-    ux: Array  # unit vector along a face; what is solid without end lies on its right
+    ux: Array  # unit vector along a face; a half plane is solid on its right
     uy: Array
     span: Array  # m, length of a face; 0 for a peg, infinite where one side is solid
     reach: Array  # m, peg radius plus rope radius
     mu: Array  # Coulomb's coefficient
     bounce: Array  # coefficient of restitution
-    inertia: Array  # kg m^2, of a peg that turns; infinite of what is fixed
+    inertia: Array  # kg m^2, of a turning peg; infinite for fixed obstacles
     bearing: Array  # N m s, viscous friction of its axle
     first: int  # first link that may touch: 1 where link 0 is the arm
 
 
 class Contacts(NamedTuple):
-    """Links that are near a peg, in the order of the links; the first ``total[0]`` entries hold."""
+    """Links near a peg, in the order of the links; the first ``total[0]`` entries are valid."""
 
     total: Index  # (1,)
     link: Index  # (K,)
@@ -47,12 +46,12 @@ class Contacts(NamedTuple):
     nx: Array  # unit vector from the peg to the link; the tangent is (-ny, nx)
     ny: Array
     gap: Array  # m, negative: penetration
-    mu: Array  # coefficient of friction, made up for the corners of the polygon
+    mu: Array  # coefficient of friction, corrected for the corners of the polygon
 
 
 @kernel
 def new_contacts(most):  # type: ignore[no-untyped-def]
-    """Contacts for at most so many pairs of a link and a peg."""
+    """Contacts for at most `size` pairs of a link and a peg."""
     pairs = np.zeros((2, most), np.int64)
     return Contacts(np.zeros(1, np.int64), pairs[0], pairs[1], *zeros(most, most, most, most, most))
 
@@ -71,14 +70,14 @@ def joint_positions(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
 def closest(link, x, y):  # type: ignore[no-untyped-def]
     """Closest point of a link to the point (x, y): distance along the link, m; distance, m; unit vector to it.
 
-    `link`: x, y of its motor-side joint and of its far one, m; its length, m; sine and cosine of its angle.
+    `link`: x, y of its motor-side joint and of its far joint, m; its length, m; sine and cosine of its angle.
     """
     x0, y0, _, _, length, sin, cos = link
     rx, ry = x - x0, y - y0
     s = min(max(rx * sin - ry * cos, 0.0), length)
     dx, dy = s * sin - rx, -s * cos - ry
     size = math.sqrt(dx * dx + dy * dy)
-    if size < 1e-12:  # the axis runs through the centre: either side will do
+    if size < 1e-12:  # the axis runs through the centre: either side is valid
         return s, size, cos, sin
     return s, size, dx / size, dy / size
 
@@ -101,8 +100,8 @@ def joint_gap(link, obstacle):  # type: ignore[no-untyped-def]
 def nearest(link, obstacle):  # type: ignore[no-untyped-def]
     """Point of a link that may touch an obstacle: distance along the link, m; gap, m; unit vector to it.
 
-    `link` as for ``closest``; `obstacle`: x, y, ux, uy, span, reach as in Pegs. Numbers, not arrays: to take these out
-    of their tuples behind a branch costs more than all the rest.
+    `link` as for ``closest``; `obstacle`: x, y, ux, uy, span, reach as in Pegs. Numbers, not arrays: reading arrays
+    from their tuples behind a branch costs more than everything else.
     """
     if obstacle[4] > 0.0:
         gap, nx, ny = joint_gap(link, obstacle)
@@ -115,8 +114,8 @@ def nearest(link, obstacle):  # type: ignore[no-untyped-def]
 def corner(q, i):  # type: ignore[no-untyped-def]
     """Factor on the friction of link i, which represents the arc between the middles of its two corners.
 
-    Tangential forces meet the hinges of a polygon outside the circle: a wrapped polygon of corners d holds
-    exp(mu theta sin(d) / d) in place of exp(mu theta). With d / sin(d) times the friction it holds as much as the rope.
+    Tangential forces meet the hinges of a polygon outside the circle: a wrapped polygon of corners d holds exp(mu theta
+    sin(d) / d) instead of exp(mu theta). With d / sin(d) times the friction it holds as much as the rope.
     """
     n = q.size
     turn = 0.0
@@ -132,7 +131,7 @@ def corner(q, i):  # type: ignore[no-untyped-def]
 def find(chain, pegs, q, trig, place, margin, contacts):  # type: ignore[no-untyped-def]
     """Collect the pairs of a link and a peg whose gap is below `margin` (n,), m, into the Contacts `contacts`.
 
-    Returns the smallest gap of all pairs, m; where that is above the margins, a lower bound of it.
+    Returns the smallest gap of all pairs, m, or a lower bound if it is above the margins.
     """
     count, n = 0, q.size
     least = np.inf

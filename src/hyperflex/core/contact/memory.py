@@ -1,4 +1,4 @@
-"""What a step in contact leaves for the next one: forces and modes, the accelerations, and how they change."""
+"""Data that a step in contact passes to the next one: forces, modes, accelerations and their changes."""
 
 from typing import NamedTuple
 
@@ -77,7 +77,7 @@ def keeps_modes(memory, contacts, impulses, joints):  # type: ignore[no-untyped-
 
 @non_allocating
 def save_trend(memory, workspace, h):  # type: ignore[no-untyped-def]
-    """Keep the accelerations of a step of the length h, s, and whether it changed modes; of a short one, 0.0, none."""
+    """Keep the accelerations of a step of length h, s, and whether it changed modes; none for a short step, 0.0."""
     motion, trend, pace = workspace.motion, workspace.trend, workspace.pace
     steady = h > 0.0 and keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints)
     pace[EARLIER] = pace[LATEST] if steady and pace[STEADY] == 1.0 else 0.0
@@ -89,7 +89,7 @@ def save_trend(memory, workspace, h):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def trend_factor(pace, h):  # type: ignore[no-untyped-def]
-    """Factor on the last change of the accelerations that extrapolates it over a step h, s; 0.0 where modes changed."""
+    """Factor on the last change of the accelerations that extrapolates it over a step h, s; 0.0 if modes changed."""
     if pace[EARLIER] == 0.0 or pace[STEADY] == 0.0:
         return 0.0
     return (h + pace[LATEST]) / (pace[LATEST] + pace[EARLIER])

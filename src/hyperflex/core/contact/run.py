@@ -1,7 +1,7 @@
-"""A rollout with contact: Moreau-Jean steps, their control, impacts, outputs, and where the rope leaves.
+"""A rollout with contact: Moreau-Jean steps, their control, impacts, outputs, and the end of contact.
 
-A step has angles at its middle and rates at its ends. It is tried, and shorter ones, until its energy, depth and error
-are accepted. A sample within a step is reached by steps of its own.
+A step has angles at its middle and rates at its ends. Shorter steps are tried until energy, depth and error are
+accepted. A sample within a step is reached by separate steps.
 """
 
 import math
@@ -44,7 +44,7 @@ from hyperflex.core.jit import absorbed, kernel, non_allocating, zeros
 
 
 class Scene(NamedTuple):
-    """What moves, and what acts on it."""
+    """The chain and the forces and obstacles that act on it."""
 
     chain: Chain
     drive: Drive
@@ -54,10 +54,10 @@ class Scene(NamedTuple):
 
 @non_allocating
 def add_drag_impulses(chain, workspace, h):  # type: ignore[no-untyped-def]
-    """Add the impulses of air drag in a step h, s, to those of the joints, as the accelerations before predict it.
+    """Add the impulses of air drag in a step h, s, to those of the joints, predicted from the previous accelerations.
 
-    A torque on link i alone equals torques of all joints up to i, each on its link and back on its parent. What
-    the first joint bears so, :func:`drag_work` subtracts from the load on the base.
+    A torque on link i alone equals torques of all joints up to i, each with its reaction on the parent.
+    :func:`drag_work` subtracts the part of the first joint from the load on the base.
     """
     motion, work, total, rate = workspace.motion, workspace.air, workspace.drag, workspace.ahead_q  # scratch here
     n = motion.w.size
@@ -85,7 +85,7 @@ def drag_work(workspace, h):  # type: ignore[no-untyped-def]
     return -h * given
 
 
-# of ContactWorkspace.account, J: lost in joints, air, axles; in contacts, limits; put in
+# of ContactWorkspace.account, J: losses in joints, air, axles; losses in contacts, limits; work put in
 FRICTION, CONTACT, WORK = range(3)
 
 
@@ -136,7 +136,7 @@ def account_step(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def energy(chain, y, base, spin, rate, trig):  # type: ignore[no-untyped-def]
-    """Energy of angles and rates y (2 n or more,), and of pegs that turn at rates (m,), J.
+    """Energy of angles and rates y (2 n or more,), and of pegs that rotate at rates (m,), J.
 
     `base` (9,) motion of the first joint; `trig` is scratch, as in ``energies``.
     """
@@ -147,11 +147,11 @@ def energy(chain, y, base, spin, rate, trig):  # type: ignore[no-untyped-def]
     return kinetic + potential
 
 
-# Numbers that decide which links touch in a step, and how a rope is pushed out of a peg.
+# Constants that determine which links touch in a step, and how a rope is pushed out of a peg.
 #
-# m/s, speed above which a link touches in an impact of its own, and
+# m/s, speed above which a link touches in a separate impact, and
 FAST = 0.01
-# m/s^2, the same in proportion to the longest step
+# m/s^2, this speed in proportion to the longest step
 FALL = 50.0
 # m, gap that counts as touching in an impact
 TOUCHING = 1e-6
@@ -159,20 +159,20 @@ TOUCHING = 1e-6
 RECOVERY = 1e-3
 # W, largest power with which it is pushed out
 PUSH = 5e-7
-# m, depth that stays as it is: neighbours pushed at speeds of their own let contacts change modes in every
-# step, for which half of all rounds were made
+# m, depth that is not corrected: pushing neighbours at different speeds changes contact modes in every step, which took
+# half of all rounds
 SHALLOW = 2e-6
 # m, depth from which the speed is `recovery`; from `shallow` to here it is proportional and its power is limited
 DEEP = 2e-5
-# N, added to the contact force by which `push` is divided
+# N, added to the contact force that divides `push`
 SLIGHT_FORCE = 1e-6
-# part of the power allowed from nowhere that the residual velocities of contacts may have
+# fraction of the allowed unexplained power that the residual velocities of contacts may have
 RESIDUAL_SHARE = 0.25
-# m, gap below which a link is watched even at rest
+# m, gap below which a link is checked even at rest
 NEAR = 1e-4
 # m, by which a gap may change more than its rate predicts
 MOST_BEND = 2e-5
-# how many times faster than before a step links may be after it
+# largest ratio of the links' speeds after and before a step
 FASTER = 2.0
 
 
@@ -185,28 +185,28 @@ class ContactWorkspace(NamedTuple):
     joints: Joints
     spin: Spin
     xy: Array  # (2, n + 1) joints there
-    ahead: Array  # (2, n + 1) and where they would be a step later
+    ahead: Array  # (2, n + 1) positions of the joints a step later
     ahead_q: Array
     ahead_trig: Array
     ahead_speed: Array  # (2, n + 1)
     margin: Array  # (n,)
-    trend: Array  # (2, n) rad/s^2, accelerations of the last step, where the next one begins to search, and before it
-    pace: Array  # (3,) s, lengths of these steps, 0.0 where there was none; 1.0 where the last one changed no mode
+    trend: Array  # (2, n) rad/s^2, accelerations of the last step, where the next search starts, and before it
+    pace: Array  # (3,) s, lengths of these steps, 0.0 if missing; 1.0 if the last one changed no mode
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
     air: Array  # (6 n,) torque of the air on each link first, N m
     drag: Array  # (3,) its force x, y on the rope, N, and all torques together, N m
     account: Array  # (3,) of ``account_step``
-    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches, or a joint its limit
+    touch: Array  # (1,) s, from the beginning of the step until a free link touches, or a joint reaches its limit
     bend: Array  # (2,) rad, smallest gap of a joint to its limit after the step, and the smallest gap soon after
     whole: float  # kg, mass of the rope
-    fast: float  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
-    brisk: float  # rad/s; likewise a joint its limit
+    fast: float  # m/s; a link that closes faster has a separate impact at the instant of touching
+    brisk: float  # rad/s; likewise for a joint at its limit
 
 
 @kernel
 def new_contact_workspace(scene, rate, longest, tol):  # type: ignore[no-untyped-def]
-    """Working arrays for a Scene, and `rate`, `longest` step and `tol` as in ``run.Bounds``."""
+    """Working arrays for a Scene; `rate`, `longest` step and `tol` as in ``run.Bounds``."""
     chain, pegs = scene.chain, scene.pegs
     n, whole = chain.length.size, chain.tip_mass
     for mass in chain.mass:
@@ -236,13 +236,13 @@ def velocity_before(contacts, motion, c):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # type: ignore[no-untyped-def]
-    """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
+    """Find the links that may touch in a step and the allowed closing speed of each; returns the smallest gap, m.
 
-    A gap may be closed, not more. Without `push`, or where it is shallow (``SHALLOW``), a link inside a peg stays as
-    deep as it is; deeper ones are pushed out, the faster the deeper. `bounce` is the part of the restitution that takes
-    place in an impact. Where an impact was made already (`struck`), a link that touches is held by the step,
-    however it moves: only links further away may be left free. What was held in the last step (`memory`) is never
-    left free: it may be pressed on, and would sink.
+    A gap may close but not become negative. Without `push`, or at a shallow depth (``SHALLOW``), a link inside a peg
+    keeps its depth; deeper ones are pushed out, faster with increasing depth. `bounce` is the fraction of the
+    restitution in an impact. After an impact (`struck`), the step holds every link that touches, whatever its motion:
+    only more distant links may be free. A contact that was held in the last step (`memory`) is never free, because a
+    pressed link would sink.
     """
     contacts, impulses, motion = workspace.contacts, workspace.impulses, workspace.motion
     n = motion.w.size
@@ -267,7 +267,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
             continue
         held, fast = memory.mode[i, p] != OPEN, workspace.fast
         if held and pegs.bounce[p] == 0.0:
-            fast = max(fast, 2.0 * TOUCHING / h)  # held again, it sinks by half a step at that speed
+            fast = max(fast, 2.0 * TOUCHING / h)  # held again, the link sinks by half a step at that speed
         away = contacts.gap[c] - 0.5 * h * closing  # at the beginning of the step
         if closing < -fast and (away > TOUCHING or not struck):
             workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= TOUCHING else -away / closing)
@@ -285,21 +285,21 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
 
 @non_allocating
 def look_ahead(chain, workspace, h):  # type: ignore[no-untyped-def]
-    """Find where the rates before the step take the links from its middle in a step h, s."""
+    """Extrapolate the links from the middle of a step h, s, with the rates before it."""
     motion, base, trig = workspace.motion, workspace.base, workspace.ahead_trig
     for i in range(motion.w.size):
         workspace.ahead_q[i] = motion.q[i] + h * motion.w[i]
     sines(workspace.ahead_q, trig, 0)
-    vx, vy = base[0, 5], base[0, 6]  # as the joints' velocities, which are those before the step
+    vx, vy = base[0, 5], base[0, 6]  # for the joints' velocities, which are those before the step
     joint_positions(chain, trig, base[1, 7] + h * vx, base[1, 8] + h * vy, workspace.ahead)
     speeds(chain, trig, motion.w, vx, vy, workspace.ahead_speed)
 
 
 @non_allocating
 def second_order(chain, pegs, workspace, h, c):  # type: ignore[no-untyped-def]
-    """What the turning of the rope changes in a step, where contact c is near, as the rates before it predict it.
+    """Effect of the rope's rotation in a step at contact c, predicted from the rates before it.
 
-    Left out, it would let what is inside a peg sink at every step.
+    Without it, a link inside a peg would sink at every step.
 
     Returns
     -------
@@ -321,7 +321,7 @@ def second_order(chain, pegs, workspace, h, c):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def scale_pull(motion, h):  # type: ignore[no-untyped-def]
-    """Scale the impulses ``motion.pull`` of the last step that was tried to a step h, s; of a short one take none."""
+    """Scale the impulses ``motion.pull`` of the last attempt to a step h, s; use none after a short attempt."""
     ratio = h / motion.span[0] if motion.span[0] > 0.25 * h else 0.0
     for k in range(2):
         for i in range(motion.w.size):
@@ -386,15 +386,13 @@ def finish_step(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def try_step(scene, part, t, h, y, memory, workspace, push, bounce, struck):  # type: ignore[no-untyped-def]
-    """Take a step from y (2 n or more,) at time t to ``workspace.out``; h = 0.0: an impact, in which nothing else acts.
+    """Take a step from y (2 n or more,) at time t to ``workspace.out``; h = 0.0: an impact without other forces.
 
     Parameters
     ----------
-    scene, part : Scene, Segment of its drive that holds t..t + h
-    memory, workspace : ContactMemory (not changed), ContactWorkspace with the rates of the pegs before the step
-    push : bool, whether contacts may push the rope out of a peg
-    bounce : float, part of the restitution that takes place in an impact
-    struck : bool, an impact was made already at time t
+    scene, part : Scene, Segment of its drive that holds t..t + h memory, workspace : ContactMemory (not changed),
+    ContactWorkspace with the rates of the pegs before the step push : bool, whether contacts may push the rope out of a
+    peg bounce : float, fraction of the restitution in an impact struck : bool, an impact has already occurred at time t
 
     Returns
     -------
@@ -405,9 +403,9 @@ def try_step(scene, part, t, h, y, memory, workspace, push, bounce, struck):  # 
     return least, finish_step(scene.chain, workspace, torque, h)
 
 
-MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
-SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
-LOSS = 10.0  # how many times more energy may vanish in a step than appear
+MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next step: they are mostly rounding
+SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step of any length: rounding of large forces
+LOSS = 10.0  # ratio of the energies that may vanish and appear in a step
 
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps whose contact problem was
 # not solved. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest penetration, m.
@@ -424,9 +422,9 @@ class Bounds(NamedTuple):
     stop: float  # s
     step: float  # s, longest step
     tol: float  # m, error allowed in the position of any joint, as in ``rollout.run``
-    rate: float  # W, at which energy may appear from nowhere
+    rate: float  # W, allowed power of unexplained energy
     clear: float  # m, smallest gap at which the rope has left the pegs
-    slack: float  # rad, smallest gap, by the present rates, at which joints have left their limits
+    slack: float  # rad, smallest gap, predicted with the present rates, at which joints have left their limits
     budget: int  # steps of one call
 
 
@@ -440,29 +438,29 @@ class ContactState(NamedTuple):
     torque: Array  # (k, COLUMNS) windows of ``core.chain.torque_peaks``
 
 
-# Numbers that decide which steps in contact are accepted, and how long the next one is.
+# Constants of the acceptance of steps in contact and the length of the next step.
 #
-# of the longest step, the shortest that is tried
+# of the longest step, the shortest attempt
 SHORTEST = 2.0**-10
-# times as long it is at most, in proportion to a tolerance above the usual one, where that is safe
+# largest factor on this length, in proportion to a tolerance above the usual one, if that is safe
 COARSEST = 2.0**5
 # s, the shortest step to an impact
 BRIEF = 1e-9
-# of the longest step: errors of positions shorten no step that is shorter
+# of the longest step: position errors do not shorten a step below this length
 RESOLVED = 0.12
-# relative error of a step that is tried again at half its length
+# relative error above which a step is repeated with half its length
 REJECTED_ERROR = 4.0
-# of the smallest reach of a peg that links near one may move in a step
+# of the smallest reach of a peg: allowed motion of nearby links in a step
 SAFE = 0.5
-# how many times more energy than may appear contacts may give a rope that they push out
+# factor on the energy that may appear, for contacts that push a rope out
 GENEROUS = 100.0
-# m, penetration at which a step is tried again at half its length
+# m, penetration above which a step is repeated with half its length
 DEEPER = 5e-5
 # factor from a step to the next
 GROWTH = 1.5
 # relative error of a step, below which steps grow
 EASY = 0.2
-# times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
+# times the greatest earlier depth, allowed in a step: a slowly sinking link sinks with any step
 SINKING = 1.02
 
 
@@ -470,20 +468,20 @@ class Chosen(NamedTuple):
     """The step that :func:`choose_step` left in a workspace."""
 
     h: float  # s
-    wanted: float  # s; h is shorter where touchdown or an end cut it, or where equal steps lead to an end
+    wanted: float  # s; h is shorter if touchdown or an end cut it, or if equal steps lead to an end
     least: float  # m, smallest gap
     touch: float  # s, until a link touches
     rounds: int  # of the search; negative if it failed
-    surplus: float  # J, energy from nowhere
-    has: float  # J, and after it
-    good: bool  # False where the shortest step had to be taken as it was
-    error: float  # of positions, relative to what is allowed
-    struck: bool  # whether an impact was made at the instant at which it begins
+    surplus: float  # J, unexplained energy
+    has: float  # J, energy after the step
+    good: bool  # False if the shortest step had to be accepted
+    error: float  # of positions, relative to the allowed error
+    struck: bool  # whether an impact has occurred at its beginning
 
 
 @non_allocating
 def follow(workspace, h, x, state):  # type: ignore[no-untyped-def]
-    """Take a state to the part x of the step in `workspace`, of the length h, s: rates straight between its ends."""
+    """Advance a state to the fraction x of the step in `workspace`, of length h, s; rates are linear in between."""
     y, spin, account, change = state.y, workspace.spin, workspace.account, workspace.motion.change
     n = change.size
     for i in range(n):
@@ -522,9 +520,9 @@ def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-u
 
 @non_allocating
 def impact(scene, part, state, workspace):  # type: ignore[no-untyped-def]
-    """Let the links that touch a peg come to rest on it, or bounce, in no time, in the last step's modes if they do.
+    """Stop the links that touch a peg, or let them bounce, at an instant, in the last step's modes if these are valid.
 
-    Newton's restitution with friction may give energy; where it does, nothing bounces.
+    Newton's restitution with friction may create energy; in this case there is no restitution.
     """
     clock, y, memory = state.clock, state.y, state.memory
     least, rounds = try_step(scene, part, clock[T], 0.0, y, memory, workspace, True, 1.0, True)
@@ -552,7 +550,7 @@ def longest_safe_step(scene, workspace):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def relative_error(chain, bounds, memory, workspace, h):  # type: ignore[no-untyped-def]
-    """Error of a step in units of what is allowed, as in free flight; 0.0 unless no mode changed for three steps.
+    """Error of a step in units of the allowed error, as in free flight; 0.0 unless no mode has changed for three steps.
 
     The error of the velocity of any joint is a twelfth of the difference from the extrapolation of the last two steps.
     """
@@ -571,15 +569,13 @@ def relative_error(chain, bounds, memory, workspace, h):  # type: ignore[no-unty
 
 @non_allocating
 def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had):  # type: ignore[no-untyped-def]
-    """Try a step, and shorter ones, until one will do; it is left in `workspace`.
+    """Try a step, and shorter ones, until one is accepted; it is left in `workspace`.
 
     Parameters
     ----------
-    scene, part, bounds, state, workspace : as for :func:`try_step` and :func:`run`
-    nothing : ContactMemory, empty
-    end : s, time that no step goes beyond
-    struck : bool, an impact was made already at this instant
-    had : J, energy before the step, NaN if it is not known
+    scene, part, bounds, state, workspace : as for :func:`try_step` and :func:`run` nothing : ContactMemory, empty end :
+    s, time that no step goes beyond struck : bool, an impact has already occurred at this instant had : J, energy
+    before the step, NaN if unknown
 
     Returns
     -------
@@ -606,13 +602,13 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
             continue
         rounds = finish_step(chain, workspace, torque, h)
         given, taken = bounds.rate * max(h, SLIGHT) + ROUNDING, account[CONTACT]
-        # whether contacts give back no more of what they took than may come from nowhere in all the time
+        # whether contacts return no more energy than the unexplained energy allowed so far
         little = taken >= -given or clock[GIVEN] - taken <= bounds.rate * (clock[SPENT] + h)
         longest = longest_safe_step(scene, workspace)
-        if h > longest:  # a peg may be passed: no tolerance allows that
+        if h > longest:  # a link may pass through a peg: no tolerance allows this
             shortest = min(finest, shortest)
         if push and (taken < -GENEROUS * given or not little):
-            push = False  # a shorter step would be pushed out with as much power
+            push = False  # a shorter step would push out with the same power
             continue
         error = relative_error(chain, bounds, state.memory, workspace, h)
         if math.isnan(had):
@@ -625,7 +621,7 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
         good = good and (-workspace.bend[0] < LIMIT_PASSED or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return Chosen(h, wanted, least, touch, rounds, surplus, has, good, error, struck)
-        if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
+        if h <= shortest:  # the last resort: a search without a warm start, unless it creates more energy
             anew, back, stale = not anew, anew, surplus
             continue
         h = max(0.5 * h, shortest)
@@ -635,7 +631,7 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
 
 @non_allocating
 def complete_step(drive, bounds, state, workspace, chosen, end):  # type: ignore[no-untyped-def]
-    """Accept what :func:`choose_step` returned, and set the clock for the next step; none goes beyond `end`, s."""
+    """Accept the step of :func:`choose_step`, and set the clock for the next step; none goes beyond `end`, s."""
     clock, h, error = state.clock, chosen.h, chosen.error
     clock[FORCED] += not chosen.good
     clock[ENERGY_GAIN] += chosen.surplus
@@ -658,14 +654,16 @@ def new_branch(state):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def branch_off(scene, part, bounds, workspace, aside, branch, nothing, chosen, end):  # type: ignore[no-untyped-def]
-    """Go from `branch`, a copy of the state before the step `chosen`, to a time `end`, s, within it.
+    """Advance `branch`, a copy of the state before the step `chosen`, to a time `end`, s, within it.
 
-    The steps, in `aside`, are chosen as those of a run, and start with the modes and forces that the whole step found.
-    Returns whether they get there with their energy kept. The run itself continues from the end of its step.
+    The steps, in `aside`, are chosen like those of a run, and start with the modes and forces of the whole step.
+    Returns whether they reach the time and conserve energy. The run itself continues from the end of its step.
     """
     assign_rows(aside.trend, workspace.trend)
     assign(aside.pace, workspace.pace)
-    assign_rows(aside.motion.pull, workspace.motion.pull)  # what it began with is gone; this is the best guess at hand
+    assign_rows(
+        aside.motion.pull, workspace.motion.pull
+    )  # its initial guess is overwritten; this is the best available one
     aside.motion.span[0] = workspace.motion.span[0]
     assign(aside.spin.before, workspace.spin.before)
     save_memory(branch.memory, workspace.contacts, workspace.impulses, workspace.joints, chosen.h)
@@ -686,7 +684,7 @@ def branch_off(scene, part, bounds, workspace, aside, branch, nothing, chosen, e
 
 @non_allocating
 def copy_state(state, out):  # type: ignore[no-untyped-def]
-    """Copy a ContactState, all but its memory, to another of the same shapes."""
+    """Copy a ContactState without its memory to another of the same shapes."""
     assign(out.y, state.y)
     assign(out.clock, state.clock)
     assign_rows(out.spin, state.spin)
@@ -712,9 +710,9 @@ def write_within(  # type: ignore[no-untyped-def]
 ):
     """Write the outputs within the step `chosen` to ``workspace.out``.
 
-    The rates are off the straight line between the ends of a step by a term of second order, and their energy with
-    them, so a sample within a step is reached by steps of its own, in `aside` and `branch`, a workspace and a state;
-    `nothing` is as for :func:`choose_step`. Where these fail, it lies on the straight line between the step's ends.
+    The rates, and with them the energy, differ from a linear interpolation between the ends of a step by a term of
+    second order, so a sample within a step is reached by separate steps, in `aside` and `branch`, a workspace and a
+    state; `nothing` is as for :func:`choose_step`. If these fail, the sample is interpolated linearly.
     """
     clock, h = state.clock, chosen.h
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < clock[T] + h - MOMENT:
@@ -750,10 +748,10 @@ def step_means(workspace, h, out):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def take_steps(scene, bounds, state, workspace, aside, branch, nothing, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
-    """Take the steps of :func:`run`, apart: a function that makes arrays counts references to all that it handles."""
+    """Take the steps of :func:`run`, separate because a function that makes arrays counts all references in it."""
     clock, memory, drive = state.clock, state.memory, scene.drive
     part = segment(drive, clock[T])
-    had = math.nan  # energy before the step, where it is known
+    had = math.nan  # energy before the step, if known
     for _ in range(bounds.budget):
         if clock[T] >= bounds.stop:
             return status.OK
@@ -768,7 +766,7 @@ def take_steps(scene, bounds, state, workspace, aside, branch, nothing, t_out, y
         if not (abs(chosen.surplus) < math.inf):
             if not (memory.mode.any() or memory.bent.any()):  # OPEN is 0
                 return status.NOT_FINITE
-            clear_memory(memory)  # begin anew, from nothing
+            clear_memory(memory)  # restart without a warm start
             continue
         rest = nothing, chosen, t_out, y_out, seen_out
         write_within(scene, part, bounds, state, workspace, aside, branch, *rest)
@@ -804,7 +802,7 @@ def run(scene, bounds, state, t_out, y_out, seen_out):  # type: ignore[no-untype
 
 @kernel
 def clearance(chain, drive, pegs, t, y, near):  # type: ignore[no-untyped-def]
-    """What is left at time t until rope and pegs, or joints and their limits, meet; y as in ``ContactState``.
+    """Distances at time t between rope and pegs, and between joints and their limits; y as in ``ContactState``.
 
     Gaps above `near`, m, may be reported too small.
 

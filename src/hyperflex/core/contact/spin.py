@@ -1,9 +1,9 @@
-"""Pegs that turn on an axle in a step in contact: their rates are solved together with the rope.
+"""Pegs on an axle in a step in contact: their rates are computed together with those of the rope.
 
-A contact sees the tangential velocity of its point less that of the peg, ``reach`` times the peg's rate, and its
-tangential impulse turns the peg with the same lever: contacts act on the rope's axis, so peg and rope exchange no more
-than action and reaction in one point. With fixed modes the rope's answer is linear in the rates of the pegs. One more
-sweep for each peg that a link sticks to, and one equation a peg, give them all.
+The tangential velocity of a contact is that of its point minus ``reach`` times the peg's rate, and its tangential
+impulse acts on the peg with the same lever: contacts act on the rope's axis, so peg and rope exchange action and
+reaction in one point. With fixed modes the rope's response is linear in the rates of the pegs. One more sweep for each
+peg to which a link sticks, and one equation per peg, give all rates.
 """
 
 import math
@@ -20,23 +20,23 @@ from hyperflex.core.jit import kernel, non_allocating, zeros
 
 
 class Spin(NamedTuple):
-    """Pegs that turn, k of m, and the answer of n links to each."""
+    """Turning pegs, k of m, and the response of n links to each."""
 
-    which: Index  # (k,) pegs that turn
+    which: Index  # (k,) turning pegs
     row: Index  # (m,) index of each in `which`; -1 if it is fixed
     reach: Array  # (m,) m, lever of the rope's axis about the axle
     inertia: Array  # (m,) kg m^2
     bearing: Array  # (m,) N m s, viscous friction of the axle
     before: Array  # (m,) rad/s, rates before the step; 0 of fixed ones
-    after: Array  # (m,) and after it
-    stay: Array  # (m,) part of its rate that a peg keeps in the step where nothing touches it
-    penalty: Array  # (m,) kg m^2, angular impulse over the change of the rate that it makes
+    after: Array  # (m,) rad/s, rates after the step
+    stay: Array  # (m,) fraction of its rate that a free peg keeps in the step
+    penalty: Array  # (m,) kg m^2, angular impulse over the resulting change of the rate
     system: Array  # (k, k + 1) equations of the rates after the step
-    change: Array  # (k, n) answers to a rate of 1 rad/s: of the links' rates
+    change: Array  # (k, n) responses to a rate of 1 rad/s: of the links' rates
     place: Array  # (k, 2, n) of the joints' velocities
     pull: Array  # (2, n)
     load: Array  # (k, 3) of the impulse at the first joint
-    joint: Array  # (n, 2) angular impulse of each joint in these answers: 0, and its slope
+    joint: Array  # (n, 2) angular impulse of each joint in these responses: 0, and its slope
     frame: Array  # (n, 8) as ``Motion.frame``, without K and TURN
     none: Array  # (3,) nothing
 
@@ -59,7 +59,7 @@ def new_spin(n, pegs):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
-    """Part of its rate that a free peg keeps for h s, and angular impulse over change of rate, kg m^2; both exact."""
+    """Fraction of its rate that a free peg keeps in h s, and angular impulse over change of rate, kg m^2 (exact)."""
     x = bearing * h / inertia
     if x == 0.0:
         return 1.0, inertia
@@ -77,7 +77,7 @@ def prepare_spin(spin, motion, h):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def peg_response(chain, contacts, impulses, motion, spin, penalty, k):  # type: ignore[no-untyped-def]
-    """Find what a rate of 1 rad/s of turning peg k alone does to the rope, in these modes; `penalty` is M, kg."""
+    """Find the rope's response to a rate of 1 rad/s of turning peg k alone, in these modes; `penalty` is M, kg."""
     p = spin.which[k]
     clear(motion.touch, contacts.link, contacts.total[0])
     sticks = False
@@ -100,7 +100,7 @@ def peg_response(chain, contacts, impulses, motion, spin, penalty, k):  # type: 
 def add_peg_equation(contacts, impulses, motion, spin, penalty, c):  # type: ignore[no-untyped-def]
     """Enter the tangential impulse of contact c into the equation of its peg, at present rates and per rad/s of each.
 
-    ``motion`` holds the rope's answer to pegs at rest.
+    ``motion`` contains the rope's response to pegs at rest.
     """
     last = spin.which.size
     i, k, lever = contacts.link[c], spin.row[contacts.peg[c]], spin.reach[contacts.peg[c]]
@@ -139,9 +139,9 @@ def eliminate(system):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def turn_pegs(chain, contacts, impulses, motion, joints, spin, penalty):  # type: ignore[no-untyped-def]
-    """Find the pegs' rates after the step with the present modes, and add what they do to the rope.
+    """Find the pegs' rates after the step with the present modes, and add their effect on the rope.
 
-    ``motion`` holds the rope's answer to pegs at rest; what ``motion.touch`` holds is lost.
+    ``motion`` contains the rope's response to pegs at rest; ``motion.touch`` is overwritten.
     """
     last = spin.which.size
     for i in joints.which:
@@ -172,7 +172,7 @@ def turn_pegs(chain, contacts, impulses, motion, joints, spin, penalty):  # type
 
 @non_allocating
 def lost_in_bearings(spin):  # type: ignore[no-untyped-def]
-    """Energy that the axles took in the step, J: their angular impulse times the mean rate."""
+    """Energy that the axles absorb in the step, J: their angular impulse times the mean rate."""
     taken = 0.0
     for p in spin.which:
         penalty, inertia, before, after = spin.penalty[p], spin.inertia[p], spin.before[p], spin.after[p]

@@ -1,15 +1,15 @@
 """The linear problem of a step in contact with fixed modes, as one sweep over the links.
 
-A contact with fixed mode answers the velocity of its point by an impulse P = C - B v, where B is so large that v stays
-next to nothing. That is one more linear term on its link, so an articulated-body sweep for changes of rates solves rope
-and all contacts at once, with no contact matrix: (M.8)-(M.13) with the terms of B and C.
+A contact with a fixed mode responds to the velocity of its point with an impulse P = C - B v, where B is so large that
+v is negligible. This is one more linear term on its link, so an articulated-body sweep for changes of rates solves rope
+and all contacts together, without a contact matrix: (M.8)-(M.13) with the terms of B and C.
 """
 
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, STICK
 from hyperflex.core.jit import inlined, non_allocating, read, write
 
-# of a row of `touch`: sums over the contacts of a link at places s, n the direction across the link
+# of a row of `touch`: sums over the contacts of a link at distances s, n the direction across the link
 BXX, BXY, BYX, BYY = range(4)  # B, kg
 GX, GY, EX, EY = range(4, 8)  # s B n and s n B, kg m
 DD = 8  # s^2 n.B n, kg m^2
@@ -18,25 +18,23 @@ CX, CY, RC = range(9, 12)  # C, N s, and s n.C, N m s
 # changes by its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; TURN,
 # N m s, less SLOPE x, kg m^2, turns the link alone. At rest T = V = n, the rest is 0
 TX, TY, VX, VY, SLOPE, KX, KY, TURN = range(8)
-WAY_BACK = tuple(range(12))  # of ``work``, for each link: how it answers, and what the links beyond it answer
+WAY_BACK = tuple(range(12))  # of ``work``, for each link: its response, and that of the links beyond it
 
 
 @inlined
 def link_change(link, joint, frame, touch, beyond):  # type: ignore[no-untyped-def]
-    """One link of the sweep from tip to motor, as ``articulated_body.link_step``, with contacts and without symmetry.
+    """One link of the sweep from tip to motor, like ``articulated_body.link_step``, with contacts and without symmetry.
 
     Parameters
     ----------
-    link : (length, mass * com, mass * com^2, inertia about the centre of mass, mass)
-    joint : (T, kappa), angular impulse T - kappa (change of this rate less change of the parent's), N m s, kg m^2
-    frame : (8,) how the link moves, see the names above
-    touch : (12,) the contacts of the link
-    beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta)
+    link : (length, mass * com, mass * com^2, inertia about the centre of mass, mass) joint : (T, kappa), angular
+    impulse T - kappa (change of this rate less change of the parent's), N m s, kg m^2 frame : (8,) motion of the link,
+    see the names above touch : (12,) the contacts of the link beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s,
+    beta)
 
     Returns
     -------
-    at : tuple, the same answer at the link's motor-side joint
-    back : (r inv, ex inv, ey inv, k), for the way back
+    at : tuple, the response at the link's motor-side joint back : (r inv, ex inv, ey inv, k), for the backward pass
     """
     length, ma, maa, inertia, mass = link
     torque, kappa = joint
@@ -82,16 +80,12 @@ def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  
 
     Parameters
     ----------
-    chain : Chain, with friction that acts on both links of a joint
-    joint : (n, 2) angular impulse of each joint, N m s, and its slope kappa, kg m^2
-    frame : (n, 8) how the links move, see the names above
-    touch : (n, 12) contacts, see the names above
-    base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's rate, rad/s
-    tip : (2,) impulse on the tip in addition to gravity, N s
-    change : (n,) out, rad/s
-    place : (2, n) out, change of the velocity of each link's motor-side joint less step times gravity, m/s
-    pull : (2, n) out, forces along which T turns each link, times their levers, N m s
-    work : (12 n,) scratch
+    chain : Chain, with friction that acts on both links of a joint joint : (n, 2) angular impulse of each joint, N m s,
+    and its slope kappa, kg m^2 frame : (n, 8) motion of the links, see the names above touch : (n, 12) contacts, see
+    the names above base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's
+    rate, rad/s tip : (2,) impulse on the tip in addition to gravity, N s change : (n,) out, rad/s place : (2, n) out,
+    change of the velocity of each link's motor-side joint less step times gravity, m/s pull : (2, n) out, forces along
+    which T turns each link, times their levers, N m s work : (12 n,) scratch
 
     Returns
     -------
@@ -125,14 +119,14 @@ def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  
 
 @non_allocating
 def clear(touch, links, count):  # type: ignore[no-untyped-def]
-    """Take the contacts of the first `count` of `links` off the rows of `touch`."""
+    """Clear the rows of `touch` of the first `count` of `links`."""
     for c in range(count):
         touch[links[c]] = 0.0
 
 
 @non_allocating
 def add_contact(touch, i, s, sin, cos, b, c):  # type: ignore[no-untyped-def]
-    """Add an impulse C - B v at the place s of link i: b = (bxx, bxy, byx, byy), kg; c = (cx, cy), N s."""
+    """Add an impulse C - B v at the distance s on link i: b = (bxx, bxy, byx, byy), kg; c = (cx, cy), N s."""
     row = touch[i]
     bxx, bxy, byx, byy = b
     cx, cy = c
@@ -155,7 +149,7 @@ def add_contact(touch, i, s, sin, cos, b, c):  # type: ignore[no-untyped-def]
 def add_contact_impulse(contacts, impulses, motion, c, penalty, pn, pt):  # type: ignore[no-untyped-def]
     """Add contact c, in its present mode, to ``motion.touch``: impulses pn, pt, N s, at rest; `penalty` is M, kg.
 
-    What slips has the tangential impulse that goes with the normal one; pt is of no account then.
+    The tangential impulse of a slipping contact follows from the normal one; pt is then ignored.
     """
     i, s = contacts.link[c], contacts.place[c]
     sin, cos = motion.trig[i], motion.trig[motion.w.size + i]
@@ -172,7 +166,7 @@ def add_contact_impulse(contacts, impulses, motion, c, penalty, pn, pt):  # type
 
 @non_allocating
 def friction_ratio(contacts, impulses, c):  # type: ignore[no-untyped-def]
-    """Tangential impulse of a contact that slips, in parts of the normal one."""
+    """Tangential impulse of a slipping contact, as a fraction of the normal one."""
     return -contacts.mu[c] if impulses.mode[c] == AHEAD else contacts.mu[c]
 
 
@@ -197,10 +191,10 @@ def velocity(contacts, motion, c):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def linearize(chain, motion, h):  # type: ignore[no-untyped-def]
-    """Linearize the motion of the links in a step about the present changes of the rates, to ``motion.frame``.
+    """Linearise the motion of the links in a step about the present changes of the rates, to ``motion.frame``.
 
-    With the angles before and after, q and q', the joints' velocities change by l (n' w' - n w) a link, and forces act
-    along the mean velocity, l (n w + n' w') / 2: so what they do is the change of the energy, exactly.
+    With the angles before and after, q and q', the joints' velocities change by l (n' w' - n w) per link, and forces
+    act along the mean velocity, l (n w + n' w') / 2: so their work is exactly the change of the energy.
     """
     n = motion.w.size
     mean, trig, frame, turned = motion.mean, motion.mean_trig, motion.frame, motion.turned

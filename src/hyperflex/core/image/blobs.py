@@ -8,9 +8,9 @@ AREA, MEAN_U, MEAN_V, COV_UU, COV_UV, COV_VV, PEAK, PIXELS, BORDER, SPREAD, FULL
 COLUMNS = COLOUR + 3
 LARGEST = 64  # blobs in one picture, 255 at most
 GROWTH = 2  # px beyond the threshold that still count
-FAINT = 0.2  # of a blob's greatest weight: less is no part of it
+FAINT = 0.2  # of a blob's greatest weight: smaller weights do not belong to it
 PIECE = 32  # pixels that are compared with the threshold together
-FULLY = 0.85  # weight from which a pixel shows the marker alone
+FULLY = 0.85  # weight above which a pixel shows only the marker
 
 
 @kernel
@@ -32,7 +32,8 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
     weights : (h, w) float64
         Share of the pixel that a marker covers; noise about 0 elsewhere.
     threshold : float
-        Weight above which pixels belong together (eight neighbours), where it is a fifth of the blob's greatest, too.
+        Weight above which neighbouring pixels (of eight) belong together, if it is also a fifth of the blob's greatest
+        weight.
     out : (M, COLUMNS) float64
         Set on return, a row for each component, in the order of their first rows: area (sum of weights), means and
         covariances of u and v, greatest weight, pixels, whether it touches the border, sum of squared distances from
@@ -45,8 +46,8 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
 
     Notes
     -----
-    Weights are summed over each component and two pixels around it, not cut at the threshold: so edges count with
-    their shares, and the mean is not displaced.
+    Weights are summed over each component and two pixels around it, without a cut at the threshold: edges count with
+    their weights, so the mean is not displaced.
     """
     h, w = weights.shape
     label, members = np.zeros((h, w), np.uint8), np.empty((h * w, 2), np.int32)
@@ -93,8 +94,8 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
 def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-untyped-def]
     """Number connected components above a threshold from 1 on.
 
-    `label` (h, w), zeros on entry, and `members` (h w, 2), row and column of each of their pixels, are set.
-    Returns how many components, `most` at most, and how many pixels.
+    `label` (h, w), zeros on entry, and `members` (h w, 2), row and column of each of their pixels, are set. Returns the
+    numbers of components, at most `most`, and of pixels.
     """
     h, w = weights.shape
     flat, labels = weights.reshape(-1), label.reshape(-1)
@@ -103,7 +104,7 @@ def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-un
         piece, above = flat[first : first + PIECE], 0
         for k in range(piece.size):
             above += piece[k] > threshold
-        for i in range(first, first + piece.size if above else first):  # most pieces show nothing
+        for i in range(first, first + piece.size if above else first):  # most blocks contain nothing
             if flat[i] <= threshold or labels[i] != 0:
                 continue
             if count == most:
@@ -127,7 +128,7 @@ def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-un
 
 @kernel
 def drop_faint(weights, label, members, size):  # type: ignore[no-untyped-def]
-    """Set to zero what is much fainter than the greatest weight of its component: a rope that touches a marker, say."""
+    """Set pixels much fainter than the greatest weight of their component to zero, such as a rope at a marker."""
     peak = np.zeros(size + 1)
     for i in range(size):
         v, u = members[i, 0], members[i, 1]
@@ -140,7 +141,7 @@ def drop_faint(weights, label, members, size):  # type: ignore[no-untyped-def]
 
 @kernel
 def grow(label, members, size):  # type: ignore[no-untyped-def]
-    """Let each component take the free pixels beside it (eight neighbours); return the number of members then."""
+    """Add the free neighbours (of eight) to each component; return the new number of members."""
     h, w = label.shape
     before = size
     for i in range(before):

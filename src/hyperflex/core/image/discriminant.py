@@ -17,9 +17,9 @@ def discriminant(image, axes, target, contrast, out):  # type: ignore[no-untyped
     image : (h, w, 3) uint8
         A small part of a picture, h, w >= 3; most of it, and of its border, is wall.
     axes : (2, 3) float64
-        Directions in the three channels in which the marker is told; the second one may be zero.
+        Directions in the three channels that distinguish the marker; the second one may be zero.
     target : (2,) float64
-        The marker along them.
+        Components of the marker along them.
     contrast : (2,) float64
         Least distance between marker and wall, and noise of a channel at least, levels.
     out : (4,) float64
@@ -28,7 +28,7 @@ def discriminant(image, axes, target, contrast, out):  # type: ignore[no-untyped
     Returns
     -------
     float
-        Standard deviation of the share over the wall; 0 where nothing can be told.
+        Standard deviation of the share over the wall; 0 if marker and wall cannot be distinguished.
     """
     h, w = image.shape[0], image.shape[1]
     x, y = np.empty(h * w), np.empty(h * w)
@@ -68,7 +68,7 @@ def discriminant(image, axes, target, contrast, out):  # type: ignore[no-untyped
 
 @kernel
 def along(channels, axes, x, y):  # type: ignore[no-untyped-def]
-    """Set x and y (P,) to what pixels (3 P,), uint8, have along two axes (2, 3)."""
+    """Set x and y (P,) to the components of pixels (3 P,), uint8, along two axes (2, 3)."""
     a, b, c = axes[0, 0], axes[0, 1], axes[0, 2]
     d, e, f = axes[1, 0], axes[1, 1], axes[1, 2]
     for i in range(x.size):

@@ -8,7 +8,7 @@ from hyperflex.core.jit import kernel
 
 
 class Capsules(NamedTuple):
-    """S capsules (segments with a radius) that move, from the one behind to the one in front.
+    """S moving capsules (segments with a radius), from back to front.
 
     Attributes
     ----------
@@ -17,7 +17,7 @@ class Capsules(NamedTuple):
     radii : (S,) float64
         px.
     layers : (S,) int64
-        Not decreasing. Within one layer capsules join to one shape; each layer covers those before it.
+        Not decreasing. Capsules of one layer form one shape; each layer covers the layers before it.
     colours : (S, 3) float32
         Three channels, 0 to 255.
     """
@@ -29,7 +29,7 @@ class Capsules(NamedTuple):
 
 
 class RowTimes(NamedTuple):
-    """When rows are exposed, in steps between the K times: row v from first + v slope, for a duration around it.
+    """Exposure times of rows, in steps between the K times: row v at first + v slope, for a duration around it.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ def expose(capsules, times, out):  # type: ignore[no-untyped-def]
     Notes
     -----
     A pixel is covered by 1/2 + r - d, cut to 0 and 1, at a distance d from the capsule's axis: exact for a straight
-    edge through its middle along rows or columns, and symmetric, so that no disc is displaced.
+    edge through its middle along rows or columns, and symmetric, so that discs are not displaced.
     """
     height, width = out.shape[0], out.shape[1]
     steps, count = capsules.ends.shape[0], capsules.radii.size
@@ -116,7 +116,7 @@ def cover_row(cover, tint, s, v, au, av, bu, bv, radius):  # type: ignore[no-unt
         return width, -1
     du, dv = bu - au, bv - av
     t0, t1 = 0.0, 1.0
-    if abs(dv) > 1e-9:  # the part of the axis that is near enough to the row
+    if abs(dv) > 1e-9:  # the part of the axis near the row
         ta, tb = (v - reach - av) / dv, (v + reach - av) / dv
         t0, t1 = max(0.0, min(ta, tb)), min(1.0, max(ta, tb))
     ua, ub = au + t0 * du, au + t1 * du

@@ -14,11 +14,11 @@ def pair_costs(places, covariances, mean, prior, unseen, gate, none, out):  # ty
     places, covariances : (M, 2), (M, 2, 2) float64
         Of the blobs, px, px^2.
     mean, prior : (K, 2), (2 K, 2 K) float64
-        Where markers are expected, and the covariance of all together.
+        Expected positions of the markers, and their joint covariance.
     unseen : (M,) float64
         Added to the squared Mahalanobis distance and the logarithm of the determinant.
     gate, none : float
-        Squared distance from which a pair is none, and the cost of that.
+        Squared distance above which a pair is excluded, and the cost of an excluded pair.
     """
     for k in range(mean.shape[0]):
         for j in range(places.shape[0]):

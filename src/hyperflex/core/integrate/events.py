@@ -26,13 +26,13 @@ from hyperflex.core.stiction import (
     stuck_power,
 )
 
-# Whether a run watches for events: tuples, whose length the compiler knows, so that it leaves out what finds events
+# Whether a run checks for events: tuples, whose length the compiler knows, so that it omits the event search
 UNWATCHED, WATCHED = (), (0,)
 NOTHING, CROSSES, PEAK, PHASE, ANGLE = range(5)
 
 
 class Until(NamedTuple):
-    """What ends a run; the meaning of the numbers a to d depends on the kind.
+    """The event that ends a run; the meaning of the numbers a to d depends on the kind.
 
     CROSSES: a, b point, m; c, d unit vector. PEAK: none. PHASE: a phase, rad; b time constant, s.
     ANGLE: a angle, rad; b number of the link in the chain, or -1.0 for a prescribed arm.
@@ -44,7 +44,7 @@ class Until(NamedTuple):
     c: float
     d: float
     sense: float  # 1.0 or -1.0: the reading must rise or fall through zero; 0.0: either
-    after: float  # s, absolute; nothing ends the run before
+    after: float  # s, absolute; earlier events are ignored
 
 
 NEVER = Until(NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, -math.inf)
@@ -68,10 +68,10 @@ def tip_motion(chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def event_value(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
-    """Reading of a state and its slope (0.0 for PEAK, where it is not known).
+    """Reading of a state and its slope (0.0 for PEAK, where it is unknown).
 
-    CROSSES: distance beyond the line, m. PEAK: less half the growth of the squared tip speed, m^2/s^3. PHASE: distance
-    of (c dx/dt, x) from the ray of the phase, on the side of later phases, m. ANGLE: angle beyond, rad.
+    CROSSES: distance beyond the line, m. PEAK: minus half the growth rate of the squared tip speed, m^2/s^3. PHASE:
+    distance of (c dx/dt, x) from the ray of the phase, on the side of later phases, m. ANGLE: angle beyond, rad.
     """
     if until.kind == ANGLE:
         link = int(until.b)
@@ -87,14 +87,14 @@ def event_value(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def
 
 @non_allocating
 def limit_gap(chain, i, angle, rate):  # type: ignore[no-untyped-def]
-    """Gap of joint i, at a relative angle and rate, to the nearer of its limits, rad, and how fast the gap grows."""
+    """Gap of joint i, at a relative angle and rate, to the nearer of its limits, rad, and its growth rate."""
     bend = angle - chain.rest[i]
     return chain.max_bend[i] - abs(bend), -rate if bend > 0.0 else rate
 
 
 @non_allocating
 def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
-    """Write the gaps of all joints to their limits, rad, and how they grow to ``out[:, n : 2 * n]``."""
+    """Write the gaps of all joints to their limits, rad, and their growth rates to ``out[:, n : 2 * n]``."""
     n = q.size
     up, up_rate = base[4], base[3]
     for i in range(n):
@@ -104,7 +104,7 @@ def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def watched_sense(until, value, slope, t):  # type: ignore[no-untyped-def]
-    """Sense in which a reading is watched from the beginning of a step: margin = sense * reading; 0.0: not watched."""
+    """Sense in which a reading is checked from the beginning of a step: margin = sense * reading; 0.0: not checked."""
     if until.kind == NOTHING or t < until.after:
         return 0.0
     if until.sense != 0.0:
@@ -124,21 +124,21 @@ def on_right_side(until, chain, q, w, base):  # type: ignore[no-untyped-def]
 
 
 class EventSearch(NamedTuple):
-    """Numbers of the search for the first event of a step."""
+    """Constants of the search for the first event of a step."""
 
     # of a step at which a margin is evaluated
     points: int = 16
-    # attempts that are searched for hidden events; later ones only if they end at an event
+    # attempts that are checked for hidden events; later ones only if they end at an event
     glances: int = 3
-    # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
+    # fraction of a span: if a margin grows at first, an earlier zero of a cubic is a joint that has just been released
     soon: float = 0.125
-    # of the velocity that a step may err by is what a joint may turn at, the other way, when it is stopped
+    # of the allowed velocity error: largest reversed rate of a joint when it is stopped
     stopped: float = 1e-3
-    # part of dry friction by which the load of a joint may exceed it where it is released, at most, and
+    # fraction of dry friction by which the load of a joint may exceed it at its release, at most, and
     latest: float = 0.01
-    # the same for each unit of tol / reach
+    # this fraction for each unit of tol / reach
     late: float = 2e3
-    # attempts after which the span is halved, whatever the margins are; twice that ends the search
+    # attempts after which the span is halved for any margins; twice as many end the search
     attempts: int = 40
 
 
@@ -151,16 +151,16 @@ LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end 
 class Search(NamedTuple):
     """Search for the first event of a step, for its margins (m,) and joints (n,), over all its attempts.
 
-    Margins come with their slopes (2, m), at several lengths of the step; inf where there is nothing to watch.
+    Margins come with their slopes (2, m), at several lengths of the step; inf without an event.
     """
 
     span: Array  # (4,) the first event lies between LOW and HIGH
-    low: Array  # at LOW, where there is no event; at first the beginning of the step
-    high: Array  # at HIGH, where there is one, if HIGH is finite
+    low: Array  # at LOW, without an event; initially the beginning of the step
+    high: Array  # at HIGH, with an event, if HIGH is finite
     here: Array  # of the present attempt
-    middle: Array  # in the middle of the present attempt, inf where not known
-    late: Array  # (m,) by how much a margin may be passed where a step ends
-    locked: Array  # (m,) 1.0 where a margin comes without slope (stuck joints), else 0.0
+    middle: Array  # in the middle of the present attempt, inf if unknown
+    late: Array  # (m,) allowed overshoot of a margin at the end of a step
+    locked: Array  # (m,) 1.0 for a margin without slope (stuck joints), else 0.0
     alpha: Array  # (n,) accelerations at the beginning of the step
     power: Array  # (3,) of stuck joints, see stiction.stuck_loss
     before: Array  # (9 or more,) motion of the first joint at the beginning of the step, in the middle and at the end
@@ -181,7 +181,7 @@ def new_searches(count, m, n, base):  # type: ignore[no-untyped-def]
 
 @inlined
 def search_of(every, j):  # type: ignore[no-untyped-def]
-    """Return the search in row j of what :func:`new_searches` returns."""
+    """Return the search in row j of the arrays of :func:`new_searches`."""
     margins = every.low[j], every.high[j], every.here[j], every.middle[j], every.late[j], every.locked[j]
     return Search(
         every.span[j], *margins, every.alpha[j], every.power[j], every.before[j], every.between[j], every.after[j]
@@ -194,9 +194,9 @@ def begin_search(chain, drive, part, t, tol, step, y, slip, widen, decided, sear
 
     Parameters
     ----------
-    tol, step : error allowed, m, of a step of this length, s; 0.0: the step must end at the very event
-    slip, widen : modes (n,), factor on the tolerance of the dry friction
-    decided : modes were decided here, and the constraint torques in the StictionWorkspace `tools` are known
+    tol, step : error allowed, m, of a step of this length, s; 0.0: the step must end exactly at the event slip, widen :
+    modes (n,), factor on the tolerance of the dry friction decided : modes were determined here, and the
+    StictionWorkspace `tools` contains the constraint torques
     """
     n, span = slip.size, search.span
     torque = base_state(drive, part, t, search.before)
@@ -227,9 +227,10 @@ def end_margins(chain, until, sense, q, w, alpha, base, out):  # type: ignore[no
 
 @non_allocating
 def assess_attempt(chain, drive, part, until, sense, t, step, y, slip, widen, search, tools, out):  # type: ignore[no-untyped-def]
-    """Assess an attempt to step from y to ``out`` (2 n + 2,), as :func:`assess_step` does; holds stuck joints there.
+    """Assess an attempt to step from y to ``out`` (2 n + 2,), like :func:`assess_step`; holds stuck joints there.
 
-    Parameters as for :func:`begin_search`; `until`, `sense`: what ends the run, and what :func:`watched_sense` returns.
+    Parameters as for :func:`begin_search`; `until`, `sense`: the event that ends the run, and its
+    :func:`watched_sense`.
     """
     n, limited = slip.size, search.late.size > slip.size + 1
     torque = base_state(drive, part, min(t + step, part.end), search.after)
@@ -255,7 +256,7 @@ def assess_attempt(chain, drive, part, until, sense, t, step, y, slip, widen, se
 
 @non_allocating
 def allow_lateness(search, chain, tol, step):  # type: ignore[no-untyped-def]
-    """Say how much later than at its event a step of the length `step`, s, may end, by its error `tol`, m."""
+    """Set by how much a step of length `step`, s, may overshoot its event for an error `tol`, m."""
     longest = reach = 0.0
     for i in range(chain.length.size):
         longest, reach = max(longest, chain.length[i]), reach + chain.length[i]
@@ -274,7 +275,7 @@ def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def first_zero(low, high, i, length, most):  # type: ignore[no-untyped-def]
-    """First part of an interval, but for its beginning, at which margin i is zero or less; `most` if that is before."""
+    """First fraction > 0 of an interval at which margin i is zero or negative, at most `most`."""
     before, at = 0.0, most
     for k in range(1, EVENTS.points + 1):
         x = min(k / EVENTS.points, most)
@@ -295,7 +296,7 @@ def first_zero(low, high, i, length, most):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
-    """Whether the cubics through margin i, with a middle, stay positive: no Bernstein coefficient of theirs is not."""
+    """Whether the cubics through margin i, with a middle, stay positive: their Bernstein coefficients are."""
     v0, s0, v1, s1 = search.low[0, i], search.low[1, i], search.here[0, i], search.here[1, i]
     vm, sm, third = search.middle[0, i], search.middle[1, i], length / 6.0
     return min(v0, v0 + third * s0, vm - third * sm, vm, vm + third * sm, v1 - third * s1) >= 0.0
@@ -303,10 +304,10 @@ def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def hidden_event(search, length):  # type: ignore[no-untyped-def]
-    """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
+    """Fraction of the length, s, from LOW to the end of an attempt at which an event may be hidden; else 1.0.
 
-    Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola.
-    Margins with an event at the end do not count.
+    Margins with slopes use the cubics through both ends and the middle, those of stuck joints the parabola. Margins
+    with an event at the end do not count.
     """
     part = 1.0
     for i in range(search.locked.size):
@@ -336,7 +337,7 @@ def hidden_event(search, length):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def is_past(search, margin, i):  # type: ignore[no-untyped-def]
-    """Whether the event of margin i has happened; a margin that is zero but for rounding must not be growing."""
+    """Whether the event of margin i has occurred; a margin that is zero up to rounding must not be growing."""
     if search.locked[i] == 0.0 and i < search.locked.size - 1 and margin[1, i] > 0.0:
         return margin[0, i] < -STICTION.still
     return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and search.locked[i] == 0.0)
@@ -344,7 +345,7 @@ def is_past(search, margin, i):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def fall(search, i, step):  # type: ignore[no-untyped-def]
-    """How fast margin i falls at the end of an attempt of the length `step`, s: by its slope, else by the secant."""
+    """Rate at which margin i falls at the end of an attempt of length `step`, s: by its slope, else the secant."""
     if search.locked[i] == 0.0:
         return -search.here[1, i]
     return (search.low[0, i] - search.here[0, i]) / (step - search.span[LOW])
@@ -352,7 +353,7 @@ def fall(search, i, step):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def first_past(search, margin):  # type: ignore[no-untyped-def]
-    """Return the first margin whose event has happened, -1: none."""
+    """Return the first margin whose event has occurred, -1: none."""
     for i in range(search.locked.size):
         if is_past(search, margin, i):
             return i
@@ -361,23 +362,23 @@ def first_past(search, margin):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def assess_step(search, step):  # type: ignore[no-untyped-def]
-    """Judge an attempt of the length `step`, s, whose margins are in ``search.here``.
+    """Assess an attempt of length `step`, s, whose margins are in ``search.here``.
 
     Returns
     -------
-    verdict : DONE (take the step; it holds no event), EVENT (take it; it ends at one) or AGAIN
-    length : of the next attempt, s
+    verdict : DONE (accept the step, which contains no event), EVENT (accept it; it ends at one) or AGAIN length : of
+    the next attempt, s
 
     Notes
     -----
-    A step of ``STICTION.quick`` or less hides nothing: its course would be rounding. The span shrinks by the cubics'
-    zeros, for stuck joints by the rule of Anderson and Bjorck (1973), in the end by halving. A step that ends at an
-    event ends on its far side, within ``STICTION.instant``: attempts aim at the middle of that.
+    A step of ``STICTION.quick`` or less cannot hide an event: its interior would be rounding. The span shrinks by the
+    cubics' zeros, for stuck joints by the rule of Anderson and Bjorck (1973), and finally by halving. A step that ends
+    at an event ends after it, within ``STICTION.instant``: attempts aim at the middle of this interval.
     """
     span = search.span
     span[TRIES] += 1.0
     if span[LOW] > 0.0:
-        search.middle[:] = np.inf  # it belongs to a whole attempt, and the search has passed its beginning
+        search.middle[:] = np.inf  # it belongs to a complete attempt, and the search has passed its beginning
     over = False
     near = True
     for i in range(search.locked.size):
@@ -419,9 +420,9 @@ def assess_step(search, step):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def first_part(search, i, length, most):  # type: ignore[no-untyped-def]
-    """Part of the span, of the given length, s, at which margin i should be passed by half of what is allowed.
+    """Fraction of the span, of the given length, s, at which margin i should overshoot by half the allowed amount.
 
-    At most `most`. Where the middle is known, by the cubics on both sides of it, for stuck joints by the parabola.
+    At most `most`. If the middle is known, from the cubics on both sides of it; for stuck joints from the parabola.
     """
     aim = 0.5 * search.late[i]
     low, middle, high = search.low, search.middle, search.high
@@ -445,7 +446,7 @@ def first_part(search, i, length, most):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def estimate_event_time(search):  # type: ignore[no-untyped-def]
-    """Where in the span the first event should lie, s."""
+    """Expected position of the first event in the span, s."""
     span = search.span
     length = span[HIGH] - span[LOW]
     if length <= STICTION.instant:

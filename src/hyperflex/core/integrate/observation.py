@@ -1,4 +1,4 @@
-"""What is observed of a run at given states: accelerations, motion of the first joint, energies, loads."""
+"""Observed quantities of a run at given states: accelerations, motion of the first joint, energies, loads."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from hyperflex.core.stiction import find_modes, new_stiction_workspace
 
 @inlined
 def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type: ignore[no-untyped-def]
-    """Put a state into lane j, for its accelerations: ``lanes.euler`` takes no step of it.
+    """Put a state into lane j to compute its accelerations, without a step of ``lanes.euler``.
 
     `trig` (2 n,) holds sines and cosines of q; `base` (9 or more,) goes to `motion` (9 or more, k), and `torque` is
     that of the first joint's motor, N m.
@@ -28,7 +28,7 @@ def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type
 def senses(chain, drive, t, y):  # type: ignore[no-untyped-def]
     """Sense in which each joint slips (m, n), 1.0 or -1.0, or 0.0 where it sticks, at t (m,), y (m, 2 n or more).
 
-    Without dry friction it does not matter: one row of 1.0.
+    Without dry friction the sense has no effect: one row of 1.0.
     """
     dry = chain.dry.any()
     slip = np.ones((t.size if dry else 1, chain.length.size))
@@ -39,7 +39,7 @@ def senses(chain, drive, t, y):  # type: ignore[no-untyped-def]
 
 @kernel
 def write_senses(chain, drive, t, y, slip):  # type: ignore[no-untyped-def]
-    """Write to `slip` what :func:`senses` returns for a chain with dry friction."""
+    """Write the result of :func:`senses` for a chain with dry friction to `slip`."""
     n = chain.length.size
     base, workspace = np.empty(base_size(drive)), new_stiction_workspace(n)
     for m in range(t.size):
@@ -64,7 +64,7 @@ def observe(chain, drive, t, y, slip, qdd, base_out, scalars):  # type: ignore[n
     base, trig, motion = np.empty(base_size(drive)), np.empty(2 * n), np.zeros((base_size(drive), k))
     for first in range(0, t.size, k):
         last = min(first + k, t.size)
-        for m in range(first, last):  # lanes that are left over hold what they held, or a chain at rest
+        for m in range(first, last):  # unused lanes keep their old state, or a chain at rest
             q, w = y[m, :n], y[m, n : 2 * n]
             torque = motion_at(drive, t[m], base)
             assign(base_out[m], base[:BASE_SIZE])

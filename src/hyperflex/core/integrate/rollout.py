@@ -75,14 +75,14 @@ class Limits(NamedTuple):
 
     stop: float  # s, run until here
     tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
-    lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
+    lever: Array  # (n,) m, lever of a link's angle: the larger of its length and its radius of gyration
     reach: float  # m, length of the chain
-    fall: float  # J, weight times length, and what may stick: the scale of the chain's energy at rest
+    fall: float  # J, weight times length, plus dry friction: the scale of the chain's energy at rest
     fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
     least: int  # order of the extrapolation, also the first
     most: int
     budget: int  # steps of one call, so that callers can show progress and be interrupted
-    until: Until  # what ends the run before
+    until: Until  # event that ends the run earlier
 
 
 class Progress(NamedTuple):
@@ -92,12 +92,12 @@ class Progress(NamedTuple):
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
     slip: Array  # (n,) modes of the joints, as in ``articulated_body.accelerations``
     mark_slip: Array
-    clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
+    clock: Array  # (CLOCK,) see the names below; the mark's time is -inf until a step is shortened
     log: Array  # (m, 3) or (m, 4 + n) with stiction: of the first m steps that succeed, see below
 
 
 # A row of the log: length of the step, s, its end, s, and order; with stiction also the joint whose change of mode
-# ended it, -1 where none did, and the joints' modes meanwhile
+# ended it, else -1, and the joints' modes in the step
 LENGTH, END, DEGREE, JOINT, MODES = range(5)
 # AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
 # RESTARTED: 1.0 from a switch (or an event) until a step has succeeded behind it
@@ -113,7 +113,7 @@ INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
 
 @non_allocating
 def restart(clock):  # type: ignore[no-untyped-def]
-    """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
+    """Record a switch of the motion: the next step is at most as long as the successful one after the last switch."""
     clock[STEP] = min(clock[STEP], clock[AFTER])
     clock[RESTARTED] = 1.0
     clock[LAST] = 0.0
@@ -131,10 +131,10 @@ def count_chatter(clock, step, event):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def set_next_step(clock, step, size, grown, wanted, longest, alike):  # type: ignore[no-untyped-def]
-    """Set the length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
+    """Set the length of the step after one of length `step`, s, whose desired length was `wanted`.
 
-    `size` is its error, `grown` the length that it suggests, at most `longest`, s. `alike`: the next step is of the
-    same order, and the error is no rounding.
+    `size` is its error, `grown` the length that it suggests, at most `longest`, s. `alike`: the next step has the same
+    order, and the error is not rounding.
     """
     clock[STEP] = min(max(grown, clock[STEP]) if step < wanted else grown, longest)
     clock[LAST], clock[SIZE] = step if alike else 0.0, size
@@ -156,8 +156,8 @@ class Workspace(NamedTuple):
     lanes: Array  # ((n + 2) ROW lanes,)
     tip: Array  # (ROW lanes,)
     stiction: StictionWorkspace
-    search: Search  # over n + 1 margins or, where a joint has limits, 2 n + 1
-    kept: Array  # (MOST_SUBSTEPS, 2 n + 2) substeps of a step in which there are outputs, and their weights
+    search: Search  # over n + 1 margins, or 2 n + 1 if a joint has limits
+    kept: Array  # (MOST_SUBSTEPS, 2 n + 2) substeps of a step that contains outputs, and their weights
     weight: Array
 
 
@@ -189,7 +189,7 @@ def advance(chain, drive, part, table, fixed, t, step, y, slip, out, kept, works
 
 @non_allocating
 def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-untyped-def]
-    """Decide the modes of the joints now; False where no modes obey the law, or joints chatter."""
+    """Determine the present modes of the joints; False if no modes obey the law, or joints chatter."""
     y, slip, clock = progress.y, progress.slip, progress.clock
     n = slip.size
     now, before = workspace.search.before, workspace.out[:n]
@@ -205,14 +205,13 @@ def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-un
 def find_event(chain, drive, part, table, terms, progress, step, kept, workspace, decided):  # type: ignore[no-untyped-def]
     """Shorten the step to ``workspace.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
 
-    `kept` as in ``steps.extrapolate``. `decided`: modes were decided where it begins, and the constraint torques there
-    are known.
+    `kept` as in ``steps.extrapolate``. `decided`: modes were determined at its beginning, and the constraint torques
+    there are known.
 
     Returns
     -------
-    step : float, s
-    event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened; 3: a joint is at its limit
-    joint : int, the one that changes its mode, -1 where none does
+    step : float, s event : int, 0: none; 1: a joint changes its mode; 2: the event that ends the run; 3: a joint is at
+    its limit joint : int, the one that changes its mode, else -1
     """
     y, slip, clock, until = progress.y, progress.slip, progress.clock, terms.until
     search, tools, out = workspace.search, workspace.stiction, workspace.out
@@ -225,7 +224,7 @@ def find_event(chain, drive, part, table, terms, progress, step, kept, workspace
         value, slope = event_value(until, chain, y[:n], y[n : 2 * n], search.alpha, search.before)
         sense = watched_sense(until, value, slope, t)
         if until.kind == PEAK and sense == 0.0 and clock[PENDING] > 0.0:
-            return 0.0, 2, -1  # the speed grew until here, and falls from here on
+            return 0.0, 2, -1  # the speed has its peak here
         search.low[:, last] = np.inf
         search.here[:, last] = np.inf
     end_margins(chain, until, sense, y[:n], y[n : 2 * n], search.alpha, search.before, search.low)
@@ -251,21 +250,21 @@ def find_event(chain, drive, part, table, terms, progress, step, kept, workspace
 
 
 ENERGY = 10.0  # see error_norm
-SETTLED = 0.3  # first part of the step after a switch, where the dense output of its substeps is inaccurate
-TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
+SETTLED = 0.3  # first fraction of the step after a switch, in which the dense output of its substeps is inaccurate
+TINY = 1e-300  # J, avoids a division by zero for a chain without weight and motion
 
 
 @non_allocating
 def error_norm(limits, trig, errors, step, energy, limit):  # type: ignore[no-untyped-def]
-    """Size of the `errors` (2 n + 2,) of a step in units of what is allowed, `limit`; inf if not finite.
+    """Size of the `errors` (2 n + 2,) of a step in units of the allowed error, `limit`; inf if not finite.
 
-    The greatest error of any joint's position, of its velocity and of energy. Work and dissipation may err by
-    ENERGY tol / reach of the chain's `energy`, J. Without that bound sharp friction, which barely moves a joint while
-    it changes sign, would leave the energy balance unchecked.
+    The largest of the errors of the joints' positions, their velocities and the energy. Errors of work and dissipation
+    are limited to ENERGY tol / reach of the chain's `energy`, J. Without this limit the energy balance would be
+    unchecked for sharp friction, which barely moves a joint while it changes its sign.
     """
     n = limits.lever.size
     time = lasting(step)
-    x = y = vx = vy = worst = total = 0.0  # of the joint: error of its position, and what that of its velocity makes
+    x = y = vx = vy = worst = total = 0.0  # of the joint: error of its position, and the effect of its velocity error
     for i in range(n):
         shift, drift = limits.lever[i] * errors[i], limits.lever[i] * errors[n + i] * time
         x, vx = x + trig[n + i] * shift, vx + trig[n + i] * drift
@@ -273,7 +272,7 @@ def error_norm(limits, trig, errors, step, energy, limit):  # type: ignore[no-un
         worst = max(worst, x * x + y * y, vx * vx + vy * vy)
         total += x * x + y * y + (vx * vx + vy * vy)
     off = abs(errors[2 * n] - errors[2 * n + 1]) * limits.reach / (ENERGY * energy + TINY)
-    if not (total + off < np.inf):  # also where one is not a number
+    if not (total + off < np.inf):  # also if one is not a number
         return np.inf
     return max(math.sqrt(worst), off) / limit
 
@@ -292,9 +291,10 @@ def error_norms(chain, limits, table, step, workspace):  # type: ignore[no-untyp
 
 @kernel
 def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-untyped-def]
-    """Error of the step to ``workspace.out`` in units of what is allowed, and what it would have been at an order less.
+    """Error of the step to ``workspace.out`` in units of the allowed error, and the error at one order less.
 
-    `cut`: the step ends at a prescribed time. Fixed steps have no errors: 0.0, or inf where the state is not finite.
+    `cut`: the step ends at a prescribed time. Fixed steps have no error estimate: 0.0, or inf if the state is not
+    finite.
     """
     if limits.fixed > 0.0:
         for x in workspace.out:
@@ -304,15 +304,15 @@ def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-
     size, lower_size, lowest_size = error_norms(chain, limits, table, step, workspace)
     size = max(size, by_trend(lower_size, lowest_size))
     if cut and step < SMALLEST_STEP and size < np.inf:
-        size = 0.0  # an end a few rounding errors away: there is nothing to control
+        size = 0.0  # the end is a few rounding errors away: no error control
     return size, lower_size
 
 
 @non_allocating
 def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table, longest):  # type: ignore[no-untyped-def]
-    """Choose order and length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
+    """Choose order and length of the step after one of length `step`, s, whose desired length was `wanted`.
 
-    `size` is its error in units of what is allowed, `lower_size` that of an order less; `longest`, s, is for events.
+    `size` is its error in units of the allowed error, `lower_size` that of one order less; `longest`, s, is for events.
     """
     order = table.order
     faint = sticks and is_rounding(size, limits.tol, step, table.rounding)
@@ -326,7 +326,7 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
 def course_size(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
     """Error of the dense output from the kept substeps, in units of the error allowed for the step.
 
-    It is written over the errors of the step itself.
+    It overwrites the errors of the step itself.
     """
     errors, weights = workspace.errors, COURSE_ERRORS[table.order]
     errors[:] = 0.0
@@ -337,7 +337,7 @@ def course_size(chain, limits, table, step, workspace):  # type: ignore[no-untyp
 
 @non_allocating
 def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyped-def]
-    """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
+    """Record a successful step in the log, and count quick changes of the joints' modes."""
     clock = progress.clock
     succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
     if succeeded < progress.log.shape[0]:
@@ -380,8 +380,8 @@ def write_course(table, progress, step, workspace, t_out, y_out):  # type: ignor
 def write_between(chain, drive, part, table, limits, progress, step, kept, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
     """Write the outputs strictly within the step from the state in `progress` to ``workspace.out``.
 
-    `kept` are its substeps, which give the outputs if they are accurate enough; else the step is interpolated
-    through its middle. Where friction settles behind a switch, outputs are the ends of steps of their own.
+    `kept` are its substeps, which give the outputs if they are accurate enough; else the step is interpolated through
+    its middle. While friction settles after a switch, outputs are the ends of separate steps.
     """
     y, slip, clock, search = progress.y, progress.slip, progress.clock, workspace.search
     t, first, fixed, none = clock[T], int(clock[INDEX]), limits.fixed, workspace.kept[:0]
@@ -415,7 +415,7 @@ def write_between(chain, drive, part, table, limits, progress, step, kept, works
 
 @non_allocating
 def next_step(limits, part, clock):  # type: ignore[no-untyped-def]
-    """Time at which the next step must end at the latest, s, the length that is wanted, and the length to take, s."""
+    """Latest end of the next step, s, its desired length and its length, s."""
     t = clock[T]
     end = min(part.end, limits.stop)
     if t < limits.until.after:
@@ -434,7 +434,7 @@ def watched(chain, until):  # type: ignore[no-untyped-def]
 
 @kernel
 def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: ignore[no-untyped-def]
-    """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
+    """Run until ``limits.stop`` or until the budget is spent; O(n) per step.
 
     Parameters
     ----------
@@ -446,8 +446,8 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
 
     Returns
     -------
-    int : OK, RUNNING (call again), REACHED (what ends the run), LIMIT (a joint is at its limit), or why it failed;
-        `progress` tells how far it came.
+    int : OK, RUNNING (call again), REACHED (the event that ends the run), LIMIT (a joint is at its limit), or the
+    failure; `progress` has the last state.
     """
     y, slip, clock = progress.y, progress.slip, progress.clock
     workspace = new_workspace(chain, base_size(drive))

@@ -11,37 +11,37 @@ from hyperflex.core.jit import kernel, non_allocating
 
 
 class StepSize(NamedTuple):
-    """Numbers of the step-size control of free flight."""
+    """Constants of the step-size control of free flight."""
 
-    # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
+    # s; the error of shorter steps is limited in proportion, so that a thousand of them do not add up unnoticed
     share: float = 0.02
-    # another order is taken where it costs less than this part of the work
+    # another order is used if its cost is below this fraction
     cheaper: float = 0.9
-    # 0.9 saves no time: it trades steps for rejected ones
+    # 0.9 saves no time, because more steps are rejected
     safety: float = 0.8
-    # times what an event left of the last step is the next one tried
+    # times the length of the step that ended at an event, tried next
     often: float = 2.2
-    # a step is at most so many times as long as the last one,
+    # largest ratio of a step's length to the last one,
     growth: float = 3.0
-    # and at least this part of it
+    # and smallest ratio
     shrinkage: float = 0.2
 
 
 STEP_SIZE: Final = StepSize()
 
-FIRST_STEP: Final = 0.01  # s, tried first; error control does the rest
+FIRST_STEP: Final = 0.01  # s, tried first
 LARGEST_STEP: Final = 0.25  # s
 LONGEST_WATCHED: Final = (
-    0.01  # s, longest step while something may end the run; what comes and goes within one may be missed
+    0.01  # s, longest step while an event may end the run; events that cancel within a step may be missed
 )
 SMALLEST_STEP: Final = 1e-10  # s
 
 
 @non_allocating
 def fitted(wanted, left):  # type: ignore[no-untyped-def]
-    """Length of a step, s, where `wanted` is good and `left` is left: all of it, half of it, or what is wanted.
+    """Length of a step, s, of desired length `wanted` with the time `left`: all of it, half of it, or `wanted`.
 
-    Two equal steps to an end are better than a good one and a stub.
+    Two equal steps to an end are better than a long and a very short one.
     """
     if wanted * (1.0 + 1e-9) >= left:
         return left
@@ -55,9 +55,9 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
     Parameters
     ----------
     step, size : float
-        Its length, s, and its error in units of what is allowed.
+        Its length, s, and its error in units of the allowed error.
     last, last_size : float
-        Of the step before; `last` is 0.0 where there is none of the same kind.
+        Of the previous step; `last` is 0.0 without a previous step of the same kind.
     order : int
         The error of a step of length h is proportional to h^order.
 
@@ -75,10 +75,10 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def by_trend(lower_size, lowest_size):  # type: ignore[no-untyped-def]
-    """Error of a step that its estimates at one and two orders less lead to expect.
+    """Expected error of a step from its estimates at one and two orders less.
 
-    They fall from order to order by a factor, and are expected to fall by it once more. An estimate much below that is
-    a chance: columns that all err by much agree there, as they may where the step is long for their series.
+    Errors fall by a factor from order to order, and are expected to fall by it once more. An estimate far below this is
+    a coincidence: columns with large errors agree, as they may if the step is too long for their series.
     """
     return lower_size * min(1.0, lower_size / lowest_size) if 0.0 < lowest_size < np.inf else 0.0
 
@@ -95,14 +95,14 @@ def cheapest(tables, least, most, order, step, lower_size, grown, longest):  # t
     order, step : int, float
         Of the last step, and its length, s.
     lower_size : float
-        The error that it would have made at an order less, in units of what is allowed.
+        Its error at one order less, in units of the allowed error.
     grown : float
         Good length of the next step at the same order, s.
 
     Notes
     -----
-    What an order more would have given is not known; it is tried where this order beats the one below by as much
-    (Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.9).
+    The error at one order more is unknown; this order is tried if the present one is better than the one below by as
+    much (Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.9).
     """
     here = order - tables[0].order
     rounds = tables[here].column.shape[0]
@@ -125,35 +125,35 @@ def shorter(step, size, order):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def allowed(tol, step, rounding):  # type: ignore[no-untyped-def]
-    """Error that a step may make, m: `tol`, and its share of that where it is short, but not less than rounding.
+    """Allowed error of a step, m: `tol`, for a short step its share of it, but not less than rounding.
 
-    Where stiff friction settles, steps of nanoseconds are tried. Their share is beyond the arithmetic, and shorter
-    ones would only make it smaller. `rounding` is ``Scheme.rounding``.
+    While stiff friction settles, steps of nanoseconds are tried. Their share is below rounding, and shorter ones would
+    only reduce it. `rounding` is ``Scheme.rounding``.
     """
     return max(tol * min(1.0, step / STEP_SIZE.share), min(tol, rounding))
 
 
 @non_allocating
 def is_rounding(size, tol, step, rounding):  # type: ignore[no-untyped-def]
-    """Whether a step's error, `size` in units of what is allowed, is rounding, and no measure for the length of steps.
+    """Whether a step's error, `size` in units of the allowed error, is rounding and says nothing about its length.
 
-    With a tight `tol` rounding is no small part of it. Short steps, as events leave them, would then stay short.
+    With a tight `tol`, rounding is a large part of it. Short steps, as after events, would then stay short.
     """
     return size * allowed(tol, step, rounding) <= rounding
 
 
 @non_allocating
 def lasting(step):  # type: ignore[no-untyped-def]
-    """Time, s, for which an error of a velocity counts: the geometric mean of the step and ``STEP_SIZE.share``.
+    """Time, s, for which a velocity error counts: the geometric mean of the step and ``STEP_SIZE.share``.
 
-    An error that lasts (a vibration) moves joints for `share` at least, however short the step; an error that friction
-    damps out counts for less than its step. Weighted by the step alone, a thousand short errors would add up unseen;
-    weighted by `share`, steps would have to resolve how friction settles.
+    A persistent error (a vibration) moves joints for at least `share`, for any step length; an error that friction
+    damps counts for less than its step. Weighted by the step alone, a thousand short errors would add up unnoticed;
+    weighted by `share`, steps would have to resolve the settling of friction.
     """
     return math.sqrt(step * max(step, STEP_SIZE.share))
 
 
-NEAR = 2.0  # substeps of the finest column from an end of a step, within which a kink goes unnoticed
+NEAR = 2.0  # substeps of the finest column from an end of a step, within which a kink is not detected
 
 
 @non_allocating
@@ -175,11 +175,11 @@ def across_ends(chain, y, base, trig, out):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
-    """Error of velocities, m/s, where drag changes its sense so near an end of a step that no column resolves it.
+    """Velocity error, m/s, if drag changes its sign so near an end of a step that no column resolves it.
 
-    The error estimate shows a kink amid the substeps of the finest column, which takes `order` a step. All columns take
-    a kink before the second substep or after the last one for smooth, and a kink beyond the next one barely shows. The
-    error of these is estimated here.
+    The error estimate detects a kink between the substeps of the finest column, which takes `order` substeps. A kink
+    before the second substep or after the last one is invisible to all columns, and one within the next substep nearly
+    so. This function estimates the error of these kinks.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
 
 @kernel
 def air_size(chain, drive, part, limits, table, t, step, y, workspace):  # type: ignore[no-untyped-def]
-    """Error of the step from y to ``workspace.out`` that the air makes unseen, in units of what is allowed."""
+    """Error of the step from y to ``workspace.out`` by undetected kinks of air drag, in units of the allowed one."""
     base, trig, ends = workspace.search.after, workspace.stiction.work, np.empty((2, 2, chain.length.size))
     for k in range(2):
         base_state(drive, part, min(t + k * step, part.end), base)

@@ -4,8 +4,8 @@ The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated.
 
 Dense output: a column that takes j substeps h = H / j has the states Y_j(t) = y(t) + h e_1(t) + h^2 e_2(t) + ... in the
 step, where all e_k are zero at its beginning (Hairer and Ostermann 1990, doi:10.1007/BF01386410). The p (p + 1) / 2
-substeps of the columns 1..p determine all terms in h^k (t - t_0)^m with k + m <= p, and so y(t) to the order of the
-step, at the cost of sums. Where that is not accurate enough, Hermite interpolation takes states and derivatives at the
+substeps of the columns 1..p determine all terms in h^k (t - t_0)^m with k + m <= p, and thus y(t) to the order of the
+step, at the cost of sums. If this is not accurate enough, Hermite interpolation uses states and derivatives at the
 beginning, middle and end of the step.
 """
 
@@ -22,13 +22,13 @@ from hyperflex.core.chain.drive import base_size, base_state, first_joint, write
 from hyperflex.core.jit import inlined, kernel, non_allocating, read, summing, write, zeros
 
 MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
-# Parts of the step at which the error is evaluated, where friction settles and in the middle, and its weight there:
-# where friction settles, estimates are half of the error. At most ERRORS, which ``rollout.error_norms`` takes
+# Fractions of the step at which the error is evaluated (where friction settles, and in the middle), and its weight:
+# while friction settles, estimates are half of the error. At most ERRORS, for ``rollout.error_norms``
 LOOKS = ((0.125, 2.0), (0.5, 1.0))
 
 
 def polynomials(order, column, done):  # type: ignore[no-untyped-def]
-    """Weights of the substeps as polynomials of the part of the step that has passed.
+    """Weights of the substeps as polynomials of the elapsed fraction of the step.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def polynomials(order, column, done):  # type: ignore[no-untyped-def]
 
     Returns
     -------
-    (order, rounds lanes) : row m - 1 holds the coefficients of part^m; the least that will do where there is a choice
+    (order, rounds lanes) : row m - 1 contains the coefficients of part^m; the smallest ones if they are not unique
     """
     used = column.ravel() > 0
     step = 1.0 / column.ravel()[used]
@@ -51,7 +51,7 @@ def polynomials(order, column, done):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def write_increments(lanes, j, y, out):  # type: ignore[no-untyped-def]
-    """Write what lane j has reached, less the state y (2 n + 2,) that the step began with, to ``out`` (2 n + 2,)."""
+    """Write the state of lane j minus the initial state y (2 n + 2,) of the step to ``out`` (2 n + 2,)."""
     k, n = len(ln.COLUMNS), (y.size - 2) // 2
     for i in range(n):
         q, w = read(lanes, k, (i + 1) * ln.ROW * k + j, (ln.Q, ln.W))
@@ -62,7 +62,7 @@ def write_increments(lanes, j, y, out):  # type: ignore[no-untyped-def]
 
 @summing
 def weigh_terms(terms, part, weight):  # type: ignore[no-untyped-def]
-    """Weights of the substeps where `part` of the step, 0..1, has passed, from their polynomials (p, ...)."""
+    """Weights of the substeps at the fraction `part` of the step, 0..1, from their polynomials (p, ...)."""
     weight[:] = 0.0
     for m in range(terms.shape[0] - 1, -1, -1):
         for s in range(weight.size):
@@ -75,7 +75,7 @@ def add_substeps(weight, kept, out):  # type: ignore[no-untyped-def]
 
     `weight` (s,): s is a multiple of 4 (of whole rounds), and at most the number of rows of `kept`.
     """
-    for s in range(0, weight.size, 4):  # four at once: `out` is read and written a quarter as often
+    for s in range(0, weight.size, 4):  # four at a time: `out` is read and written a quarter as often
         a, b, c, d = weight[s], weight[s + 1], weight[s + 2], weight[s + 3]
         for i in range(out.size):
             out[i] += (a * kept[s, i] + b * kept[s + 1, i]) + (c * kept[s + 2, i] + d * kept[s + 3, i])
@@ -87,8 +87,8 @@ def new_substeps(n):  # type: ignore[no-untyped-def]
     return zeros((MOST_SUBSTEPS, 2 * n + 2), MOST_SUBSTEPS)
 
 
-ROUNDING = 3e-16  # m, of a place a metre or two away
-ERRORS = 3  # estimates of a step's error, of successive orders: by their trend a chance agreement shows
+ROUNDING = 3e-16  # m, of a position of a metre or two
+ERRORS = 3  # estimates of a step's error, of successive orders: their trend reveals a coincidental agreement
 
 
 class Scheme(NamedTuple):
@@ -99,10 +99,10 @@ class Scheme(NamedTuple):
     done: npt.NDArray[np.int64]  # (rounds, lanes) substeps of that column taken before
     best: Array  # (p + 1,) weights of the columns in the result of order p
     gaps: (
-        Array  # (ERRORS, p + 1) in its difference to a result of order p - 1, the error estimate; then the same for the
+        Array  # (ERRORS, p + 1) in its difference to a result of order p - 1, the error estimate; then in those of the
     )
     # results of order p - 1 and p - 2 from the first p - 1 and p - 2 columns
-    rounding: float  # m, what the weights make of rounding errors in places some metres away
+    rounding: float  # m, effect of the weights on rounding errors of positions of a few metres
 
 
 def scheme(order: int) -> Scheme:
@@ -121,7 +121,7 @@ def scheme(order: int) -> Scheme:
 
 
 def _weights(first: int, last: int, order: int) -> Array:
-    """Weights (order + 1,) of columns first..last in the value that they extrapolate to (Neville's at step 0)."""
+    """Weights (order + 1,) of columns first..last in their extrapolated value (Neville's at step 0)."""
     weights = np.zeros(order + 1)
     for j in range(first, last + 1):
         weights[j] = math.prod(j / (j - k) for k in range(first, last + 1) if k != j)
@@ -129,9 +129,9 @@ def _weights(first: int, last: int, order: int) -> Array:
 
 
 def _packed(order: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Columns (rounds, lanes) in as few rounds as will do, and the substeps taken before.
+    """Columns (rounds, lanes) in as few rounds as possible, and the substeps taken before.
 
-    Each, the longest first, is where it fits best.
+    Each column, the longest first, is placed where it fits best.
     """
     lanes = len(ln.COLUMNS)
     rounds = max(order, -(-order * (order + 1) // 2 // lanes))
@@ -158,15 +158,15 @@ def _courses(most: int) -> tuple[Array, Array]:
     return course, errors
 
 
-MOST_ORDER = 8  # higher ones would outrun the polynomial between steps, and rounding
+MOST_ORDER = 8  # higher ones would exceed the accuracy of the polynomial between steps, and rounding
 COURSE, COURSE_ERRORS = _courses(MOST_ORDER)
 
 
 @inlined
 def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
-    """Make the lanes ready for a round: the state where a column begins, the base's motion, the step of each lane.
+    """Prepare the lanes for a round: the state at the start of a column, the base's motion, the step of each lane.
 
-    Arguments as for ``extrapolate``; `trig` holds the sines and cosines of the angles in `y`.
+    Arguments as for ``extrapolate``; `trig` contains the sines and cosines of the angles in `y`.
     """
     k, n = len(ln.COLUMNS), chain.length.size
     motion = np.empty(BASE_SIZE)
@@ -210,15 +210,15 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
 
     Parameters
     ----------
-    chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
-    y, out : (2 n + 2,) state, new state (out)
-    errors : (ERRORS, 2 n + 2) out, error estimates of the result, and of those that one and two orders less would have
-        given
-    kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`write_increments`); (0, ...) where they are not needed
-    lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
-    base, work : (base_size(drive), lanes), (6 n,) scratch
+    chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme y, out : (2 n + 2,) state, new
+    state (out) errors : (ERRORS, 2 n + 2) out, error estimates of the result, and of the results of one and two orders
+    less kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`write_increments`); (0, ...) if they are not needed
+    lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping base, work
+    : (base_size(drive), lanes), (6 n,) scratch
     """
-    assign(out, y)  # the weights, up to 389 in size, multiply increments, lest their rounding scales the state itself
+    assign(
+        out, y
+    )  # the weights, up to 389 in size, multiply increments, so that their rounding does not scale the state
     errors[:] = 0.0
     n = (y.size - 2) // 2
     sines(y[:n], work, 0)
@@ -295,8 +295,8 @@ def basis(order, theta, weight):  # type: ignore[no-untyped-def]
 def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
 
-    Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work
-    and dissipation follow one of degree 5. Not for the step behind a switch, where friction settles (docs/models.md).
+    Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work and
+    dissipation follow one of degree 5. Not for the step after a switch, in which friction settles (docs/models.md).
     """
     n = (ys.shape[1] - 2) // 2
     half = 0.5 * step

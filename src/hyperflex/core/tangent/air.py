@@ -1,8 +1,8 @@
 """Tangent of air drag, two directions at a time in SIMD lanes (M.33).
 
-They stand in lanes of their own, ``air``, laid out as those of ``chain.lanes``: row 0 is the first joint, rows 1..n are
-the links, row n + 1 is what lies beyond the tip, where nothing acts. A step leaves in them what all directions share;
-each direction's changes of angles and rates are copied in, and the changes of the torques on the links out.
+They use separate lanes, ``air``, with the layout of ``chain.lanes``: row 0 is the first joint, rows 1..n are the links,
+row n + 1 lies beyond the tip, where no force acts. A step stores the quantities common to all directions there; each
+direction's changes of angles and rates are copied in, and the changes of the torques on the links out.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ LINK = SIN, COS, LENGTH, W, DRAG = tuple(range(5))
 # force across it and moment, N and N m, for a unit of drag; integrals of ``drag_slopes``; velocity along the normal's
 # derivative, m/s; drag |v| v at the far joint, N/m
 SLOPES = FORCE, MOMENT, FIRST, SECOND, THIRD, SIDE, END = tuple(range(5, 12))
-# the air's force on all beyond the link, across it and along its normal's derivative, N
+# the air's force on the chain beyond the link, across it and along its normal's derivative, N
 BEYOND, ASIDE = range(12, 14)
 # velocity of the far joint, force on the link and all beyond it
 VX, VY, FX, FY = range(14, 18)
@@ -30,13 +30,13 @@ K = tg.K
 
 @kernel
 def new_air(chain):  # type: ignore[no-untyped-def]
-    """Lanes ((n + 2) ROW K,) for a chain; none where it has no drag."""
+    """Lanes ((n + 2) ROW K,) for a chain; none without drag."""
     return np.zeros((chain.length.size + 2) * ROW * K if chain.drag.any() else 0)
 
 
 @non_allocating
 def begin(lanes, base, air):  # type: ignore[no-untyped-def]
-    """Work out what all directions share from the lanes after ``tangent.step.prepare``; `base` (9, K) as there."""
+    """Compute what is common to all directions from the lanes after ``tangent.step.prepare``; `base` (9, K) as there."""
     n = air.size // (ROW * K) - 2
     for j in range(K):
         write(air, K, j, (VX, VY), (base[5, j], base[6, j]))
@@ -100,7 +100,7 @@ def inward(row, j, d, longer):  # type: ignore[no-untyped-def]
 def write_torques(lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 
-    Where inner joints have motors, RHS holds the changes of their torques before.
+    If inner joints have motors, RHS contains the changes of their torques on entry.
 
     Parameters
     ----------

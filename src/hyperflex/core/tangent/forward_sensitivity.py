@@ -1,11 +1,11 @@
 """Forward sensitivity of a recorded run along any directions: changes of chain, drive and base, outputs and events.
 
-The steps stay as they were, so the result is the derivative of the numbers that the run returned: each step keeps its
-length, except a step that ends at a switch, at an event or at an output whose time depends on a direction.
+The steps are unchanged, so the result is the derivative of the computed run: each step keeps its length, except a step
+that ends at a switch, at an event or at an output whose time depends on a direction.
 
-A stuck joint keeps its angle in every direction. A step that ends at an event is as long as the event's margin takes to
-fall to zero (``integrate.events``), so its length has a derivative: minus that of the margin over the margin's slope.
-The slope is the derivative along one more direction, the last but one, in which nothing changes but the step's length.
+A stuck joint keeps its angle in every direction. A step that ends at an event lasts until the event's margin is zero
+(``integrate.events``), so its length has a derivative: minus that of the margin over the margin's slope. The slope is
+the derivative along one more direction, the last but one, in which only the step's length changes.
 """
 
 from typing import NamedTuple
@@ -43,12 +43,12 @@ CHANGES = 10
 
 
 class Directions(NamedTuple):
-    """Changes of everything that a run depends on but its start; p = 2 b directions, in b pairs."""
+    """Changes of all inputs of a run except its start; p = 2 b directions, in b pairs."""
 
     links: Array  # (b, 2, n, SEEDS): of the links' parameters, see core/tangent/step.py
     whole: Array  # (p, 3): of tip mass, kg, and gravity, m/s^2
     parameters: npt.NDArray[np.bool_]  # (b,) whether links, or the torque on the first one, change
-    driven: npt.NDArray[np.int64]  # (p,) row of the following that changes the drive, -1: none does
+    driven: npt.NDArray[np.int64]  # (p,) row of the following arrays that changes the drive, -1: none
     breaks: Array  # (m, k + 1), s
     coef: Array  # (m, k, 4 or more, 6)
     arm: Array  # (m,) of the arm's length, m
@@ -83,7 +83,8 @@ def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-u
     t, shift : float, s, and its own change
     m : int, row of ``directions.breaks``, ``coef`` and ``arm``
     out : (CHANGES or more,) out: acceleration x, y (m/s^2); of the arm alpha (rad/s^2), rate, angle; motor torque
-        (N m); position x, y (m); velocity x, y (m/s); then, if there is room, torques on the links as in ``base_state``
+        (N m); position x, y (m); velocity x, y (m/s); then, if `out` is large enough, torques on the links as in
+        ``base_state``
     """
     j, s, still = within(drive, part, t)
     breaks = directions.breaks[m]
@@ -137,7 +138,7 @@ def place_changes(drive, directions, t, out):  # type: ignore[no-untyped-def]
 
 
 CELL = 4 * K  # a pair's numbers of one link in the lanes: angle and rate, two directions each
-START, NOW, SUM = 0, CELL, 2 * CELL  # the parts of what is kept of them
+START, NOW, SUM = 0, CELL, 2 * CELL  # the stored parts
 PARTS = 3
 
 
@@ -150,12 +151,12 @@ class TangentWorkspace(NamedTuple):
     work: Array  # (6 n,)
     errors: Array  # (ERRORS, 2 n + 2)
     store: Array  # (b, n PARTS CELL) derivatives in every lane: at the start of the step, now, summed over the columns
-    weight: Array  # (CELL,) of each lane's column in the sum, where it is complete
+    weight: Array  # (CELL,) weight of each lane's column in the sum, if it is complete
     anew: Array  # (CELL,) 1.0 where a lane begins a column, else 0.0
     shift: Array  # (p,) change of the time at which the step starts, s
     change: Array  # (p,) change of its length, s
-    stretch: Array  # (p,) the same as a part of its length
-    into: Array  # (K,) how far each lane is within the step, as a part of it
+    stretch: Array  # (p,) relative change of its length
+    into: Array  # (K,) elapsed fraction of the step in each lane
     when: Array  # (K,) time of each lane, s
     moved: Array  # (CHANGES or more,)
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives in time
@@ -215,13 +216,13 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
 
 @non_allocating
 def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
-    """Put the derivatives of a pair, `own` (n PARTS CELL,), into the lanes, from their start where a column begins."""
+    """Put the derivatives of a pair, `own` (n PARTS CELL,), into the lanes, initial ones where a column begins."""
     n = own.size // (PARTS * CELL)
     for i in range(n):
         cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
         kept = own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
         if begins:
-            for x in range(anew.size):  # a length that the compiler does not know: it would write a short loop out
+            for x in range(anew.size):  # a length unknown to the compiler, which would unroll a short loop
                 cell[x] = kept[NOW + x] + anew[x] * (kept[START + x] - kept[NOW + x])
         else:
             for x in range(CELL):
@@ -230,7 +231,7 @@ def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
-    """Take the derivatives of one pair out of the lanes, and add the columns that are complete to their sum."""
+    """Take the derivatives of one pair out of the lanes, and add the complete columns to their sum."""
     n = own.size // (PARTS * CELL)
     for i in range(n):
         cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
@@ -258,7 +259,7 @@ def set_start(values, store):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def sum_columns(store, values):  # type: ignore[no-untyped-def]
-    """Sum the lanes of the sums in `store` to derivatives (2 n, p), and set them back."""
+    """Add up the lanes of the sums in `store` to derivatives (2 n, p), and reset them."""
     n = values.shape[0] // 2
     for b in range(store.shape[0]):
         for i in range(n):
@@ -273,7 +274,7 @@ def sum_columns(store, values):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
-    """Work out what the pairs have in common, after a step of ``lanes.euler``."""
+    """Compute the quantities common to all pairs, after a step of ``lanes.euler``."""
     tg.prepare(reaction, lanes)
     if air.size > 0:
         dg.begin(lanes, base, air)
@@ -289,7 +290,7 @@ def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-
 
 @kernel
 def tangent_step(chain, drive, part, table, t, step, y, out, directions, result, workspace):  # type: ignore[no-untyped-def]
-    """One extrapolated step, as ``steps.extrapolate``, with the derivatives of its result.
+    """One extrapolated step, like ``steps.extrapolate``, with the derivatives of its result.
 
     Parameters
     ----------
@@ -298,14 +299,14 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
     y, out : (2 n + 2,) state before the step, and after it (out)
     result : (2 n, p) out, derivatives of the angles and rates after the step
     workspace : TangentWorkspace
-        ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
+        ``store`` contains the derivatives before the step, ``shift`` and ``change`` those of t and `step`
     """
     for x in range(workspace.stretch.size):
         workspace.stretch[x] = workspace.change[x] / step
     n = chain.length.size
     assign(out, y)
     sines(y[:n], workspace.work, 0)
-    # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
+    # by name: reading an array from a tuple within the loop over the pairs costs a third of the step
     lanes, store, anew, weight = workspace.lanes, workspace.store, workspace.anew, workspace.weight
     reaction = chain.reaction
     own, links, stretch, air = directions.parameters, directions.links, workspace.stretch, workspace.air
@@ -379,7 +380,7 @@ def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ign
     """Angles and rates (m, 2 n + 2) and derivatives (m, 2 n, p) at times t_out (m,) in a step from t, from the nodes.
 
     Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative. Not for
-    the step behind a switch, where friction settles (docs/models.md).
+    the step after a switch, in which friction settles (docs/models.md).
     """
     n, p, ys, dys = workspace.bends.shape[1], workspace.bends.shape[2], workspace.ys, workspace.dys
     half = 0.5 * step
@@ -394,7 +395,7 @@ def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ign
         for x in range(p):
             moving[m, x] = -(workspace.shift[x] + (theta + 1.0) * longer[x]) / half
     late = moving.any() or longer.any()
-    for i in range(n):  # all times of a link together: its nodes stay in the cache
+    for i in range(n):  # all times of one link at a time: its nodes stay in the cache
         for m in range(t_out.size):
             weight, dq, dw = weights[m], dy_out[m, i], dy_out[m, n + i]
             y_out[m, i] = weighed(weight[0], half, i, ys, dys)
@@ -430,7 +431,7 @@ def combine(weight, half, i, nodes, bends, dq, dw):  # type: ignore[no-untyped-d
 
 @non_allocating
 def add_time_shift(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no-untyped-def]
-    """Add what follows from the change of an output's place in its step, `moving` (p,), and of half the step (p,)."""
+    """Add the effects of changes of an output's position in its step, `moving` (p,), and of half the step (p,)."""
     n = (ys.shape[1] - 2) // 2
     speed, bend = weighed(weight[1], half, i, ys, dys), weighed(weight[2], half, i, ys, dys)
     grown = grown_w = 0.0
@@ -457,10 +458,10 @@ def write_within_step(chain, drive, part, table, t, step, y, t_out, directions, 
 
 
 def with_step_length(directions):  # type: ignore[no-untyped-def]
-    """Return Directions with one more pair, for :func:`event_sensitivity`: nothing changes but the length of steps."""
+    """Return Directions with one more pair, for :func:`event_sensitivity`: only the length of steps changes."""
     more = zip(directions, (1, 2, 1, 2, 1, 1, 1), strict=True)
     longer = Directions(*(np.concatenate([each, np.zeros((k, *each.shape[1:]), each.dtype)]) for each, k in more))
-    longer.driven[-2:] = directions.arm.size  # with the steps' ends the base moves
+    longer.driven[-2:] = directions.arm.size  # the base moves with the ends of the steps
     return longer
 
 
@@ -476,7 +477,7 @@ def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-un
 
 @non_allocating
 def project_stuck_tangent(slip, before, moved_before, moved, values):  # type: ignore[no-untyped-def]
-    """Project derivatives (2 n, p) onto stuck joints, as ``project_stuck`` does the state; `before` are earlier."""
+    """Project derivatives (2 n, p) onto stuck joints, like ``project_stuck`` the state; `before` are earlier ones."""
     n = slip.size
     for i in range(n):
         if slip[i] == 0.0:
@@ -491,7 +492,7 @@ def project_stuck_tangent(slip, before, moved_before, moved, values):  # type: i
 
 @non_allocating
 def stop_joints_tangent(slip, margin, moved, values):  # type: ignore[no-untyped-def]
-    """Give the rates' derivatives of joints that stick, or have just come to rest, those of their parents."""
+    """Set the rates' derivatives of joints that stick, or have just stopped, to those of their parents."""
     n = slip.size
     for i in range(n):
         if slip[i] == 0.0 or stops(margin, i):
@@ -509,7 +510,7 @@ def relative(values, row, i, x, moved, kind):  # type: ignore[no-untyped-def]
 def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace):  # type: ignore[no-untyped-def]
     """Derivatives (p,) of the margin of `joint` at the end of the step.
 
-    A stuck joint is at its limit where, let go, it would not accelerate: its margin is that acceleration.
+    A stuck joint is at its limit if, when released, it would not accelerate: its margin is this acceleration.
     """
     n = slip.size
     row, kind, values = n + joint, RATE, workspace.nodes[2]
@@ -534,7 +535,7 @@ def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, 
 
 @non_allocating
 def is_chatter(drive, part, t, step, y, slip, joint, workspace):  # type: ignore[no-untyped-def]
-    """Whether the event at the end of a step is but rounding: of a joint at rest, within a step that is too short."""
+    """Whether the event at the end of a step is only rounding: of a joint at rest, in a step that is too short."""
     n = slip.size
     base_state(drive, part, t, workspace.base_before)
     return step < STICTION.quick and at_rest(y[n + joint], y[n + joint - 1] if joint > 0 else workspace.base_before[3])
@@ -542,7 +543,7 @@ def is_chatter(drive, part, t, step, y, slip, joint, workspace):  # type: ignore
 
 @kernel
 def event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace):  # type: ignore[no-untyped-def]
-    """Let the step in ``workspace.nodes`` end where `joint` changes its mode; sets ``workspace.change``."""
+    """End the step in ``workspace.nodes`` at the change of the mode of `joint`; sets ``workspace.change``."""
     margin = margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace)
     set_start(values, workspace.store)  # where it was before
     slope, nodes = margin[-2], workspace.nodes[2]
@@ -576,7 +577,7 @@ def tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, direct
 
 @kernel
 def project_outputs(chain, drive, part, t, y, values, slip, t_out, directions, workspace, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """Hold stuck joints at outputs (m,) within a step from t, whose beginning is in `y` and `values`."""
+    """Hold stuck joints at outputs (m,) within a step from t, whose initial state is in `y` and `values`."""
     still = np.zeros_like(workspace.shift)
     base_state(drive, part, t, workspace.base_before)
     base_changes(drive, part, t, workspace.shift, directions, workspace.moves_before)
@@ -589,7 +590,7 @@ def project_outputs(chain, drive, part, t, y, values, slip, t_out, directions, w
 
 @non_allocating
 def write_end(chain, drive, part, t, y, slip, workspace, values, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """Write the state at the end of a step, and its derivatives at that very time, where the step's end moves too."""
+    """Write the state at the end of a step, and its derivatives at this fixed time if the step's end moves."""
     assign(y_out, y)
     assign_rows(dy_out, values)
     if workspace.shift.any():
@@ -614,19 +615,15 @@ def set_change(drive, part, t_new, stop, directions, workspace):  # type: ignore
 
 @kernel
 def forward_sensitivities(chain, drive, tables, steps, begin, start, directions, t_out, y_out, dy_out, halt):  # type: ignore[no-untyped-def]
-    """Go through a recorded run again; O(n p) a step.
+    """Replay a recorded run; O(n p) per step.
 
     Parameters
     ----------
-    chain, drive, directions : Chain, Drive, Directions
-    tables : tuple of Scheme, of successive orders
-    steps : (m, 3) or (m, 4 + n), as in ``rollout.Progress.log``
-    begin : float, s
-    start : (2 n, p) derivatives of angles and rates at `begin`; with stiction as of :func:`with_step_length`
-    t_out : (T,) increasing times, s
-    y_out : (T, 2 n + 2) out, angles and rates; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
-    dy_out : (T, 2 n, p) out, but for row 0
-    halt : (1,) another value than 0, set from another thread, ends it at the next step
+    chain, drive, directions : Chain, Drive, Directions tables : tuple of Scheme, of successive orders steps : (m, 3) or
+    (m, 4 + n), as in ``rollout.Progress.log`` begin : float, s start : (2 n, p) derivatives of angles and rates at
+    `begin`; with stiction as of :func:`with_step_length` t_out : (T,) increasing times, s y_out : (T, 2 n + 2) out,
+    angles and rates; row 0 holds the state at `begin` when called, and t_out[0] is `begin` dy_out : (T, 2 n, p) out,
+    except row 0 halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
     workspace = new_tangent_workspace(chain, drive, directions.parameters.size)
     sticks = steps.shape[1] > JOINT

@@ -1,11 +1,11 @@
 """Tangent of one linearly implicit Euler step, two directions at a time.
 
-A direction is a change of the state, of the parameters, of the base's motion or of the step's length. What follows
-from it to first order obeys the step's own equations with another right-hand side, (M.19)-(M.22), so the factors that
-the step has left in the lanes are used again: no sine, no division. The slots below are in the lanes' rows, in the
-place of what only whole rollouts need; two directions together make a loop body that is large enough for the compiler
-to turn into packed instructions (core/chain/lanes.py says more; tests/core/test_tangent.py checks it). As there, a
-quantity is at its slot times K from the offset of its row and lane, and at K more for the second direction.
+A direction is a change of the state, of the parameters, of the base's motion or of the step's length. Its first-order
+effect obeys the equations of the step with another right-hand side, (M.19)-(M.22), so the factors of the step in the
+lanes are reused: no sine, no division. The slots below are in the lanes' rows, in place of those that only whole
+rollouts use; two directions together make a loop body that is large enough for the compiler to use packed instructions
+(core/chain/lanes.py says more; tests/core/test_tangent.py checks it). As there, a quantity is at its slot times K from
+the offset of its row and lane, and at K more for the second direction.
 """
 
 from hyperflex.core import joint_law
@@ -19,8 +19,8 @@ DQ, DW, RHS, BX, BY, BETA = range(ln.Q_START, ln.Q_START + 12, 2)
 PX, PY, ALPHA = BX, BY, BETA
 # rate before the step, sine and cosine of the angle
 BEFORE, SIN, COS = range(DQ + 12, DQ + 15)
-# what multiplies the derivatives of angle and rate in the moment and in the force (M.21), in slots that are free
-# once a step is taken
+# factors of the derivatives of angle and rate in the moment and in the force (M.21), in slots that are free after a
+# step
 BY_STATE = BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.LOST, ln.WORK
 # the seeds of a direction for one link: changes of its parameters
 LENGTH, MASS, MA, INERTIA, VISCOUS, STIFFNESS, REST, DRY, DRAG = range(9)
@@ -40,7 +40,7 @@ def joint_motion(row, up, at, first):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def save_trig(lanes):  # type: ignore[no-untyped-def]
-    """Keep the sines and cosines that ``lanes.euler`` will overwrite; comes before it."""
+    """Keep the sines and cosines that ``lanes.euler`` will overwrite; called before it."""
     n = lanes.size // (ln.ROW * K) - 2
     for i in range(1, n + 1):
         row = lanes[i * ln.ROW * K : (i + 1) * ln.ROW * K]
@@ -50,7 +50,7 @@ def save_trig(lanes):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def prepare(reaction, lanes):  # type: ignore[no-untyped-def]
-    """Work out BEFORE and BY_Q to WY from what ``lanes.euler`` has left; once a step, for all directions."""
+    """Compute BEFORE and BY_Q to WY from the results of ``lanes.euler``; once per step, for all directions."""
     reaction_factor = len(reaction) - 1.0
     n = lanes.size // (ln.ROW * K) - 2
     for i in range(1, n + 1):
@@ -76,7 +76,7 @@ def prepare(reaction, lanes):  # type: ignore[no-untyped-def]
 
 @inlined
 def link_factors(row, at, down, reaction_factor):  # type: ignore[no-untyped-def]
-    """What multiplies the derivatives of a link's state and of the answer beyond it, (M.21)."""
+    """Factors of the derivatives of a link's state and of the response beyond it, (M.21)."""
     length, inv, h, sin, cos = read(row, K, at, (ln.LENGTH, ln.INV, ln.STEP, SIN, COS))
     nx, ny, joint = length * cos, length * sin, read(row, K, at, ln.JOINT)
     gx, gy, back = read(row, K, at, (ln.EX, ln.EY, ln.KD))
@@ -97,8 +97,8 @@ def link_factors(row, at, down, reaction_factor):  # type: ignore[no-untyped-def
 def link_sources(row, up, at, down, seed, bend, rate, external, reaction_factor):  # type: ignore[no-untyped-def]
     """Right-hand sides that stem from a change of parameters and of the step's length, (M.22).
 
-    `seed` holds the link's SEEDS and the relative change of the step, `external` is the change of the torque on the
-    link. Returns (moment, joint torque, the same back on the parent, force x, y).
+    `seed` contains the link's SEEDS and the relative change of the step, `external` is the change of the torque on the
+    link. Returns (moment, joint torque, its reaction on the parent, force x, y).
     """
     length, mass, ma, inertia, viscous, stiffness, rest, dry, stretch = seed
     sin, cos, w, far_x, far_y, alpha = read(row, K, at, (SIN, COS, BEFORE, *ln.MOTION))
@@ -119,7 +119,7 @@ def link_sources(row, up, at, down, seed, bend, rate, external, reaction_factor)
 
 @inlined
 def up_one(row, up, at, down, factors, source):  # type: ignore[no-untyped-def]
-    """One link and direction from tip to motor: the derivatives of the answer's constant terms.
+    """One link and direction from tip to motor: the derivatives of the constant terms of the response.
 
     `up`, `at`, `down`: offsets of this direction.
     """
@@ -128,7 +128,7 @@ def up_one(row, up, at, down, factors, source):  # type: ignore[no-untyped-def]
     (dq, dw), (dq_up, dw_up) = read(row, K, at, (DQ, DW)), read(row, K, up, (DQ, DW))
     turn, bend = dw - dw_up, stiffness * (dq - dq_up)
     bx, by, beta = read(row, K, down, (BX, BY, BETA))
-    early = by_q * dq + by_w * dw - slope * turn - bend + (moment + torque)  # what comes late enters last
+    early = by_q * dq + by_w * dw - slope * turn - bend + (moment + torque)  # the values available last enter last
     r = (early - beta) - (nx * bx + ny * by)
     bx, by = (bx - (qx * dq + wx * dw - fx)) + gx * r, (by - (qy * dq + wy * dw - fy)) + gy * r
     beta = (torque_back - slope_back * turn - bend) - back * r
@@ -163,15 +163,15 @@ def load_seed(links, i, stretch):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def step(reaction, sources, lanes, links, stretch):  # type: ignore[no-untyped-def]
-    """Derivatives of the step of ``lanes.euler`` for two directions; ``prepare`` comes first.
+    """Derivatives of the step of ``lanes.euler`` for two directions; call ``prepare`` first.
 
     Parameters
     ----------
-    reaction : as in Chain
-    sources : ALL, or STATE where nothing changes but state, base and tip mass: `links` and `stretch` are all zero then
-    lanes : ((n + 2) ROW K,) DQ and DW of the links are advanced in place. Row 0 holds what the base does: DQ, DW of its
-        angle and rate, PX, PY, ALPHA of its accelerations, and RHS, the change of the torque on link 0, N m; the last
-        row BX, BY of what hangs beyond the tip. With drag or motors in inner joints RHS of the links is the change of
+    reaction : as in Chain sources : ALL, or STATE if only state, base and tip mass change: then `links` and `stretch`
+    are zero lanes : ((n + 2) ROW K,) DQ and DW of the links are advanced in place. Row 0 contains the changes of the
+    base: DQ, DW of its angle and rate, PX, PY, ALPHA of its accelerations, and RHS, the change of the torque on link 0,
+    N m; the last row contains BX, BY of the tip mass. With drag or motors in inner joints RHS of the links is the
+    change of
         the air's torques, see ``tangent.air``, and of the motors'
     links : (2, n, SEEDS) changes of the links' parameters
     stretch : (2,) relative change of the step's length in every lane
