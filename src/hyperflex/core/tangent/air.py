@@ -36,7 +36,7 @@ def new_air(chain):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def begin(lanes, base, air):  # type: ignore[no-untyped-def]
-    """Compute what is common to all directions from the lanes after ``tangent.step.prepare``; `base` (9, K) as there."""
+    """Compute what all directions share from the lanes after ``tangent.step.prepare``; `base` (9, K) as there."""
     n = air.size // (ROW * K) - 2
     for j in range(K):
         write(air, K, j, (VX, VY), (base[5, j], base[6, j]))
