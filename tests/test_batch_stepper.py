@@ -172,7 +172,7 @@ def test_a_restart_that_is_refused_changes_nothing():
     assert stepper.restart(state, np.array([True, False, True])).q.shape == state.q.shape
 
 
-def test_a_stepper_that_was_pickled_goes_on_bit_for_bit():
+def test_a_stepper_that_was_pickled_continues_bit_for_bit():
     rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=12, radius=0.002, friction=1e-4)
     stepper = hf.BatchStepper(rope, members=3, arm=hf.Arm(0.1), threads=2)
     state = stepper.step(stepper.start(), [20.0, 10.0, -5.0], 0.05)

@@ -26,7 +26,7 @@ def test_half_a_line_is_cut_off_before_the_next(tmp_path, tail, kept):
     assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [*kept, 9]
 
 
-def test_rows_of_other_kernels_or_another_planner_are_told(capsys):
+def test_rows_of_other_kernels_or_another_planner_are_reported(capsys):
     rows = [{"kernels": SOURCE_HASH, "planner": log.planner()}, {"kernels": SOURCE_HASH}]
     log.told(rows)
     assert capsys.readouterr().err == ""

@@ -61,7 +61,7 @@ def test_the_arm_is_the_first_link():
     np.testing.assert_allclose(np.column_stack([one.arm_angle, one.q]), two.q, rtol=0, atol=1e-9)
 
 
-def test_a_stuck_joint_bears_what_its_motor_does_not_move():
+def test_a_stuck_joint_transmits_what_its_motor_does_not_move():
     """Below its dry friction a motor in the second joint moves nothing, and above it does."""
     rods = rope_of(TWO, dry_friction=[0.0, 0.05], gravity=(0.0, 0.0))
     for size, moves in ((0.049, False), (0.051, True)):

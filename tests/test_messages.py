@@ -47,7 +47,7 @@ def test_a_message_is_joined_of_its_parts():
         (lambda: hf.Ground(0.0, -1.0, friction=0.3), "It belongs in mu="),
     ],
 )
-def test_a_value_of_another_kind_says_how_the_right_one_is_made(call, advice):
+def test_the_error_for_a_wrong_type_states_how_to_make_the_right_one(call, advice):
     with pytest.raises(InvalidInput, match=advice):
         call()
 

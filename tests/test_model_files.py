@@ -44,7 +44,7 @@ def test_arrays_tell_the_number_of_links():
     assert setup.rope == hf.Rope(length=[0.1, 0.2], mass=[0.01, 0.02])
 
 
-def test_tables_of_a_planner_are_left_out():
+def test_tables_of_a_planner_are_omitted():
     planned = "[target]\nx = 0.6\ny = -1.1\nradius = 0.05\n[limits]\nspeed = 8.0\n[plan]\nseed = 1\n"
     assert hf.Setup.loads(TABLE + planned).dumps() == hf.Setup.loads(TABLE).dumps()
     refuses("does not know this key: got 'aim'", hf.Setup.loads, TABLE + "[aim]\nx = 0.6\n")

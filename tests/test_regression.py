@@ -156,7 +156,7 @@ def test_standard_deviations_are_those_of_repeated_noise():
     np.testing.assert_allclose(draws[0].std, spread, rtol=0.14)
 
 
-def test_samples_with_gaps_are_left_out():
+def test_samples_with_gaps_are_omitted():
     rope = hf.Rope.uniform(1.0, 0.01, N, inertia=2e-6, friction=5e-4)
     run = hf.simulate(rope, duration=3.0, q0=np.linspace(0.3, 0.9, N), tol=1e-9)
     q = run.q.copy()

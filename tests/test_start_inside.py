@@ -47,7 +47,7 @@ def test_a_start_that_touches_is_not(obstacle):
     assert RADIUS - obstacle_gaps([obstacle], joints[:-1], joints[1:]).min() < SHALLOW
 
 
-def test_a_run_goes_on_from_where_one_has_ended_however_deep(monkeypatch):
+def test_a_run_continues_from_where_one_has_ended_however_deep(monkeypatch):
     """A coarse run may leave a rope some millimetres deep; the same rope and obstacles go on, others start."""
     given = {"duration": 0.05, "pegs": [hf.Ground(0.0, -0.6 - RADIUS)], "refine": False}
     run = hf.simulate(ROPE, **given)

@@ -87,7 +87,7 @@ def test_steps_are_those_of_a_single_run(command, dry):
 
 
 @pytest.mark.parametrize("command", ["acceleration", "torque"])
-def test_beside_a_peg_a_run_in_steps_is_a_run(command):
+def test_near_a_peg_a_run_in_steps_is_a_run(command):
     """Contact steps are cut elsewhere: the two agree far within the accuracy of such steps, here 0.02 and 3 mm."""
     cable = rope(12, friction=2e-3)
     peg = hf.Peg(0.05, -0.5, 0.03, mu=0.3)
@@ -238,7 +238,7 @@ def test_a_step_depends_on_its_arguments_alone(command, dry):
         )
 
 
-def test_a_run_goes_on_in_steps_and_steps_in_a_run():
+def test_a_run_continues_in_steps_and_steps_in_a_run():
     cable, given = rope(), commands("acceleration", 12)
     whole = motion("acceleration", given)["motion"]
     run = hf.simulate(cable, whole, arm=ARM, duration=6 * DT, t_eval=[6 * DT])
@@ -289,7 +289,7 @@ def test_bad_input_is_refused():
     refuses("free flight", beside.linearize, beside.start(np.full(6, 1.2)), 0.0, DT)
 
 
-def test_a_step_that_fails_says_so_and_leaves_nothing_behind():
+def test_a_step_that_fails_reports_it_and_leaves_nothing_behind():
     stepper = hf.Stepper(rope(), arm=ARM)
     state = stepper.step(stepper.start(), 5.0, DT)
     want = stepper.step(state, 5.0, DT)
@@ -343,7 +343,7 @@ def pickled(both: Any) -> Any:
 
 @pytest.mark.parametrize("pegs", [(), (hf.Peg(0.1, -0.5, radius=0.03, mu=0.3),)], ids=["free", "peg"])
 @pytest.mark.parametrize("copied", [pickled, copy.deepcopy], ids=["pickle", "copy"])
-def test_a_stepper_that_was_pickled_or_copied_goes_on_bit_for_bit(copied, pegs):
+def test_a_stepper_that_was_pickled_or_copied_continues_bit_for_bit(copied, pegs):
     rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=12, radius=0.002, friction=1e-4)
     stepper = hf.Stepper(rope, arm=hf.Arm(0.1), pegs=pegs)
     state = stepper.start()

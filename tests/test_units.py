@@ -57,7 +57,7 @@ def test_limits_of_the_motor_belong_to_its_limits():
             plan(ROPE, hf.Arm(), None, **{name: 2.0})
 
 
-def test_a_run_goes_on_from_many_turns():
+def test_a_run_continues_from_many_turns():
     """As it ends after a long whirl; a start at rest is asked for its unit."""
     setup = hf.Setup(ROPE, arm=hf.Arm(), q0=np.full(10, 90.3), qd0=np.full(10, 12.0))
     assert setup.replace(duration=0.1).q0 is not None

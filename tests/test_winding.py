@@ -47,7 +47,7 @@ def test_a_set_up_with_pegs_survives_its_file(tmp_path):
     refuses("different numbers of pegs", hf.Setup.loads, one)
 
 
-def test_a_run_survives_its_file_and_goes_on(tmp_path):
+def test_a_run_survives_its_file_and_continues(tmp_path):
     run = hf.simulate(cable(n_links=20), duration=0.6, q0=np.full(20, 1.4), pegs=[PEG])
     run.to_netcdf(tmp_path / "run.nc")
     again = hf.read_trajectory(tmp_path / "run.nc")

@@ -76,7 +76,7 @@ def test_c4_r_rises_at_one_phase_over_the_top(reading):
 
 
 @pytest.mark.parametrize("reading", [r for r in READINGS if r.path == "under"], ids=lambda reading: reading.key)
-def test_c4_is_not_met_through_the_bottom_and_the_report_says_so(reading):
+def test_c4_is_not_met_through_the_bottom_and_the_report_reports_it(reading):
     # Through the bottom the phase wanders by half a cycle while the rope is pumped up: 0.45 and 0.51, nowhere near 0.9.
     # Should this ever rise above 0.7, the statement in the report and in the documentation is wrong and must change.
     claim = steady_step_phase(reading)

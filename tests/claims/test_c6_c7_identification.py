@@ -115,7 +115,7 @@ def test_free_initial_rates_tell_less_but_the_same():
     assert found.std["inertia"] > revised(WIDE).std["inertia"]
 
 
-def test_a_revision_of_fewer_samples_is_judged_by_all_of_them():
+def test_a_revision_of_fewer_samples_is_checked_by_all_of_them():
     found = revised(SMALL, 22)
     assert found.samples == 22 * 5
     assert whole_error(SMALL, found) > found.error

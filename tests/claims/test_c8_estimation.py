@@ -32,7 +32,7 @@ def test_c8_looking_and_simulating_take_less_than_they_look_ahead():
     assert "alpha = " in claim.note
 
 
-def test_ours_captures_all_and_is_as_exact_as_is_asked():
+def test_ours_captures_all_and_is_as_exact_as_is_required():
     """Asked: 3 mm at frames, 5 mm between, 2 % of speeds, 5 % of rates. Measured 1.5 mm, 2.4, 0.8 and 3.3 %."""
     found = followed("filter", DRAWN.seed).summary()
     assert found["captured"] >= 0.995

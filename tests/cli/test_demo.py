@@ -104,7 +104,7 @@ def test_the_prediction_is_near_the_noise(demo_report):
     assert found.angle_noise.mean() == pytest.approx(noise, rel=0.5)  # what the tracker says of itself
 
 
-def test_the_demo_ends_wound_and_held_and_its_page_says_so(demo_report):
+def test_the_demo_ends_wound_and_held_and_its_page_reports_it(demo_report):
     plan, held, path = demo_report.plan, demo_report.held, demo_report.files["page"]
     assert plan.success, plan.message
     assert abs(plan.outcome.turns) >= 1.25

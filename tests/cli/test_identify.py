@@ -56,7 +56,7 @@ def ended(monkeypatch):
     return end
 
 
-def test_a_long_table_of_ratios_is_cut_and_says_where_the_rest_is(hyperflex, swing, monkeypatch):
+def test_a_long_table_of_ratios_is_cut_and_reports_where_the_rest_is(hyperflex, swing, monkeypatch):
     """Five rows of each ratio, and 24 in all."""
     rows = [(f"r{k}/p1", str(link), "1", "0", "0 to 2", "") for k in range(6) for link in range(8)]
     table = report.TextTable(("ratio", "link", "value", "std", "95 % interval", "what it is"), tuple(rows))

@@ -30,7 +30,7 @@ def run_file(tmp_path_factory):
         ("A.PNG", b"\x89PNG"),
     ],
 )
-def test_the_suffix_says_what_is_written(hyperflex_json, run_file, tmp_path, name, begins):
+def test_the_suffix_reports_what_is_written(hyperflex_json, run_file, tmp_path, name, begins):
     short = ("--width", 100, "--speed", 4.0) if name.endswith(("gif", "mp4")) else ()
     code, told = hyperflex_json("plot", run_file, "-o", tmp_path / name, *short)
     assert (code, told["bytes"], told["start_s"], told["end_s"]) == (0, (tmp_path / name).stat().st_size, 0.0, 1.0)
@@ -38,7 +38,7 @@ def test_the_suffix_says_what_is_written(hyperflex_json, run_file, tmp_path, nam
 
 
 @pytest.mark.parametrize("name", ["a.html", "a.png"])
-def test_what_shows_an_interrupted_run_says_so(hyperflex_json, run_file, tmp_path, monkeypatch, name):
+def test_what_shows_an_interrupted_run_reports_it(hyperflex_json, run_file, tmp_path, monkeypatch, name):
     replace(hf.read_trajectory(run_file), status=Status.INTERRUPTED).to_netcdf(tmp_path / "part.nc")
     titles: list[str] = []
     to_html, plot = hf.Trajectory.to_html, hf.Trajectory.plot

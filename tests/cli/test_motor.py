@@ -22,7 +22,7 @@ def rope(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("rope")
-def test_check_says_what_is_possible_and_gives_limits(hyperflex):
+def test_check_reports_what_is_possible_and_gives_limits(hyperflex):
     code, out, _ = hyperflex("motor", "check", "--motor", "XL430-W250", "--rope", "rope.toml", "--json")
     found = json.loads(out)
     assert code == 4
@@ -74,7 +74,7 @@ def test_dry_run_opens_nothing(hyperflex, tmp_path):
     assert json.loads(out)["greatest_angle"] == pytest.approx(0.3)
 
 
-def test_the_strokes_are_small_unless_they_are_asked_for(hyperflex_json, tmp_path):
+def test_the_strokes_are_small_unless_they_are_requested(hyperflex_json, tmp_path):
     how = "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run", "--speed", 8
     angles = [hyperflex_json(*how, *more)[1]["greatest_angle"] for more in ((), ("--stroke", 1.5))]
     assert angles == pytest.approx([0.3, 1.5])
@@ -111,7 +111,7 @@ def test_a_quarter_turn_by_hand_shows_the_direction(hyperflex_json, tmp_path, mo
     assert DriveZero.from_toml(tmp_path / "zero.toml").direction == -direction
 
 
-def test_a_fault_is_cleared_only_if_that_is_asked_for(refused, hyperflex, tmp_path, monkeypatch):
+def test_a_fault_is_cleared_only_if_that_is_requested(refused, hyperflex, tmp_path, monkeypatch):
     link = FakeLink(4.0, fault="over temperature (38)")
     monkeypatch.setattr(execution, "open_drive", lambda *_, **__: Drive(link, hf.MotorLimits()))
     how = "motor", "zero", "--motor", "moteus:/dev/ttyACM0", "-o", tmp_path / "zero.toml", "--direction", 1

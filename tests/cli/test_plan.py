@@ -317,7 +317,7 @@ def test_a_plan_for_the_nearest_target_is_written(hyperflex, given, ready, tmp_p
 
 
 @pytest.mark.parametrize("identified", [False, True])
-def test_a_robust_plan_says_how_often_it_succeeds(hyperflex, hyperflex_json, given, ready, tmp_path, identified):
+def test_a_robust_plan_reports_how_often_it_succeeds(hyperflex, hyperflex_json, given, ready, tmp_path, identified):
     """With the covariance that identify left in the rope's file, or a typical one."""
     chance, out, words = SuccessProbability(30, 40), tmp_path / "out", given("cast", "--robust")
     asked = ready("cast", planned(winds=False), success_probability=chance)
@@ -518,13 +518,13 @@ def test_targets_of_a_map_are_like_the_first_peg_and_the_rest_are_obstacles(hype
     assert (found.radius, found.mu, criteria.contact, criteria.turns, criteria.settle) == (0.4, 0.1, 6.28, 0.75, 2.5)
 
 
-def test_a_map_says_where_its_time_was_short():
+def test_a_map_reports_where_its_time_was_short():
     whole = hf.build_reach_map(CABLE, hf.Arm(length=0.105), grid=planning.TargetGrid(x=[2.2, 2.4], y=[0.0]))
     short = replace(whole, status=np.array([[2, 1]]), time_budget=0.5)
     assert repr(short) == "ReachMap(2 targets, 1 feasible, 0 wound, 1 not found within 0.5 s: more time may wind them)"
 
 
-def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, posts, monkeypatch):
+def test_an_interrupt_leaves_the_map_so_far_and_reports_it(hyperflex_json, posts, monkeypatch):
     whole = hf.build_reach_map(CABLE, hf.Arm(length=0.105), grid=planning.TargetGrid(x=[2.2, 2.4], y=[0.0]))
 
     def stopped(*_, **__):

@@ -104,7 +104,7 @@ print(ask(Dialogue(QUESTIONS, {}, prepared, inside), np.zeros((36, 64, 3), np.ui
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_a_terminal_is_asked():
+def test_a_terminal_is_required():
     import pty
 
     master, slave = pty.openpty()

@@ -144,7 +144,7 @@ def test_learning_keeps_to_the_drives_limits(hyperflex, plan, drive, tmp_path, m
     assert seen == [(limits, 10)]
 
 
-def test_a_drive_that_was_tried_at_less_speed_than_the_plans_is_said(drive):
+def test_a_drive_that_was_tried_at_less_speed_than_the_plans_is_reported(drive):
     fit = DriveFit.from_toml(drive)
     replace(fit, values={"lag": 0.025}, intervals={"lag": (0.024, 0.026)}, reached=(1.0, 80.0)).to_toml(drive)
     with pytest.warns(UserWarning, match="shows nothing above 1 rad/s, and the plan reaches"):

@@ -109,7 +109,7 @@ def test_errors_are_one_line_or_one_json_object_and_leave_nothing(
 
 
 @pytest.mark.parametrize("samples", [None, 0, 20])
-def test_ctrl_c_keeps_what_was_simulated_under_a_name_that_says_so(
+def test_ctrl_c_keeps_what_was_simulated_under_a_name_that_reports_it(
     hyperflex_json, setup, tmp_path, monkeypatch, samples
 ):
     whole = hf.simulate(setup)
@@ -137,7 +137,7 @@ def test_the_end_of_the_time_keeps_what_was_simulated(hyperflex_json, setup, tmp
     assert (kept.status, kept.t[-1] > 0.0, (tmp_path / "cast.nc").exists()) == ("out of time", True, False)
 
 
-def test_ctrl_c_after_the_run_says_that_it_is_written(hyperflex_json, setup, tmp_path, monkeypatch):
+def test_ctrl_c_after_the_run_reports_that_it_is_written(hyperflex_json, setup, tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
@@ -176,7 +176,7 @@ def test_the_default_duration_is_reported(hyperflex, setup):
     assert "no duration" not in hyperflex(*CALL)[2]
 
 
-def test_a_set_up_in_which_nothing_moves_says_so(hyperflex, setup):
+def test_a_set_up_in_which_nothing_moves_reports_it(hyperflex, setup):
     assert "at rest" not in hyperflex(*CALL)[1]
     setup.rope.to_toml("rope.toml")
     assert "the rope hangs from a point at rest" in hyperflex("simulate", "rope.toml", "-o", "still.nc")[1]

@@ -199,7 +199,7 @@ def test_options_that_cannot_be(refused, folder, tmp_path, command, options, mes
     assert not (tmp_path / "out.nc").exists()
 
 
-def test_what_was_never_seen_and_what_was_estimated_is_said(hyperflex, folder, tmp_path):
+def test_what_was_never_seen_and_what_was_estimated_is_reported(hyperflex, folder, tmp_path):
     arguments = words(
         "track", folder / "swing.mp4", folder, tmp_path / "out.nc", "--estimate", "scale=0.02,length=0.02"
     )
@@ -233,7 +233,7 @@ def test_a_wrong_scale_is_refused_or_admitted(hyperflex, folder, tmp_path, scale
         assert "check the camera's scale" in " ".join(result["notes"])
 
 
-def test_a_rope_that_begins_elsewhere_is_said_in_the_first_line(hyperflex, folder, tmp_path):
+def test_a_rope_that_begins_elsewhere_is_reported_in_the_first_line(hyperflex, folder, tmp_path):
     """The origin is 0.5 m above the hook, as the axis of an arm: each marker would be taken for one two places off.
 
     Places are then from that origin.
@@ -327,7 +327,7 @@ def test_a_video_of_bars_becomes_angles(hyperflex, pendulum):
         assert len(list(video)) == said["frames"]
 
 
-def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, pendulum, tmp_path, monkeypatch):
+def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_reports_it(hyperflex, pendulum, tmp_path, monkeypatch):
     @contextmanager
     def hit_at_frame_8():
         def said(words):
@@ -364,7 +364,7 @@ def test_ctrl_c_in_a_second_pass_leaves_the_first_under_its_name(hyperflex_json,
         ([], "a rope with markers needs more"),
     ],
 )
-def test_what_bars_lack_is_said(refused, tmp_path, options, message):
+def test_what_bars_lack_is_reported(refused, tmp_path, options, message):
     filmed(tmp_path / "pendulum.mp4", duration=0.2)
     assert message in refused("track", tmp_path / "pendulum.mp4", *options, "-o", tmp_path / "angles.nc")
     assert not (tmp_path / "angles.nc").exists()

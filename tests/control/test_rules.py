@@ -57,7 +57,7 @@ def test_the_papers_rule_starts_that_long_before_the_crossing(lead):
         assert swung.starts[k] == pytest.approx(max(came, resting.event[1] - lead), abs=1e-3)
 
 
-def test_foreseen_reach_is_that_of_a_run():
+def test_predicted_reach_is_that_of_a_run():
     now = RopeState(0.0, np.zeros(6), np.zeros(6))
     t, foreseen = MODEL.predict(now, 0, [[0.0, 0.2], [0.1, 0.4]], 1.6)
     for row, rests in zip(foreseen, ([0.0, 0.2], [0.1, 0.4]), strict=True):
@@ -109,7 +109,7 @@ def test_a_plan_is_followed_where_nothing_disturbs(recheck_time):
 
 
 @pytest.mark.parametrize("planned", [True, False])
-def test_looking_again_within_a_rest_does_not_start_it_anew(planned, monkeypatch):
+def test_looking_again_within_a_rest_does_not_start_it_again(planned, monkeypatch):
     monkeypatch.setattr(PumpingRule, "_choose", lambda *_: None)  # what was decided stands, so looks must not matter
     plan = [0.35, 0.2, 0.4]
     for again in (math.inf, 0.1):

@@ -18,7 +18,7 @@ def camera(**changed) -> SimulatedCamera:
     return SimulatedCamera(TrueState(ROPE, ARM), rope, ARM, **settings)
 
 
-def test_the_truth_is_the_simulation_though_it_is_asked_in_pieces():
+def test_the_truth_is_the_simulation_though_it_is_required_in_pieces():
     source = TrueState(ROPE, ARM, tol=1e-8)
     # Later half turns are not known when the first states are asked for.
     states = [source.state(t, MOTION if t > 0.9 else hf.arm_strokes([0.0])) for t in (0.4, 0.8, 1.3, 1.31)]

@@ -166,7 +166,7 @@ def test_the_arm_drags_the_first_joint_by_its_friction():
     assert tilt_of(held.simulate(0.5)) == pytest.approx(held.tilt, rel=0.003)
 
 
-def test_it_says_where_averaging_does_not_hold():
+def test_it_reports_where_averaging_does_not_hold():
     """A strong and slow vibration: what is averaged away is as large as what remains."""
     slow = hf.vibration_posture(ROD, 0.2, 4.0, 1.8)[0]
     assert not slow.holds

@@ -84,7 +84,7 @@ def test_an_edit_recompiles_also_what_calls_the_edited_kernel(package, tmp_path)
 
 
 @pytest.mark.nightly
-def test_what_is_said_on_compiling_goes_by_what_is_there(package, tmp_path):
+def test_what_is_reported_on_compiling_goes_by_what_is_there(package, tmp_path):
     def told():
         err = start(package, tmp_path / "cache").communicate()[1]
         return [line for line in err.splitlines() if line.startswith("hyperflex: compiling")]
@@ -135,7 +135,7 @@ def test_a_bit_that_flipped_anywhere_is_noticed(package, tmp_path):
 
 
 @pytest.mark.nightly
-def test_files_that_are_missing_are_made_again_and_it_is_said(package, tmp_path):
+def test_files_that_are_missing_are_made_again_and_it_is_reported(package, tmp_path):
     root = tmp_path / "cache"
     assert run(package, root) == ALL
     for file in root.rglob("*scaled-*.nbc"):
@@ -194,7 +194,7 @@ def test_a_cache_that_is_removed_at_work_is_made_again(package, tmp_path):
 
 
 @pytest.mark.parametrize("what", ["a file where a folder should be", "full"])
-def test_where_nothing_can_be_kept_it_is_said_once(package, tmp_path, what):
+def test_where_nothing_can_be_kept_it_is_reported_once(package, tmp_path, what):
     root = tmp_path / "cache"
     if what == "full":
         root.mkdir()

@@ -93,7 +93,7 @@ def test_arms_keep_to_the_motors_limits():
     refuses("half turns", hyperflex.envs.SwingEnv, action="timing", limits=limits)
 
 
-def test_half_turns_begin_when_asked_and_end_on_the_other_side():
+def test_half_turns_begin_when_requested_and_end_on_the_other_side():
     env = hyperflex.envs.SwingEnv(action="timing")
     env.reset(seed=0)
     half = env.members.actuator.half

@@ -63,7 +63,7 @@ def test_nothing_has_changed():
         assert found.changes == []
 
 
-def test_the_rate_of_false_alarms_is_what_was_asked_for():
+def test_the_rate_of_false_alarms_is_what_was_requested():
     """White innovations, 1.5 s between alarms asked for: at most as many, by Bonferroni's bound, but not none."""
     cable, rng = rope(6), np.random.default_rng(0)
     interval, dt, frames, count = 1.5, 1 / 30, 3000, 0
@@ -124,7 +124,7 @@ def swaying(t: float, places: Array) -> Array:
 @pytest.mark.parametrize("view", [tilted, swaying])
 @pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
 @pytest.mark.nightly
-def test_motion_out_of_the_plane_is_told(view, moved):
+def test_motion_out_of_the_plane_is_reported(view, moved):
     """Within 5 s; runs in their plane say nothing (above)."""
     truth = disturbed(moved=moved, duration=5.5, at=1.0)
     found = track(truth, frames=30.0, moved=moved, view=view, tests=ChangeTests())

@@ -80,7 +80,7 @@ def test_starts_with_a_wrong_length(frames):
 
 
 @pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
-def test_joint_friction_beside_its_bound(moved):
+def test_joint_friction_near_its_bound(moved):
     """No estimate is surer than the Cramer-Rao bound; this one, which has to allow for disturbances, nearly so."""
     truth = disturbed(moved=moved, n=25, duration=5.2, at=0.1)
     bound = friction_bound(truth, moved, 1.5e-3)

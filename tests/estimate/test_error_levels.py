@@ -49,7 +49,7 @@ def test_the_noise_of_the_markers_is_found(true, ratio):
     assert 0.92 < inside(errors, noise) < 0.98
 
 
-def test_errors_that_count_less_are_told_over_those_of_detection(true):
+def test_errors_that_count_less_are_reported_over_those_of_detection(true):
     """States are less well determined where errors count less, which adds a seventh."""
     times, places = true
     errors = found(times, places + DECLARED * np.random.default_rng(1).normal(size=places.shape), alike=8.0)
@@ -90,7 +90,7 @@ def test_a_swing_out_of_the_plane_is_stated_across_the_rope_too(true):
     assert np.sqrt(np.mean(std**2)) < 2.0 * np.sqrt(np.mean(noise**2))
 
 
-def test_a_shaking_camera_is_told_from_the_markers_and_from_the_rope(true):
+def test_a_shaking_camera_is_distinguished_from_the_markers_and_from_the_rope(true):
     """The motion of all markers together is found to 20 %: 150 numbers tell a standard deviation to 6 %."""
     times, places = true
     rng = np.random.default_rng(3)

@@ -140,7 +140,7 @@ def test_what_half_of_a_frame_says_is_not_believed_at_once(seen, false):
     np.testing.assert_array_equal(np.flatnonzero(tracker.used), [k for k in seen if k not in false])
 
 
-def test_a_wrong_state_is_told_from_wrong_places():
+def test_a_wrong_state_is_distinguished_from_wrong_places():
     """Where most of three places and more are off, it is the state; one or two are believed when they stay."""
     wide, near, far = np.tile(np.eye(2), (4, 1, 1)), [0.5, 0.5], [30.0, 0.0]
     hidden = [np.nan, np.nan]
@@ -173,7 +173,7 @@ def test_bad_input():
     refuses("two frames are of one time", horizon.update, Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
 
 
-def test_places_where_no_rope_is_are_left_out():
+def test_places_where_no_rope_is_are_omitted():
     tracker = swinging(0.5)
     assert tracker.t is not None
     for k in range(1, 4):
@@ -208,7 +208,7 @@ def swinging(seconds: float, **options: object) -> RopeFilter:
     return tracker
 
 
-def test_what_is_foretold_does_not_depend_on_its_steps():
+def test_what_is_predicted_does_not_depend_on_its_steps():
     """Two seconds at once, by `predict` and by `state_at`, and in steps of a frame: the same, and as sure."""
     one, many = swinging(1.5), swinging(1.5)
     assert one.t is not None
@@ -223,7 +223,7 @@ def test_what_is_foretold_does_not_depend_on_its_steps():
     assert np.linalg.eigvalsh(ahead.covariance)[0] > 0.0
 
 
-def test_what_a_covariance_leaves_out_is_stated():
+def test_what_a_covariance_omits_is_stated():
     """The state now and the one foretold for now are one; a parameter that is known well is still there."""
     tracker = swinging(1.5, parameters=[EstimatedParameter("offset_x", 100.0)])
     assert tracker.t is not None

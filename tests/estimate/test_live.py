@@ -114,7 +114,7 @@ def test_every_frame_has_an_estimate(video, pictures):
     assert all(0.0 < each.tip_std < 0.02 for each in found[10:])
 
 
-def test_the_rope_is_looked_for_only_when_that_is_allowed(video):
+def test_the_rope_is_searched_only_when_that_is_allowed(video):
     """An arm whose motion is not known yet: its rope may be anywhere."""
     allowed = itertools.chain([False] * 5, itertools.repeat(True))
     with open_frames(str(video[0])) as frames:
@@ -123,7 +123,7 @@ def test_the_rope_is_looked_for_only_when_that_is_allowed(video):
     assert found == [False] * 5 + [True] * 5
 
 
-def test_a_stall_is_said_and_bridged(video, pictures):
+def test_a_stall_is_reported_and_bridged(video, pictures):
     """Half a second and more without a frame: estimates go on, older and less sure; then frames come again."""
     source = Scripted(*pictures[:10], 0.8, *[Frame(f.time + 0.8, f.image, f.index) for f in pictures[33:36]])
     found = watched(video, source, 0.05)
@@ -139,7 +139,7 @@ def test_a_stall_is_said_and_bridged(video, pictures):
     assert source.closed
 
 
-def test_dropped_frames_and_another_size_are_said(video, pictures):
+def test_dropped_frames_and_another_size_are_reported(video, pictures):
     small = [Frame(each.time, np.zeros((240, 320, 3), np.uint8), each.index) for each in pictures]
     source = Scripted(*pictures[:8], *pictures[11:14], *small[14:17], *pictures[17:20])
     found = watched(video, source)
@@ -188,7 +188,7 @@ def test_a_live_source_is_opened_again(video, pictures):
     assert "could not be opened again within 1 s" in str(frames.ended)
 
 
-def test_time_goes_on_where_a_source_begins_its_stamps_anew(video, pictures):
+def test_time_continues_if_a_source_restarts_its_stamps(video, pictures):
     """A camera that was opened again: its stamps begin at 0, the frames' times go on, and the rope is found anew.
 
     A busy machine may take no frame of an opening, or give a prediction before a frame that is late.
@@ -260,7 +260,7 @@ def test_a_live_source_gives_the_newest(pictures):
         source.give(1)
 
 
-def test_frames_that_wait_are_worked_off_unless_as_many_come(pictures, monkeypatch):
+def test_frames_that_wait_are_processed_later_unless_as_many_come(pictures, monkeypatch):
     """Of 9 frames 4 wait, the newest in the place of the last one. Then each one that is taken is followed by one."""
     monkeypatch.setattr(FrameThread, "KEPT", 4 * pictures[0].image.nbytes)
     source = Stepped(*pictures[:15])
@@ -275,7 +275,7 @@ def test_frames_that_wait_are_worked_off_unless_as_many_come(pictures, monkeypat
     assert [(each.frame.index, each.missed) for each in taken] == [(0, 0), (1, 0), (2, 0), (8, 5), (12, 3), (13, 0)]
 
 
-def test_a_second_search_while_frames_are_worked_off_keeps_no_more(pictures):
+def test_a_second_search_while_frames_are_processed_later_keeps_no_more(pictures):
     """Of 8 frames that wait, the fourth is searched, while 6 come, and the last one: the newest follows."""
     source = Stepped(*pictures[:17])
     with source.opening() as frames:
@@ -318,7 +318,7 @@ def test_a_plain_rope_that_moves_is_followed_from_its_first_picture_on(monkeypat
     assert off[6:].max() < 0.01  # m, a pixel
 
 
-def test_a_driver_that_fails_is_told(pictures):
+def test_a_driver_that_fails_is_reported(pictures):
     with FrameThread(lambda: Scripted(pictures[0], RuntimeError("cable")), live=False) as frames:
         assert frames.take(5.0) is not None
         assert frames.take(5.0) is None
@@ -440,7 +440,7 @@ def test_a_change_reaches_the_reader(video, tmp_path):
 
 
 @pytest.mark.nightly
-def test_a_killed_estimator_is_told_and_replaced(source):
+def test_a_killed_estimator_is_reported_and_replaced(source):
     source.wait_until_found(30.0)
     first = source.pid
     assert first is not None
@@ -455,7 +455,7 @@ def test_a_killed_estimator_is_told_and_replaced(source):
 
 
 @pytest.mark.nightly
-def test_a_stopped_estimator_is_told(source):
+def test_a_stopped_estimator_is_reported(source):
     source.wait_until_found(30.0)
     assert source.pid is not None
     os.kill(source.pid, signal.SIGSTOP)
@@ -479,14 +479,14 @@ def test_a_search_may_take_longer_than_a_stall(video, monkeypatch):
         source.wait_until_found(0.01)
 
 
-def test_a_video_that_ends_is_told(video):
+def test_a_video_that_ends_is_reported(video):
     with CameraStateSource(str(video[0]), task(video), longest=20.0, stalled=20.0) as source:  # busy machines are slow
         source.wait_until_found(30.0)
         with pytest.raises(EstimatorLost, match="No more frames come: the source ended"):
             ask(source, 20.0)
 
 
-def test_an_estimator_that_cannot_begin_says_why(video, tmp_path):
+def test_an_estimator_that_cannot_begin_reports_why(video, tmp_path):
     source = CameraStateSource(str(tmp_path / "none.mp4"), task(video))
     with pytest.raises(EstimatorLost, match="did not start: There is no video"), source:
         pass

@@ -89,7 +89,7 @@ def test_a_wrong_explanation_is_given_up():
     assert tracker.measurement_noise.value < 3.0
 
 
-def test_the_horizon_is_as_long_as_asked():
+def test_the_horizon_has_the_requested_length():
     run, tracker = spin(1), horizon()
     assert tracker.smoothed == ()
     assert tracker.horizon is None

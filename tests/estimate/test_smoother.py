@@ -81,7 +81,7 @@ def test_linear_smoother_with_a_singular_prior():
     np.testing.assert_allclose(x, found[-1].mean, atol=1e-10 * largest)
 
 
-def test_what_the_first_frame_told_goes_on():
+def test_results_of_the_first_frame_are_kept():
     """The prior of the second frame in place of the first frame: the same smoothed states from there on."""
     mean, rows, steps, measurements = linear_problem(2, 3)
     whole = smooth_linear(mean, rows, steps, measurements)

@@ -32,7 +32,7 @@ def test_update_keeps_what_is_left_of_a_wide_prior():
     np.testing.assert_allclose(after.T @ after, np.linalg.inv(H.T @ H), rtol=1e-6)
 
 
-def test_what_is_left_out_is_below_what_may_be():
+def test_the_omitted_part_is_below_the_allowed_error():
     rng = np.random.default_rng(1)
     least = np.array([1e-3] * 20 + [1e-1] * 20)
     sizes = np.logspace(0.0, -9.0, 40)

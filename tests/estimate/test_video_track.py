@@ -132,7 +132,7 @@ def test_times_are_earlier_by_the_delay_that_is_found(swing):
     assert "does not determine delay" in " ".join(late.notes)
 
 
-def test_lengths_are_said_for_the_rope_and_leave_places_alone(swing):
+def test_lengths_are_reported_for_the_rope_and_do_not_change_positions(swing):
     """The rope is 2 % longer than declared, and its third marker 2 cm further up."""
     arcs = ARCS / 1.02
     arcs[2] += 0.02

@@ -148,7 +148,7 @@ def test_what_mujoco_cannot_say_is_refused_by_name(rope, others, named, tmp_path
     assert not (tmp_path / "rope.xml").exists()
 
 
-def test_what_is_softer_in_mujoco_is_told(tmp_path):
+def test_softer_laws_of_mujoco_are_reported(tmp_path):
     pegs = [hf.Peg(0.02, -0.5, 0.05, mu=0.4), hf.Ground(0.0, -0.9, mu=0.2)]
     setup = hf.Setup(ROPE.replace(dry_friction=1e-4, max_bend=[np.inf, 0.5, 0.6, 0.7], rest_angle=0.1), pegs=pegs)
     with pytest.warns(UserWarning, match="soft") as told:

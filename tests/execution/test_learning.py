@@ -91,7 +91,7 @@ def test_each_cast_gets_the_plan_with_the_next_moves_and_the_rope_as_it_is_known
 
 
 @pytest.mark.parametrize("parameters", [True, False])
-def test_the_next_cast_goes_on_from_the_states_that_were_measured_at_rests(replanned, parameters):
+def test_the_next_cast_continues_from_the_states_that_were_measured_at_rests(replanned, parameters):
     """An arm that is longer by a tenth than the model's, which nothing that is learned of the rope explains."""
     twin, prior = Twin(arm=hf.Arm(length=0.11)), [EstimatedParameter("friction", 0.2)]
     done = learn_cast(PLAN, twin, attempts=1, options=replace(OPTIONS, parameters=parameters, prior=prior))
@@ -159,7 +159,7 @@ def check_kept(done: LearningResult, status: Status) -> None:
     assert not np.array_equal(done.moves.parameters, MOVES.parameters)
 
 
-def test_a_log_with_too_little_data_says_so_and_changes_nothing():
+def test_a_log_with_too_little_data_reports_it_and_changes_nothing():
     def carry_out(cast: CastPlan) -> CastLog:
         log = Twin()(cast)
         data = log.recording.data.copy()
@@ -174,7 +174,7 @@ def test_a_log_with_too_little_data_says_so_and_changes_nothing():
     assert str(done.attempts[0]) == expected
 
 
-def test_a_filter_that_fails_changes_nothing_and_says_so(monkeypatch):
+def test_a_filter_that_fails_changes_nothing_and_reports_it(monkeypatch):
     def fail(*_: object) -> None:
         raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=0.1)
 

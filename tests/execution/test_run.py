@@ -126,7 +126,7 @@ def test_a_rope_that_is_still_wound_is_not_pulled(tmp_path: Path) -> None:
     assert (tmp_path / "notes").read_text().split() == ["open", "closed"]
 
 
-def test_a_person_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(tmp_path: Path) -> None:
+def test_the_user_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(tmp_path: Path) -> None:
     said = list[str]()
 
     def ask() -> None:
@@ -147,7 +147,7 @@ def test_an_arm_that_is_held_by_a_torque_of_the_wrong_sign_is_not_cast(tmp_path:
 
 
 @pytest.mark.parametrize("holds", [0.0, 0.4, 1.0])
-def test_an_arm_whose_weight_is_not_as_expected_is_told(tmp_path: Path, holds: float) -> None:
+def test_an_arm_whose_weight_is_not_as_expected_is_reported(tmp_path: Path, holds: float) -> None:
     """0.049 N m at a quarter turn; `holds` in parts of what holds arm and rope at the start."""
     plan, said = short_plan(), list[str]()
     start = float(plan.required(plan.motion, "motion").angle(0.0))
@@ -169,7 +169,7 @@ def test_an_arm_that_does_not_come_to_its_start_is_not_cast(
     assert (tmp_path / "notes").read_text().split() == ["open", "on", "off", "closed"]
 
 
-def test_a_fault_in_the_middle_ends_the_run_and_says_so(tmp_path: Path) -> None:
+def test_a_fault_in_the_middle_ends_the_run_and_reports_it(tmp_path: Path) -> None:
     plan = short_plan()
     drive = partial(ideal_drive, tmp_path / "notes", fault_after=450)
     run = run_plan(plan, drive, source=SeenRope(plan), options=QUICK)
@@ -268,7 +268,7 @@ def test_a_closed_loop_that_hangs_stops_the_run(
     assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
 
 
-def test_a_source_that_fails_in_any_way_stops_the_run_and_says_why(tmp_path: Path) -> None:
+def test_a_source_that_fails_in_any_way_stops_the_run_and_reports_why(tmp_path: Path) -> None:
     plan = short_plan()
     source = SeenRope(plan, seen=0.1, lost=lambda: int("nothing"))
     run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=QUICK)
@@ -307,7 +307,7 @@ def test_the_motion_of_a_run_is_what_was_commanded(tmp_path: Path, monkeypatch: 
     assert run.motion == made.shifted(0.3)
 
 
-def test_an_interrupt_while_the_run_is_judged_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_while_the_run_is_checked_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = short_plan()
     source = SeenRope(plan)
     judge, calls = source.turns, list[int]()
@@ -345,7 +345,7 @@ def test_the_arm_is_known_to_be_late_by_the_lag_and_the_rope_to_be_as_long_as_it
     assert source.told[-1] == motion.shifted(0.02)
 
 
-def test_without_a_source_and_a_torque_nobody_says_that_it_wound(tmp_path: Path) -> None:
+def test_without_a_source_and_a_torque_nobody_reports_that_it_wound(tmp_path: Path) -> None:
     run = run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes"), options=QUICK)
     assert not run.success
     assert run.summary()["wound"] in (None, False)

@@ -124,7 +124,7 @@ def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
     assert (short.status, short.t[-1]) == ("success", 0.01)
 
 
-def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch):
+def test_a_run_without_end_ends_early_unless_it_may_continue(monkeypatch):
     monkeypatch.setattr(rollouts, "PREDICTED", 0.0)
     monkeypatch.setattr(rollouts, "DEFAULT_TIME", 0.0)
     times = np.linspace(0.0, 1e4, 10_001)
@@ -311,7 +311,7 @@ def test_where_the_users_state_takes_nothing_temporary_files_do(tmp_path, full_d
     assert str(kept) in str(caught.value)
 
 
-def test_where_nothing_takes_it_the_first_reason_is_told_and_nothing_is_left(tmp_path, full_disk):
+def test_without_any_writable_folder_the_first_reason_is_reported_and_nothing_is_left(tmp_path, full_disk):
     def fail(path):
         raise FileProblem(f"{path} could not be written.")
 
@@ -329,7 +329,7 @@ def test_where_nothing_takes_it_the_first_reason_is_told_and_nothing_is_left(tmp
         (["simulate"], "hyperflex.simulation.simulate", "are free there"),
     ],
 )
-def test_rates_and_space_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command, work, words):
+def test_rates_and_space_are_checked_before_the_work(tmp_path, monkeypatch, capsys, command, work, words):
     def begun(*_, **__):
         pytest.fail("the work was begun")
 

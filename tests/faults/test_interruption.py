@@ -164,7 +164,7 @@ def test_the_partial_result_of_a_call_within_is_not_that_of_the_call() -> None:
     assert left_by(outer) is None
 
 
-def test_a_partial_result_may_be_made_when_it_is_asked_for():
+def test_a_partial_result_may_be_made_when_it_is_requested():
     made = []
 
     @interruptible(str)
@@ -214,7 +214,7 @@ def test_a_handler_of_somebody_else_stays():
     assert heard
 
 
-def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit():
+def test_a_run_is_interrupted_in_a_kernel_and_continues_bit_for_bit():
     how = {"arm": hf.Arm(length=0.105), "t_eval": np.arange(0.0, 1e4, 100.0)}
     hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=0.1)
     clock = threading.Timer(0.3, _thread.interrupt_main)
@@ -284,7 +284,7 @@ def test_each_public_call_that_takes_long_leaves_as_interrupted():
 
 
 @pytest.mark.parametrize("kind", [hf.Stepper, hf.BatchStepper])
-def test_steps_are_interrupted_and_go_on(monkeypatch, kind):
+def test_steps_are_interrupted_and_continue(monkeypatch, kind):
     stepper = kind(CABLE if kind is hf.Stepper else [CABLE] * 40, arm=hf.Arm(length=0.1))
     begin = stepper.start()
     after = stepper.step(begin, 1.0, 0.1)
@@ -374,7 +374,7 @@ def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path, how, 
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_the_command_line_is_loaded_is_told_with_its_code(number):
+def test_a_signal_while_the_command_line_is_loaded_is_reported_with_its_code(number):
     code = "import os, signal, sys; from hyperflex.cli import main\nclass Finder:\n"
     code += f"    def find_spec(name, *_): return os.kill(os.getpid(), {int(number)}) if name == 'typer' else None\n"
     code += "sys.meta_path.insert(0, Finder)\nmain()"

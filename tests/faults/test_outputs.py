@@ -233,7 +233,7 @@ def test_several_processes_at_once_leave_a_whole_file_or_folder(tmp_path, kind):
         assert all(files.read_toml(path)["x"] in {1.0, 2.0, 3.0} for path in (tmp_path / kind).iterdir())
 
 
-def test_a_read_only_disk_is_told(tmp_path, monkeypatch):
+def test_a_read_only_disk_is_reported(tmp_path, monkeypatch):
     """Such a disk refuses to remove what is not there, too."""
 
     def refused(*_, **__):

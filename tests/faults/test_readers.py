@@ -141,7 +141,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[byt
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_damage_is_told_or_harmless(kind, sound):
+def test_damage_is_reported_or_harmless(kind, sound):
     content, path = sound(kind)
     read = KINDS[kind][2]
     path.write_bytes(content)

@@ -123,7 +123,7 @@ def test_a_torque_beyond_its_limit_is_clipped(link):
     assert [torque for *_, torque in link.goals()] == [-1.0, 1.0]
 
 
-def test_a_goal_is_judged_by_its_own_time(link):
+def test_a_goal_is_checked_by_its_own_time(link):
     """A full stroke at the limits; the host pauses for 6 ms between one goal's evaluation and its sending."""
     motion = move_arm(0.0, 2.0, duration=2.0 * math.sqrt(2.0 / LIMITS.acceleration), profile="bang-bang")
     with ready(link) as drive:
@@ -203,7 +203,7 @@ def test_angles_and_signs_are_those_of_the_arm(link):
 # ---------------------------------------------------------------------- homing
 
 
-def test_the_zero_is_set_where_the_arm_is_said_to_be(link):
+def test_the_zero_is_set_at_the_declared_angle_of_the_arm(link):
     link.state["angle"] = 40.0
     with Drive(link, LIMITS, direction=-1) as drive:
         assert drive.set_zero(0.5) == pytest.approx(40.5)
@@ -328,7 +328,7 @@ def test_a_fault_that_the_device_had_before_its_torque_is_on(link):
 # ---------------------------------------------------------------------- lost replies
 
 
-def test_a_state_that_is_not_of_now_says_so(drive, link):
+def test_a_late_state_reports_its_time(drive, link):
     drive.command(Goal(0.0))
     link.fails = silent(2)
     link.state["angle"] = 0.01
@@ -399,7 +399,7 @@ def test_torque_off_is_repeated_until_it_is_confirmed(drive, link):
     assert not drive.enabled
 
 
-def test_torque_that_does_not_go_off_is_said(drive, link):
+def test_torque_that_does_not_go_off_is_reported(drive, link):
     link.obstinate = True
     with pytest.raises(DriveError, match=r"did not confirm.*0.1 s.*Cut its power"):
         drive.off()

@@ -120,7 +120,7 @@ def test_the_model_moves_as_its_equations_say(limits, hold):
     assert np.sqrt(np.mean(missed**2)) < 0.02 * np.abs(effort).max()
 
 
-def test_without_reaching_it_the_rate_limit_is_not_told(record):
+def test_without_reaching_it_the_rate_limit_is_not_reported(record):
     """The first 7 s of the motion have the slower moves."""
     columns = (getattr(record, each.name)[record.sent < 7.0] for each in fields(record))
     fit = identify_drive(DriveRecord(*columns))

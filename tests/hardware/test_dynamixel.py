@@ -74,7 +74,7 @@ def test_the_device_ignores_noise_damaged_packets_and_other_ids():
 # ---------------------------------------------------------------------- the link
 
 
-def test_it_moves_where_it_is_told_and_tells_where_it_is():
+def test_it_moves_to_its_goal_and_reports_its_angle():
     device = servo()
     with Wire(device) as wire, link_to(wire) as link:
         assert link.name == f"dynamixel 1 (XM430-W210) on {wire.port}"

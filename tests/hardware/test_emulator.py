@@ -126,7 +126,7 @@ def test_a_device_that_cannot_be_made_is_reported_to_the_parent() -> None:
         pass
 
 
-def test_each_fault_of_the_wire_comes_as_often_as_asked_and_the_seed_repeats_it() -> None:
+def test_each_fault_of_the_wire_occurs_as_often_as_requested_and_the_seed_repeats_it() -> None:
     def run(seed: int) -> tuple[dict[str, int], list[bytes]]:
         wire = FaultyWire(WireFaults(lost=0.1, late=0.2, garbled=0.15, truncated=0.05, delay=0.5, seed=seed))
         come = []

@@ -70,7 +70,7 @@ def test_the_adapter_speaks_slcan():
 # ---------------------------------------------------------------------- the link
 
 
-def test_it_moves_where_it_is_told_and_tells_where_it_is():
+def test_it_moves_to_its_goal_and_reports_its_angle():
     device = axis()
     with Wire(device) as wire, link_to(wire) as link:
         before = link.read()
@@ -146,7 +146,7 @@ def test_an_axis_in_fault_does_not_switch_its_torque_on():
         assert not device.plant.enabled
 
 
-def test_a_limit_of_torque_needs_the_torque_constant_and_a_torque_that_is_told():
+def test_a_limit_of_torque_needs_the_torque_constant_and_a_reported_torque():
     device = axis()
     with Wire(device) as wire, link_to(wire, torque_constant=0.0) as link:
         with pytest.raises(DriveError, match=r"keeps no limit of torque .*\?torque_constant=0.05$"):
@@ -174,7 +174,7 @@ def test_an_axis_that_turns_in_a_calibration_is_switched_off(errors):
     assert device._state == 1
 
 
-def test_each_try_to_switch_the_torque_on_reads_the_angle_anew():
+def test_each_try_to_switch_the_torque_on_reads_the_angle_again():
     device, seen = axis(), []
     with Wire(device) as wire, link_to(wire, trial=False) as link:
         request = device._request
@@ -236,7 +236,7 @@ def test_a_late_frame_is_not_taken_for_the_answer_to_a_later_request():
         assert link.read().angle == pytest.approx(math.tau)
 
 
-def test_a_frame_is_not_lost_before_one_that_was_asked_for_later_has_come():
+def test_a_frame_is_not_lost_before_one_that_was_requested_later_has_arrived():
     """As if the adapter held all frames of the axis back, for longer than any usual delay."""
     device = axis()
     with Wire(device) as wire, link_to(wire) as link:

@@ -62,7 +62,7 @@ def test_dry_friction_holds_an_arm_that_it_can_hold_and_no_other() -> None:
     assert falling.arm_angle < 0.99
 
 
-def test_readings_are_as_noisy_as_asked_and_the_motion_is_not() -> None:
+def test_readings_are_as_noisy_as_requested_and_the_motion_is_not() -> None:
     quiet, noisy = (
         Plant(MotorModel(angle_noise=a, rate_noise=10.0 * a, torque_noise=a), None, ARM) for a in (0.0, 1e-3)
     )

@@ -19,7 +19,7 @@ def found(off: float, seed: int, guess: Rope = GUESS) -> Identification:
 
 
 @pytest.mark.parametrize("off", [0.003, 0.006])
-def test_one_that_is_elsewhere_is_told(off):
+def test_one_that_is_elsewhere_is_reported(off):
     """With the elbow's 1 or 2 % off, ratios were by more than four standard deviations, and nothing was suspected."""
     result = found(off, 1)
     assert result.grade == "do not use"

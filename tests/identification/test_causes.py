@@ -39,7 +39,7 @@ def test_inertia_held_wrong_is_named_beside_what_explains_the_same():
     assert "'com'" in named
 
 
-def test_a_wrong_clock_is_told_beside_drag_that_was_left_out():
+def test_a_wrong_clock_is_reported_with_omitted_drag():
     found = causes(fitted(DOUBLE.replace(drag=0.15), GUESS, FREE, clock=1.02))
     clock = next(each for each in found if each.kind is Kind.CLOCK)
     assert clock.values["clock"] == pytest.approx(0.98, abs=0.005)
@@ -75,7 +75,7 @@ def test_deviations_grow_with_a_clock_that_is_off_also_beside_a_drag_of_nearly_n
     assert (stds[1] > stds[0]).all()
 
 
-def test_a_wrong_clock_is_told_beside_a_held_mass_that_is_wrong():
+def test_a_wrong_clock_is_reported_with_a_wrong_fixed_mass():
     """Each explains a quarter of what they leave together, which is 1.5 % of a tumbling motion, and no noise."""
     true = hf.Rope(length=[0.0917, 0.0701], mass=[0.05, 0.02], com=[0.046, 0.035], friction=[2e-5, 6e-6])
     t = np.arange(5001) / 500.0
@@ -89,7 +89,7 @@ def test_a_wrong_clock_is_told_beside_a_held_mass_that_is_wrong():
 
 
 @pytest.mark.nightly
-def test_a_wrong_frame_rate_of_a_real_recording_is_told_beside_wrong_masses(data_dir):
+def test_a_wrong_frame_rate_of_a_real_recording_is_reported_with_wrong_masses(data_dir):
     run = hf.read_recording(data_dir / "ibm_double_pendulum/run06_500Hz.csv", time_unit="s", unit="m", y_axis="up")
     part = run.window(0.0, 10.0)
     guess = hf.Rope(length=[0.0917, 0.0701], mass=[0.05, 0.03], com=[0.046, 0.035], friction=1e-5)

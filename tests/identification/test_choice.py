@@ -163,7 +163,7 @@ def test_dry_friction_is_preferred_where_there_is_some_and_not_where_there_is_no
     assert abs(value - dry) < 4.0 * std or (dry == 0.0 and np.isinf(std))
 
 
-def test_a_candidate_that_fails_is_told_with_its_reason(stiff):
+def test_a_candidate_that_fails_is_reported_with_its_reason(stiff):
     assert stiff["nonsense"].identification is None
     assert "unknown name" in stiff["nonsense"].reason
     assert "failed: free has an unknown name" in str(stiff)
@@ -300,7 +300,7 @@ def test_default_candidates_are_the_ones_that_resist():
     assert held[2].free == ("inertia", "stiffness[0]", "stiffness[1]")
 
 
-def test_cutting_a_rope_anew_keeps_what_it_weighs_and_how_it_hangs():
+def test_dividing_a_rope_again_keeps_its_mass_and_its_hanging_shape():
     rope = Rope(length=[0.2, 0.3, 0.1], mass=[0.02, 0.06, 0.05], friction=[1e-3, 2e-4, 4e-4], tip_mass=0.01)
     fine = with_links(rope, 6)  # its cuts hold the old joints, so a straight rope is the same body
     for one in (lumped(fine), lumped(with_links(rope, 4))):
@@ -382,7 +382,7 @@ def test_the_simplest_comes_out_where_evidence_is_weak():
     assert recommend([replace(simple, bic=7.0), rich])[0] == "rich"
 
 
-def test_a_choice_that_still_misses_something_says_so():
+def test_a_choice_that_still_misses_something_reports_it():
     name, words = recommend([model("one", 4, 0.0, None, 1e-9), model("two", 4, 30.0, None, 1e-9)])
     assert name == "one"
     assert "there is no held-out prediction" in words

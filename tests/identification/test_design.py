@@ -40,7 +40,7 @@ def test_predicted_deviations_are_those_of_many_fits():
     np.testing.assert_allclose(np.mean(stated, axis=0), predicted, rtol=0.05)
 
 
-def test_markers_are_foreseen_as_a_fit_of_places_sees_them():
+def test_markers_are_predicted_as_in_a_fit_of_positions():
     """One fit: its std follows from 720 values' noise, known to 1 / sqrt(1440) = 3 %; three and a half of these."""
     look = Experiment("markers", q0=[0.8, 1.2], rate=40.0, duration=3.0, markers=3)
     planned = design_experiment(DOUBLE, "inertia", [look], noise=1e-3).plans[0]
@@ -118,7 +118,7 @@ def test_by_default_motions_are_tried_first_and_the_best_is_varied():
     assert [each.markers for each in variations(Experiment("", markers=6))[4:]] == [3]
 
 
-def test_a_common_factor_is_said_to_need_scales_or_a_torque():
+def test_a_common_factor_is_reported_to_need_scales_or_a_torque():
     swing = Experiment("swing", arm_swings(t_move=0.7, t_rest=0.4), rate=40.0, duration=4.0)
     free = ["inertia", "mass", "friction"]
     found = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=free)
@@ -136,13 +136,13 @@ def test_a_common_factor_is_said_to_need_scales_or_a_torque():
     assert design_experiment(DOUBLE, ratios, [swing], arm=Arm(length=0.1), free=free).best is not None
 
 
-def test_what_does_not_act_is_told_from_a_common_factor():
+def test_an_effect_that_is_absent_is_distinguished_from_a_common_factor():
     found = design_experiment(SINGLE, "length", [SHORT], free=["inertia", "com", "length"])
     assert found.best is None
     assert "No candidate determines length[0]: it has no effect in these motions" in found.recommendation
 
 
-def test_a_measured_torque_is_foreseen():
+def test_a_measured_torque_is_predicted():
     move = arm_swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
     looks = [Experiment(f"{noise:g}", move, duration=4.0, rate=40.0, torque_noise=noise) for noise in (0.02, 0.08)]
     found = design_experiment(
@@ -157,7 +157,7 @@ def test_a_measured_torque_is_foreseen():
     assert still.recommendation == "No candidate could be simulated."
 
 
-def test_ctrl_c_keeps_what_was_looked_at(monkeypatch):
+def test_ctrl_c_keeps_the_finished_candidates(monkeypatch):
     def second_stops(rope, experiment, *others):
         if experiment.name == "second":
             raise KeyboardInterrupt

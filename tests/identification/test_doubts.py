@@ -61,7 +61,7 @@ def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir):
     np.testing.assert_allclose(found.ratios["J/p1"], [0.0906, 0.00691], rtol=0.02)
 
 
-def test_a_clock_that_drifts_is_told_and_in_the_deviations():
+def test_a_clock_that_drifts_is_reported_and_in_the_deviations():
     found = fitted(ROPE, ["inertia", "com", "friction"], 2e-3, drift=0.05)
     assert found.findings[0].kind is Kind.DRIFT
     assert away(found) < 3.0

@@ -68,7 +68,7 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy):
     ("name", "value", "duration", "said"),
     [("drag", 0.01, 3.0, True), ("dry_friction", 2e-3, 3.0, True), ("friction", 8e-4, 20.0, False)],
 )
-def test_friction_that_stands_for_all_damping_is_said(name, value, duration, said):
+def test_friction_that_represents_all_damping_is_reported(name, value, duration, said):
     """Noise alone remains of a short swing, whatever damps it: the fit is right, and friction is what is free."""
     t, rod = np.arange(0.0, duration, 1.0 / 60.0), hf.Rope(length=[0.6], mass=[0.05], com=[0.6], inertia=[1e-4])
     run = hf.simulate(rod.replace(**{name: value}), duration=t[-1], t_eval=t, q0=[0.8], tol=1e-9)
@@ -82,7 +82,7 @@ def test_friction_that_stands_for_all_damping_is_said(name, value, duration, sai
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("rope", [CORD.replace(friction=0.0), BARE], ids=["drag", "joint friction"])
-def test_drag_is_told_from_joint_friction(rope):
+def test_drag_is_distinguished_from_joint_friction(rope):
     """Twins with only one of them: their own model is preferred, though both have one parameter."""
     recording, arc_lengths = swing(rope)
     guess = CORD.replace(friction=0.0, drag=0.0)

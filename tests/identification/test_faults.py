@@ -264,7 +264,7 @@ def test_y_that_points_down_is_no_reversed_order():
 
 
 @pytest.mark.parametrize(("first", "said"), [(0.0, "held at both ends"), (0.05, "where the rope hangs")])
-def test_a_last_marker_that_stands_still(first, said):
+def test_a_last_marker_at_rest(first, said):
     t = np.arange(300) / 60.0
     wave = np.column_stack([np.sin(5.0 * t), np.cos(7.0 * t)])
     ends = np.array([0.0, 0.0]), np.array([0.5, 0.0])

@@ -62,7 +62,7 @@ def test_places_tell_more_than_directions_from_marker_to_marker():
 
 
 @pytest.mark.nightly
-def test_a_decay_that_depends_on_the_amplitude_is_told_from_viscous_friction():
+def test_a_decay_that_depends_on_the_amplitude_is_distinguished_from_viscous_friction():
     """Drag is freed since the data require it, and J/p1 is as narrow as without."""
     found = hf.identify(string(140, drag=4e-4), GUESS, options=EXACT)
     assert found.settings["free"] == ["inertia", "friction", "drag"]

@@ -105,7 +105,7 @@ def test_a_marker_that_errs_turns_a_short_link_farther():
     np.testing.assert_allclose(window.weight, np.broadcast_to([1.0, 0.25], window.weight.shape))
 
 
-def test_channels_that_err_unlike_are_told_from_chance():
+def test_channels_that_err_unlike_are_distinguished_from_chance():
     """Long recordings show each channel's noise; short ones too little to be believed, and count as alike."""
     true = np.array([[1.6, -0.5, 0.0], [-0.5, 1.0, 0.2], [0.0, 0.2, 0.4]])
 

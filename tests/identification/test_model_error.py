@@ -122,14 +122,14 @@ def fit_of_15_links(pieces: int) -> Identification:
     return identify(Recording(t, angles, noise=3e-3), guess, free, options=FitOptions(train=np.inf))
 
 
-def test_a_rope_of_more_links_is_told_and_its_stiffness_held():
+def test_a_rope_of_more_links_is_reported_and_its_stiffness_held():
     found = fit_of_15_links(pieces=4)
     assert found.has(Kind.LINKS_TOO_LONG)
     assert found.values["stiffness:factor"] < 0.9 * 0.5  # the links' error: it is found too low
     assert held(found, {"friction:factor": 0.5, "stiffness:factor": 0.5}) == ["friction:factor", "stiffness:factor"]
 
 
-def test_a_chain_of_just_these_links_is_not_told():
+def test_a_chain_of_just_these_links_is_not_reported():
     found = fit_of_15_links(pieces=1)
     (test,) = (each for each in found.score_tests if each.name == "links")
     assert test.excess_gain < 1e-6
@@ -158,7 +158,7 @@ def fit_of_four_links(n_links: int, drag: float, free: list[str] | None) -> Iden
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("free", [None, ["inertia:shared", "friction:shared"]], ids=["default", "shared"])
-def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free):
+def test_four_links_of_a_rope_of_40_are_reported_before_the_units_are_doubted(free):
     found = fit_of_four_links(40, 0.0, free)
     assert found.grade == "do not use"
     assert found.findings[0].kind is Kind.LINKS_TOO_LONG
@@ -167,7 +167,7 @@ def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("drag", [0.0, 0.05])
-def test_a_chain_of_just_four_links_is_not_told(drag):
+def test_a_chain_of_just_four_links_is_not_reported(drag):
     found = fit_of_four_links(4, drag, ["inertia", "friction"])
     assert not found.has(Kind.LINKS_TOO_LONG)
     assert all(each.excess_gain < 0.5 for each in found.score_tests if each.name == "links")
@@ -180,7 +180,7 @@ def test_a_chain_of_just_four_links_is_not_told(drag):
 
 
 @pytest.mark.nightly
-def test_links_and_drag_are_told_together():
+def test_links_and_drag_are_reported_together():
     found = fit_of_four_links(40, 0.05, ["inertia:shared", "friction:shared"])
     first = found.findings[0]
     assert (first.kind, first.values["name"]) == (Kind.RESISTANCE, "'drag'")
@@ -243,7 +243,7 @@ def test_what_a_law_leaves_less_known_of_a_friction_is_no_more_than_it_is():
 
 @pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
 @pytest.mark.nightly
-def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_out):
+def test_a_law_that_was_omitted_is_not_taken_for_links_that_are_too_long(left_out):
     rope = Rope.uniform(length=1.0, mass=0.1, n_links=8, friction=4e-4)
     t = np.arange(120) / 30.0
     run = simulate(rope.replace(**left_out), duration=t[-1], t_eval=t, q0=np.linspace(0.7, 1.1, 8), tol=1e-8)

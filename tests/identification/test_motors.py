@@ -160,7 +160,7 @@ def test_the_rotor_of_an_inner_motor_is_taken_off_its_torque():
 
 
 @pytest.mark.parametrize("given", [True, False])
-def test_a_default_com_that_scales_the_mass_is_told_and_leaves_ratios(given: bool) -> None:
+def test_a_default_com_that_scales_the_mass_is_reported_and_leaves_ratios(given: bool) -> None:
     """A mass of 0.6 kg at 0.42 m seems 1.008 kg at the default of 0.25 m: the torque determines their product."""
     recording, current = recorded(ONE, 1, 3)
     guess = hf.Rope(length=[0.5], mass=[0.5], com=[0.42] if given else None, friction=0.02)

@@ -258,7 +258,7 @@ def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used():
     assert list(_far(rope.replace(inertia=inertia), rope, np.array([0.0, 0.02]))) == []  # m, of J/p1: it may be chance
 
 
-def test_markers_swapped_in_two_intervals_are_told_with_both():
+def test_markers_swapped_in_two_intervals_are_reported_with_both():
     rope = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06])
     t, q = np.arange(400) / 50.0, np.full((400, 2), [0.3, 0.8])
     places = np.stack([rope.joints(row, np.zeros(2)) for row in q])
@@ -272,7 +272,7 @@ def test_markers_swapped_in_two_intervals_are_told_with_both():
 
 
 @pytest.mark.parametrize(("factor", "turn"), [(1.0, 0.0), (1.1, 0.0), (1.1, 0.6)])
-def test_a_picture_that_is_wider_than_high_is_told(factor, turn):
+def test_a_picture_that_is_wider_than_high_is_reported(factor, turn):
     run = hf.simulate(PAIR, duration=T[-1], t_eval=T, q0=[1.2, 0.9], tol=1e-7)
     axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     places = run.joints @ (axes @ np.diag([factor, 1.0]) @ axes.T)
@@ -284,7 +284,7 @@ def test_a_picture_that_is_wider_than_high_is_told(factor, turn):
         assert each.values["angle"] == pytest.approx(turn, abs=0.1)
 
 
-def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more():
+def test_more_links_are_recommended_where_they_help_and_nothing_explains_more():
     """A rope that is bent at rest looks like one of finer links; these would explain little, and a bend more."""
     links = ScoreTest("links", 0.3, np.array([32.0]), excess_gain=0.7, ratio_sensitivity=0.2)
     bent = ScoreTest("rest_angle:shared", 0.8, np.array([0.1]), moved=0.0)

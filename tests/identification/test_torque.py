@@ -268,7 +268,7 @@ def test_what_is_left_of_the_torque_stands_beside_the_angles():
 
 
 @pytest.mark.nightly
-def test_a_torque_of_the_wrong_sign_is_told():
+def test_a_torque_of_the_wrong_sign_is_reported():
     """Masses then go where the torque is least, and angles alone still fit."""
     recording, values = measured()
     setup = RecordingSetup(motion=MOVE, arm=LIGHT, torque=-values, torque_noise=TORQUE_NOISE)
@@ -281,7 +281,7 @@ def test_a_torque_of_the_wrong_sign_is_told():
 @pytest.mark.parametrize(
     ("inertia", "kinds"), [(2e-4, [Kind.ARM_INERTIA]), (1e-3, [Kind.ARM_INERTIA, Kind.HELD, Kind.POOR_TORQUE])]
 )
-def test_an_arm_that_has_more_inertia_than_declared_is_told(inertia, kinds):
+def test_an_arm_that_has_more_inertia_than_declared_is_reported(inertia, kinds):
     """Its torque goes into masses otherwise, by their own deviations and more."""
     motion, t = arm_swings(0.7, 0.4, "minimum-jerk"), np.arange(300) / 50.0
     run = simulate(DOUBLE, motion, arm=Arm(length=0.1, inertia=inertia), duration=t[-1], t_eval=t, tol=1e-9)

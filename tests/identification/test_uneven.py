@@ -48,7 +48,7 @@ UNEVEN = {
 
 @pytest.mark.parametrize(("rope", "free"), UNEVEN.values(), ids=UNEVEN.keys())
 @pytest.mark.nightly
-def test_it_is_told_and_deviations_hold_it(rope, free):
+def test_it_is_reported_and_included_in_the_deviations(rope, free):
     """c/p1 was off by 10 to 18 standard deviations, and nothing was suspected."""
     recording = recorded(rope, 1)
     found = identify(recording, GUESS, SHARED)

@@ -38,7 +38,7 @@ def drift(found: hf.Identification) -> float:
 
 @pytest.mark.parametrize(("duration", "free"), [(6.0, FREE), (20.0, None)], ids=["named", "default"])
 @pytest.mark.nightly
-def test_a_clock_that_drifts_is_told(duration, free):
+def test_a_clock_that_drifts_is_reported(duration, free):
     t, q = swing(DOUBLE, [0.9, 0.6], duration)
     found = identified(t + 0.01 * t**2 / t[-1], q, free=free)
     assert found.grade == "do not use"
@@ -95,14 +95,14 @@ def test_windows_that_tell_less_and_less_disagree_by_chance_as_rarely_as_said():
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_clock_that_does_not_drift_is_not_told(seed):
+def test_a_clock_that_does_not_drift_is_not_reported(seed):
     t, q = swing(DOUBLE, [0.9, 0.6], 12.0)
     found = hf.identify(hf.Recording(t, noisy(q, 2e-3, seed)), GUESS, FREE, options=hf.FitOptions(intervals=None))
     assert abs(drift(found)) < 2e-3
     assert not found.has(Kind.DRIFT, Kind.WINDOWS_DISAGREE, Kind.RESISTANCE_CHANGES)
 
 
-def test_windows_of_which_some_show_another_rope_are_told():
+def test_windows_of_which_some_show_another_rope_are_reported():
     other = DOUBLE.replace(com=[0.14, 0.143])
     found = identified(*in_turn([DOUBLE, other, DOUBLE], [0.9, 0.6], 12.0))
     assert found.grade == "do not use"
@@ -120,7 +120,7 @@ def test_friction_that_changes_is_a_model_error():
     assert [each.values["label"] for each in found.findings if each.kind is Kind.RESISTANCE_CHANGES] == ["c/p1[0]"]
 
 
-def test_what_was_held_says_so():
+def test_fixed_parameters_are_reported():
     t, q = swing(DOUBLE, [0.9, 0.6], 4.0)
     found = identified(t, q, DOUBLE, ("friction[1]",))
     assert found.held == ("friction[0]", "J/p1", "p/p1", "c/p1[0]")

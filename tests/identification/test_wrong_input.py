@@ -187,7 +187,7 @@ def test_causes_are_those_of_cases():
     assert set(CAUSES) <= named
 
 
-def test_a_recording_shorter_than_a_usual_window_is_looked_at_as_well():
+def test_a_recording_shorter_than_a_usual_window_is_checked_as_well():
     rod = hf.Rope([2.0], [0.1], friction=1e-3)
     t = np.linspace(0.0, 1.0, 101)
     swing = hf.Recording(t, hf.simulate(rod, duration=1.0, t_eval=t, q0=[0.8]).q)

@@ -35,7 +35,7 @@ def test_the_markers_are_where_the_rope_was(tracked):
     assert 0.9 < tracked.seen < 1.0
 
 
-def test_the_recording_says_that_it_is_simulated(tracked):
+def test_the_recording_reports_that_it_is_simulated(tracked):
     recording = twin.recording(tracked)
     assert "simulated" in recording.name
     assert "simulated" in recording.source

@@ -85,7 +85,7 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(depth, push,
     assert np.median(leaving) < out + 0.05 * bend  # a tenth of what it is pushed out with
 
 
-def test_a_sample_beside_a_peg_does_not_depend_on_the_others():
+def test_a_sample_near_a_peg_does_not_depend_on_the_others():
     rope = hf.Rope.uniform(0.6, 0.04, 24, 0.0025, friction=5e-4)
     how = {"q0": np.full(24, 1.2), "pegs": [hf.Peg(0.0, -0.2, 0.03, 0.3)], "duration": 0.8, "contact_step": 1e-3}
     many = hf.simulate(rope, t_eval=np.linspace(0.0, 0.8, 81), **how)

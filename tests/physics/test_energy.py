@@ -77,7 +77,7 @@ def test_friction_of_a_run_at_rest_takes_nothing_and_the_cable_stays_where_it_ha
 
 
 @pytest.mark.parametrize("batch", [False, True])
-def test_a_run_seen_at_rest_alone_is_judged_by_what_moved_between(batch):
+def test_a_run_sampled_only_at_rest_is_checked_by_its_motion_in_between(batch):
     """Between turning points no sample has kinetic energy; what the springs held tells how much there was."""
     rope = hf.Rope.uniform(length=0.3, mass=0.1, n_links=8, stiffness=5.0, friction=0.0)
     how = {"duration": 0.1, "q0": 0.05 * np.sin(2.1 * np.arange(1, 9)), "t_eval": [0.1], "tol": 2e-5}

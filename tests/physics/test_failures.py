@@ -25,7 +25,7 @@ COARSE = {"q0": np.linspace(3.0, 1.0, 10), "method": "rk4", "step": 0.03}  # sta
 
 
 @pytest.mark.parametrize("how", WILD.values(), ids=WILD.keys())
-def test_a_hopeless_run_says_when_where_and_what_to_try_or_returns_the_part_that_holds(how):
+def test_a_hopeless_run_reports_when_where_and_what_to_try_or_returns_the_part_that_holds(how):
     with pytest.raises(SimulationError) as caught:
         hf.simulate(cable(), duration=1.0, **how)
     error = caught.value
@@ -64,7 +64,7 @@ def test_a_run_that_gains_energy_is_refused():
 
 
 @pytest.mark.parametrize("t_eval", [[0.65], [0.6, 0.65], None])
-def test_energy_is_checked_whatever_output_is_asked_for(t_eval):
+def test_energy_is_checked_whatever_output_is_requested(t_eval):
     rope = cable(friction=0.0)
     with pytest.raises(SimulationError, match="energy not balanced"):
         hf.simulate(rope, duration=0.65, t_eval=t_eval, **COARSE)
@@ -80,7 +80,7 @@ def test_the_arm_of_a_failed_run_is_handed_over_too():
     assert (more.arm_angle[0], more.arm_rate[0]) == (part.arm_angle[-1], part.arm_rate[-1]) != (0.0, 0.0)
 
 
-def test_two_errors_of_a_step_are_told_apart_and_none_that_is_not_a_number_is_taken():
+def test_two_errors_of_a_step_are_distinguished_and_none_that_is_not_a_number_is_taken():
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
     limits, workspace, rng = (

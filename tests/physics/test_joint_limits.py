@@ -162,7 +162,7 @@ def test_a_stepper_and_a_torque_callback_meet_limits_too():
         stepper.linearize(state, 0.0, dt=0.02)
 
 
-def test_what_knows_no_impacts_says_so():
+def test_methods_without_impacts_report_it():
     rod = hf.Rope(length=[1.0], mass=[0.1], max_bend=0.6)
     with pytest.raises(InvalidInput, match="joint 0 is bent"):
         hf.simulate(rod, duration=1.0, q0=[0.7])

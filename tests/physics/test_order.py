@@ -148,7 +148,7 @@ JOINTS = [{"friction_model": "printed", "friction": 2e-3}, {"dry_friction": 1e-4
 
 
 @pytest.mark.parametrize("changes", JOINTS, ids=["printed", "dry", "stiff"])
-def test_the_limit_knows_of_every_joint_torque(changes):
+def test_the_limit_includes_every_joint_torque(changes):
     """Just inside the named limit each kind of joint is stable: the tip agrees with the method that has no limit."""
     rope = cable(n_links=20, **changes)
     with pytest.raises(InvalidInput) as caught:

@@ -17,7 +17,7 @@ RODS = hf.Rope(length=[0.5, 0.4], mass=[0.2, 0.1])
 HIGH = np.array([2.0, 2.5])
 
 
-def test_a_rod_that_stands_on_its_head_falls_at_the_rate_of_its_saddle():
+def test_an_upright_rod_falls_at_the_rate_of_its_saddle():
     found = hf.predictability(ROD, duration=3.0, q0=[np.pi])
     exact = math.sqrt(MASS * 9.81 * COM / ABOUT_JOINT)
     # From 1 s on the falling part is e^(2 * 4.2) = 4000 times the other.
@@ -153,7 +153,7 @@ def parted(run, other):
     return float(run.t[beyond.argmax()]) if beyond.any() else math.inf
 
 
-def test_a_run_says_until_when_it_agrees_with_tighter_ones():
+def test_a_run_reports_until_when_it_agrees_with_tighter_ones():
     """Compared with runs at a hundredth of the tolerance, from which horizons are not computed.
 
     Of 130 other draws 89 were tangles; their horizons were 0.79 to 1.14 of when the runs part. No other one had any.
@@ -169,7 +169,7 @@ def test_a_run_says_until_when_it_agrees_with_tighter_ones():
     assert 4 < tangles < 17
 
 
-def test_a_tangle_says_so_and_a_right_run_does_not(tmp_path):
+def test_a_tangle_reports_it_and_a_right_run_does_not(tmp_path):
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     how = {"motion": hf.arm_swings(), "arm": hf.Arm(length=0.105), "duration": 6.0}
     tame, wild = hf.simulate(cable, **how), hf.simulate(cable.replace(friction=0.0), **how)

@@ -118,7 +118,7 @@ def test_looking_up_between_steps_leaves_no_trace(dry):
 
 @pytest.mark.parametrize("t_move", [0.7, 0.61])
 @pytest.mark.parametrize("t_rest", [0.4, 0.0, 0.13])
-def test_swings_go_on_for_many_cycles(t_move, t_rest):
+def test_swings_continue_for_many_cycles(t_move, t_rest):
     """A cycle's end, as a product and as a sum, is not the same number: the run must pass it all the same."""
     rope = hf.Rope(length=[0.5], mass=[0.1], friction=1e-2)
     motion = hf.arm_swings(t_move, t_rest, "minimum-jerk")
@@ -126,7 +126,7 @@ def test_swings_go_on_for_many_cycles(t_move, t_rest):
     np.testing.assert_allclose(run.arm_angle, motion.angle([50.0, 100.0]), rtol=0, atol=1e-12)
 
 
-def test_an_interrupted_run_goes_on_from_where_it_stood():
+def test_an_interrupted_run_continues_from_where_it_stood():
     """Ctrl-C, then on: the state must be that of the run, not the one that it began with."""
 
     def control(t, *_state):

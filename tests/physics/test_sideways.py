@@ -160,7 +160,7 @@ def test_a_motion_that_is_not_finite_is_an_error(monkeypatch):
     assert (caught.value.status, caught.value.time) == (Status.NOT_FINITE, run.t[-1])
 
 
-def test_large_angles_are_said_and_a_bent_rope_needs_its_tilt():
+def test_large_angles_are_reported_and_a_bent_rope_needs_its_tilt():
     run = hf.simulate(hf.Rope.uniform(1.0, 0.1, 8, friction=1e-3), q0=0.5, duration=1.0)
     assert "useless at 74" in repr(hf.sideways(run, tilt=25.0 * DEGREE))
     assert hf.sideways(run, tilt=0.5 * DEGREE).warning() == ""

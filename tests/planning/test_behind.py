@@ -58,7 +58,7 @@ def test_a_touch_that_does_not_last_is_none():
     assert gaps[1] == pytest.approx(0.3 * 0.01, rel=0.2)  # where the target is not touched, the way ends at the tip
 
 
-def test_a_cast_that_does_not_run_behind_a_peg_fails_and_says_which():
+def test_a_cast_that_does_not_run_behind_a_peg_fails_and_reports_which():
     run = planned().run
     assert run is not None
     stop = float(planned().motion.breaks[-1])

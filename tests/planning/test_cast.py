@@ -69,7 +69,7 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
 
 
-def test_a_plan_goes_on_from_states_that_were_measured(cast):
+def test_a_plan_continues_from_states_that_were_measured(cast):
     """Of a rope that is longer than the plan's: the first moves are made again, and it winds."""
     moves, problem = cast.moves, replace(cast.problem, rope=scaled_rope(CORD, 1.02, 1.0, 1.0))
     stops = [moves.first(k).stops(problem.limits) for k in (1, 2)]  # before it touches the target
@@ -131,7 +131,7 @@ def test_ctrl_c_leaves_the_best_plan():
     assert plan.interrupted
 
 
-def test_ctrl_c_before_anything_was_found_is_told_from_the_end_of_the_time():
+def test_ctrl_c_before_anything_was_found_is_distinguished_from_the_end_of_the_time():
     looks = []
 
     def clock():
@@ -209,7 +209,7 @@ def test_a_search_without_a_strike_counts_its_runs():
     ("mu", "turns", "message"),
     [(0.3, 2.6, r"turns at most, 2\.6 required"), (0.0, 1.25, r"moves wind the rope.*comes off")],
 )
-def test_a_search_that_fails_says_how_far_the_rope_winds(mu, turns, message):
+def test_a_search_that_fails_reports_how_far_the_rope_winds(mu, turns, message):
     target, criteria, options = replace(PEG, mu=mu), WindCriteria(turns=turns), SearchOptions(skip_feasibility=True)
     plan = plan_cast(CORD, ARM, target, criteria=criteria, time_budget=processor(2.0), options=options)
     assert re.search(message, plan.message)
@@ -427,7 +427,7 @@ def test_a_reach_map_reads_back_equal(tmp_path):
         build_reach_map(CORD, ARM, grid=TargetGrid(x=[1.0, 0.5]))
 
 
-def test_a_plan_that_fails_by_its_turns_says_how_many_it_keeps():
+def test_a_plan_that_fails_by_its_turns_reports_how_many_it_keeps():
     plan = planned()
     more = replace(plan.problem.criteria, turns=3.5)
     failed = replace(plan, problem=replace(plan.problem, criteria=more), message="of 2.37 turns 2.36 remain")
@@ -441,7 +441,7 @@ def test_a_plan_that_fails_by_its_turns_says_how_many_it_keeps():
     assert fewer_turns(replace(failed, problem=slips)) == ()  # fewer turns do not help
 
 
-def test_a_run_that_a_busy_machine_made_late_says_so():
+def test_a_run_that_a_busy_machine_made_late_reports_it():
     """A budget whose clock runs faster than the processor: others had it."""
     ticks = iter(range(0, 900, 9))
     late = too_long(Budget(1.0, clock=lambda: float(next(ticks))))

@@ -82,7 +82,7 @@ def test_an_executor_counts_the_same_samples():
             assert (found.successes, found.samples) == (want.successes, 6)
 
 
-def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won():
+def test_a_rope_that_comes_too_near_its_arm_while_it_winds_fails():
     worlds = NONE.sample(1, CAST_SETUP, PEG)
     near = scenario_scores(replace(CAST_SETUP, clearance=0.5), [(WINDS, world) for world in worlds])
     clear = scenario_scores(CAST_SETUP, [(WINDS, world) for world in worlds])
@@ -91,7 +91,7 @@ def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won():
     assert np.isnan(simulated_strikes(replace(CAST_SETUP, clearance=0.5), PEG, [WINDS]).t[0])  # nor has it struck
 
 
-def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_has_not_won():
+def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_fails():
     run, worlds = planned().run, NONE.sample(1, CAST_SETUP, PEG)
     assert run is not None
     x, strike = run.joints[..., 0], float(simulated_strikes(CAST_SETUP, PEG, [WINDS]).t[0])
@@ -107,7 +107,7 @@ def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_has_not_won(
     assert 0.0 < turns[1] < 1.25
 
 
-def test_throws_that_win_and_that_never_strike_are_told_apart():
+def test_successful_throws_and_throws_without_a_strike_are_distinguished():
     idle = replace(WINDS, ends=np.full(7, -1.5), rests=np.ones(7))
     worlds = Uncertainty().sample(2, CAST_SETUP, PEG, seed=3)
     found = scenario_scores(CAST_SETUP, [(throw, world) for throw in (WINDS, idle) for world in worlds])

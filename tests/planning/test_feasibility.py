@@ -55,13 +55,13 @@ def test_a_target_below_leaves_no_room_to_swing():
         (at(0.6, 2.5), "too little energy: it is higher than the rope swings"),
     ],
 )
-def test_what_is_out_of_reach_is_told_why(peg, told):
+def test_the_reason_is_reported_for_targets_out_of_reach(peg, told):
     known = check_feasibility(CAST_SETUP, peg)
     assert not known.feasible
     assert told in known.message
 
 
-def test_a_short_time_is_told():
+def test_a_short_time_is_reported():
     short = replace(CAST_SETUP, time=0.1)
     assert "0.1 s are too short a time" in check_feasibility(short, at(0.9, 0.46)).message
     assert any("s to strike" in each for each in find_remedies(short, at(0.9, 0.46)))
@@ -78,7 +78,7 @@ def test_what_widens_a_swing_is_the_way_of_the_arms_tip_aside():
     assert "a motor that turns from -1.57 to 1.57 rad" in find_remedies(some, at(1.12, 0.46))
 
 
-def test_a_slow_motor_is_told_from_little_energy():
+def test_a_slow_motor_is_distinguished_from_little_energy():
     slow = replace(CAST_SETUP, limits=MotorLimits(speed=0.5, acceleration=5.0))
     assert check_feasibility(CAST_SETUP, at(0.9, 0.46)).feasible
     assert "motor is too slow" in check_feasibility(slow, at(0.9, 0.46)).message
@@ -144,7 +144,7 @@ def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside, radius):
     )  # ends 0.002 radii apart
 
 
-def test_the_hold_asked_for_counts():
+def test_the_required_hold_counts():
     """The capstan equation on ropes drawn with one turn more or less, of which the one that bears most counts."""
     peg, weight = at(1.36, 0.66, 0.04), 0.125 * 9.81 / 2.0
     known, bears = check_feasibility(CAST_SETUP, peg), []

@@ -100,7 +100,7 @@ def test_what_is_none_of_the_rope_s_is_left():
     assert one.fitted_properties == ()
 
 
-def test_a_file_says_what_the_fit_said(tmp_path):
+def test_a_file_contains_the_findings_of_the_fit(tmp_path):
     values = {"friction:factor": np.array(2.0), "mass": ROPE.mass}
     covariance = np.array([[0.04, 1e-5], [1e-5, 1e-6]])
     std = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}

@@ -191,7 +191,7 @@ class Kept(SimulatedMotor):
         return not 2 <= len(self.asked) < 2 + self.refuses and super().set_motion(motion, at)
 
 
-def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done():
+def test_a_motor_gets_the_plan_and_a_rope_on_it_follows_its_motion():
     """A servo that hardly lags: the rope's state at each look is that of the asked motion."""
     motor = Kept(lag=1e-3, counts=10**6)
     world = MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor)
@@ -225,7 +225,7 @@ def test_a_motor_that_does_not_come_along_ends_the_throw():
     assert float(done.motion.angle(float(done.motion.breaks[-1]))) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_goes_on():
+def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_continues():
     motor = Kept(refuses=100, lag=1e-3, counts=10**6)
     (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
     done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), motor=motor)

@@ -50,7 +50,7 @@ def test_a_rope_that_ended_inside_the_peg_is_not_tugged():
     assert measure_holding_force(replace(run, setup=replace(run.setup, pegs=(wider,))), wider) is None
 
 
-def test_a_cast_that_bears_less_than_is_asked_has_failed():
+def test_a_cast_that_holds_less_than_required_fails():
     cast = planned().outcome
     force = measure_holding_force(cast.run, PEG).force
     budget = Budget()
@@ -96,7 +96,7 @@ def test_contact_and_bend_are_those_of_the_run():
     assert cast.touch_time <= cast.strike_time
 
 
-def test_a_weight_that_stands_on_its_rope_pulls_along_it_alone():
+def test_a_weight_on_an_upright_rope_pulls_only_along_it():
     """A rod rests on a peg near its tip, at 60 degrees from hanging: half of the tip's weight pulls along it."""
     rod = hf.Rope.uniform(length=1.0, mass=0.1, n_links=1, radius=0.004, tip_mass=0.05, friction=0.5)
     slope = np.radians(60.0)

@@ -117,7 +117,7 @@ def test_ways_of_a_tip_beyond_the_walls():
     assert find_entries(DOWN, 0.002, t[:2], joints[:2]) == []  # it begins there
 
 
-def test_a_tip_that_passes_beside_the_walls_does_not_go_through_the_slot():
+def test_a_tip_that_passes_near_the_walls_does_not_go_through_the_slot():
     """The way through the gap counts, though that past the outer end of a wall is nearer in time."""
     t, x = np.arange(8.0), np.repeat([0.1, 0.25], 4)
     depth = np.tile([-0.1, 0.02, 0.06, 0.03], 2)
@@ -228,7 +228,7 @@ def test_a_floor_that_the_rope_would_touch_is_kept_clear_of():
     assert blocked > free + 0.03  # three times the depth in the floor, with the radius
 
 
-def test_free_swings_tell_what_runs_beside_the_walls_do():
+def test_free_swings_agree_with_runs_near_the_walls():
     """In each of some scenarios, half of which fail: the slot is 6 mm off."""
     plan = planned()
     moves = plan.required(plan.moves, "moves")
@@ -276,7 +276,7 @@ def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle
         assert certain(replace(who, obstacles=(hf.Ground(0.0, lowest + more),))) == successes
 
 
-def test_out_of_reach_is_said_before_any_search():
+def test_out_of_reach_is_reported_before_any_search():
     far = plan_insert(ROPE, ARM, Slot(1.2, 0.0, 0.0))
     assert (far.success, far.status) == (False, "infeasible")
     assert "the rope ends 0.15 m short of the target" in far.message

@@ -62,7 +62,7 @@ def test_a_run_tells_which_obstacle_it_comes_near_and_when():
     assert -0.03 < between <= 1e-9  # samples are 10 ms apart: the rope comes nearer between two of them
 
 
-def test_a_cast_that_touches_an_obstacle_fails_and_says_which():
+def test_a_cast_that_touches_an_obstacle_fails_and_reports_which():
     run, motion = planned().run, WINDS.motion(problem().limits)
     assert run is not None
     aside = hf.Ground(float(run.tip[:, 0].max()) - 0.05, 0.0, -1.0, 0.0)
@@ -137,7 +137,7 @@ def test_obstacles_that_cannot_be_are_refused():
         hf.follow_plan(replace(planned(), problem=replace(problem(), obstacles=[FLOOR])), None)
 
 
-def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search():
+def test_a_start_or_target_in_an_obstacle_is_reported_before_a_search():
     arm, floor, post = hf.Arm(length=0.105), hf.Ground(0.0, -1.0), hf.Peg(-0.8, -1.1, 0.1)
     slot = hf.Slot(0.56, -1.9, -0.78)
     for plan in (
@@ -171,7 +171,7 @@ def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned
 
 
 @pytest.mark.nightly
-def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search():
+def test_obstacles_that_leave_a_wound_rope_no_room_are_reported_before_a_search():
     """And places that they leave none are no fallback targets, and a remedy is one that makes room."""
     arm, room = hf.Arm(length=0.105), 2e3 * CABLE.radius
     near = hf.Wall(PEG.x - PEG.radius - 0.003, -1.5, PEG.x - PEG.radius - 0.003, -0.8)
@@ -193,7 +193,7 @@ def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search():
         assert check_feasibility(replace(problem(), obstacles=[free]), PEG).feasible
 
 
-def test_a_cast_is_found_beside_a_wall_that_leaves_room():
+def test_a_cast_is_found_near_a_wall_that_leaves_room():
     cord = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.003, friction=5e-4)
     floor = hf.Conditions(obstacles=[hf.Ground(0.0, -1.4)])
     plan = hf.plan_cast(cord, hf.Arm(length=0.15), hf.Peg(0.5, -0.6, 0.03), conditions=floor, on_plan=lambda plan: True)

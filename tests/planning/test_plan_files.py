@@ -155,7 +155,7 @@ def test_a_throw_that_is_read_back_does_the_same_again(tmp_path):
         (stopped, Status.INTERRUPTED),
     ],
 )
-def test_the_status_says_why_the_planner_ended(made, status):
+def test_the_status_reports_why_the_planner_ended(made, status):
     plan = made()
     assert (plan.status, plan.success, bool(plan.message)) == (status, status == "success", status != "success")
 
@@ -215,7 +215,7 @@ def test_a_whip_that_is_read_back_strikes_again(tmp_path):
         (lambda: planned_whip(meets=False), "fails"),
     ],
 )
-def test_the_motors_table_says_whether_its_throw_was_verified(tmp_path, made, mark):
+def test_the_motors_table_reports_whether_its_throw_was_verified(tmp_path, made, mark):
     plan = made()
     plan.to_csv(tmp_path / "motion.csv")
     assert f"# {mark}: {plan.message}\n" in (tmp_path / "motion.csv").read_text()
@@ -223,7 +223,7 @@ def test_the_motors_table_says_whether_its_throw_was_verified(tmp_path, made, ma
     assert hf.read_motion(tmp_path / "motion.csv").breaks[-1] == pytest.approx(plan.motion.breaks[-1], abs=5e-3)
 
 
-def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
+def test_the_motors_table_of_a_throw_that_succeeds_has_no_mark(tmp_path):
     planned().to_csv(tmp_path / "motion.csv")
     notes = files.read_table(tmp_path / "motion.csv").notes
     assert not {"not verified", "fails"} & set(notes)

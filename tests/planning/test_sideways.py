@@ -41,7 +41,7 @@ def test_a_rope_too_far_aside_fails():
     assert f"it is up to {1e3 * most:.0f} mm to the side" in failed.message
 
 
-def test_a_plan_says_that_links_lean_too_far_for_the_first_order():
+def test_a_plan_reports_that_links_lean_too_far_for_the_first_order():
     seen = planned().outcome
     assert seen.lean == pytest.approx(np.abs(hf.sideways(planned().run, tilt=math.radians(1.0)).angles).max())
     for lean, said in ((0.3, ""), (0.4, "Begun 1 degree out of the plane, a link leans by 22.9 degrees")):

@@ -40,7 +40,7 @@ def test_a_link_that_passes_between_two_samples_is_seen():
     assert least[0] > MODEL.near
 
 
-def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes():
+def test_a_rope_that_hangs_near_the_peg_leaves_it_before_it_strikes():
     angle = np.array([0.0, -0.01, -0.3, -0.5, -0.3, 0.0, 0.3])  # a rod, 12 mm from the peg at the start
     peg, base = hf.Peg(0.022, -0.8, 0.01), np.zeros((1, 7, 2))
     at, _, _ = first_contact(angle[None, :, None], base, np.array([[1.0]]), [peg], 0.0)
@@ -118,7 +118,7 @@ def test_a_swing_that_goes_through_its_arm_does_not_strike():
     assert strike[-np.inf][0] > 0.0
 
 
-def test_a_rod_beside_the_peg_that_swings_through_it_strikes():
+def test_a_rod_near_the_peg_that_swings_through_it_strikes():
     """It is near the peg before, and has not left it."""
     base, length, peg = np.zeros((1, 3, 2)), np.array([[1.0]]), hf.Peg(0.0, -0.5, 0.001)
     for angles, strike in (([0.03, -0.03, -0.06], 1), ([0.03, 0.001, 0.03], 1), ([0.03, 0.02, 0.03], 0)):
@@ -152,7 +152,7 @@ def test_a_weight_at_the_tip_counts():
     assert ratio == pytest.approx(0.5 * w**2 / (2.0 * 9.81), rel=1e-5)  # a point: the rope is 1e-6 of it
 
 
-def test_what_strikes_nothing_is_told_by_its_distance():
+def test_a_throw_without_a_strike_is_reported_by_its_distance():
     found = simulated_strikes(
         CAST_SETUP, hf.Peg(1.9, 1.9, 0.03), [pumped(CAST_SETUP, Moves(1, np.zeros(0), np.zeros(0)))]
     )

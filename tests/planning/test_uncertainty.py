@@ -20,7 +20,7 @@ NONE = Uncertainty(length=0.0, mass=0.0, friction=0.0, mu=0.0, lag=0.0, timing=0
 THROW = Moves(-1, np.array([1.43, -1.07, 1.93, 0.0]), np.array([0.1, 0.3, 0.0, 0.2]), np.array([1.0, 1.0, 1.0, 0.5]))
 
 
-def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative():
+def test_the_spread_is_as_requested_and_nothing_becomes_negative():
     wide = Uncertainty(length=0.05, mass=0.1, friction=0.6, mu=0.3, lag=0.02, timing=0.005)
     draws = wide.sample(1500, CAST_SETUP, PEG)
     seen = {
@@ -59,7 +59,7 @@ def test_a_scaled_rope_swings_as_its_length_says():
     np.testing.assert_allclose(two.q, one.q, atol=1e-6)  # tol of 1e-9 m, some hundred times that after a second
 
 
-def test_without_uncertainty_the_motor_does_what_it_is_asked():
+def test_without_uncertainty_the_motor_follows_its_command():
     (draw,) = NONE.sample(1, CAST_SETUP, PEG)
     assert draw.motion(THROW, CAST_SETUP) == THROW.motion(CAST_SETUP.limits)
     assert draw.rope == ROPE

@@ -124,7 +124,7 @@ def test_torque_is_that_of_all_steps():
     assert seen.torque < seen.torque_peak
 
 
-def test_the_torque_of_a_blow_is_told():
+def test_the_torque_of_a_blow_is_reported():
     """A hanging rope whose joint comes to its limit in a swing: what acts for no time is a mean over some."""
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=2, max_bend=0.5, friction=0.0)
     run = hf.simulate(rope, hf.hold_arm(0.0), arm=hf.Arm(length=0.2, mass=0.1, com=0.1), duration=1.0, qd0=[0.0, 6.0])
@@ -133,7 +133,7 @@ def test_the_torque_of_a_blow_is_told():
     assert peak * 5e-4 == pytest.approx(mean * 5e-3, rel=0.2)  # one blow, and little beside
 
 
-def test_what_the_rope_covers_is_asked_and_told():
+def test_contact_is_required_and_reported():
     """2.36 turns, 850 degrees, of which 616 lie on the peg all through the watch: the rest is straight or hangs."""
     seen = planned().outcome
     assert np.degrees(seen.contact_angle) == pytest.approx(616, abs=3)  # 643 at its end
@@ -145,7 +145,7 @@ def test_what_the_rope_covers_is_asked_and_told():
     assert more.message.endswith("degrees of the peg, 688 required")
 
 
-def test_contact_that_is_asked_needs_rope():
+def test_required_contact_needs_rope():
     known = [
         check_feasibility(replace(problem(), criteria=hf.WindCriteria(contact=contact)), PEG)
         for contact in (0.0, 6.0, 7.0, 60.0)

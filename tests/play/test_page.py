@@ -161,7 +161,7 @@ def test_everything_is_in_reach(browser, server, tmp_path, phone, dark):
     assert browser.complaints == []
 
 
-def test_a_page_that_lost_the_server_says_so_and_finds_it_again(page, server):
+def test_a_page_that_lost_the_server_reports_it_and_finds_it_again(page, server):
     page.evaluate("source.dispatchEvent(new Event('error'))")
     wait(page, "document.getElementById('said').textContent.startsWith('The connection was lost')")
     wait(page, "source.readyState === 1")

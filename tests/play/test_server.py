@@ -218,7 +218,7 @@ def test_frames_come_while_it_runs_and_none_move_while_it_is_paused(server, page
     ],
     ids=str,
 )
-def test_what_cannot_be_done_is_said_and_harms_nothing(page, message, told):
+def test_impossible_requests_are_reported_and_change_nothing(page, message, told):
     assert told in page.ask(**message)["error"]
     assert "error" not in page.ask(button="hang")
 
@@ -229,7 +229,7 @@ def test_messages_that_are_none_are_refused(server, page, text):
     assert "error" not in page.ask(button="hang")
 
 
-def test_a_bug_is_told_and_the_connection_stays(server, page, monkeypatch, capsys):
+def test_a_bug_is_reported_and_the_connection_stays(server, page, monkeypatch, capsys):
     monkeypatch.setattr(server.runner, "act", lambda name: 1 / 0)
     assert page.ask(button="hang")["error"] == "This is a bug in hyperflex: division by zero"
     monkeypatch.undo()
@@ -402,7 +402,7 @@ def test_a_planned_cast_winds_as_planned(server, page, folder):
         runner.change({"arm_angle": -90.0})
 
 
-def test_a_rope_that_cannot_go_on_stops_and_says_why(server, page, monkeypatch):
+def test_a_rope_that_cannot_continue_stops_and_reports_why(server, page, monkeypatch):
     def fail(dt):
         raise hf.SimulationError("it diverges", status="diverged", time=1.0)
 

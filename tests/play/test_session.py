@@ -113,7 +113,7 @@ def test_the_tension_of_a_single_step_is_not_shown(monkeypatch):
     assert numbers_of(session.advance(DT))["tension"] == pytest.approx(0.125 * 9.81, rel=1e-3)
 
 
-def test_another_rope_begins_anew_and_an_impossible_one_changes_nothing():
+def test_another_rope_begins_again_and_an_impossible_one_changes_nothing():
     session = Session()
     session.swing()
     run_for(session, 0.5)

@@ -72,7 +72,7 @@ MISSING = {  # what each file does not declare
 
 
 @pytest.mark.parametrize(("name", "missing"), MISSING.items())
-def test_what_a_file_does_not_say_is_asked_for_by_name(tmp_path, name, missing):
+def test_missing_declarations_of_a_file_are_named(tmp_path, name, missing):
     path, arguments = made(tmp_path, name)
     names = {"markers": arguments["markers"]}
     if not missing:
@@ -87,7 +87,7 @@ def test_what_a_file_does_not_say_is_asked_for_by_name(tmp_path, name, missing):
 
 
 @pytest.mark.parametrize("name", ["deeplabcut", "deeplabcut_h5"])
-def test_unlikely_places_are_gaps_and_said(tmp_path, name):
+def test_unlikely_places_are_gaps_and_reported(tmp_path, name):
     path, arguments = made(tmp_path, name)
     del arguments["min_likelihood"]
     said = "likelihood below 0.6 in 1 of 12 frames"
@@ -175,7 +175,7 @@ def test_the_plane_of_the_swing_is_fitted(tmp_path, about):
     assert noisy.tilt == pytest.approx(np.sqrt(2.0) * np.sqrt(2.0) * 1e-3, rel=0.1)
 
 
-def test_a_leaning_plane_is_said_and_a_lying_one_refused(tmp_path):
+def test_a_leaning_plane_is_reported_and_a_lying_one_refused(tmp_path):
     path = turned(tmp_path, 0.3, np.radians(8.0))
     assert "8.0 degrees from the vertical" in read_recording(path, **BOTH, plane="fit", up="z").convention
     refuses(r"71 degrees from the vertical.*plane='xz'", read_recording, path, **BOTH, plane="fit", up="y")
@@ -305,7 +305,7 @@ def test_decimal_commas_in_quotes_between_commas(tmp_path):
     assert (recording.t.tolist(), recording.data[:, 0].tolist()) == ([1.5, 1.75], [0.25, 0.5])
 
 
-def test_columns_that_are_not_asked_for_may_hold_anything(tmp_path):
+def test_columns_that_are_not_chosen_may_contain_anything(tmp_path):
     path = table(tmp_path, "t [s],a [deg],b,note\n0,1,inf,on\n1,2,oops,off\n2,3,1,on\n")
     assert read_recording(path, columns=["a"]).n_links == 1
     refuses("column 'b', is infinite", read_recording, path, columns=["b"], kind="angles", unit="rad")
@@ -324,7 +324,7 @@ def test_messages_name_the_column(tmp_path):
     assert label == "marker 1 (rope:tip_x, rope:tip_y, rope:tip_z)"
 
 
-def test_what_holds_no_motion_is_said(tmp_path):
+def test_files_without_motion_are_reported(tmp_path):
     for what, unit in (("Acceleration", "m/s^2"), ("Gyroscope", "rad/s")):
         phone = table(tmp_path, f'"Time (s)","{what} x ({unit})","{what} y ({unit})"\n0,1,2\n0.1,1,2\n')
         refuses("Accelerations and rates are no angles", read_recording, phone)
@@ -496,7 +496,7 @@ def test_arrays_of_structs_and_of_places(tmp_path):
 
 @pytest.mark.parametrize("count", [8, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("name", SAMPLES)
-def test_damage_is_told_or_harmless(tmp_path, name, count):
+def test_damage_is_reported_or_harmless(tmp_path, name, count):
     from hypothesis import given
     from hypothesis import strategies as st
 

@@ -120,7 +120,7 @@ def test_many_channels_are_shown_by_a_few_and_all_of_them_elsewhere(tmp_path, ma
 
 
 @pytest.mark.usefixtures("unseen")
-def test_an_interrupted_fit_says_so(tmp_path, swing):
+def test_an_interrupted_fit_reports_it(tmp_path, swing):
     recording, found = swing
     cut = changed(found, ended=Status.INTERRUPTED, history=(), held_out=None)
     text = page(tmp_path, (recording, cut))
@@ -150,7 +150,7 @@ def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
     assert titles[1] == "measured minus predicted: failed where dark"
 
 
-def test_the_errors_of_the_foreseeable_and_of_all_predicted_samples_are_named_everywhere(tmp_path, swing):
+def test_the_errors_of_the_predictable_and_of_all_predicted_samples_are_named_everywhere(tmp_path, swing):
     """0.1 rad where predictions are foreseeable, 0.7 rad in the other half, whose band is wide: 0.5 rad in all."""
     recording, found = swing
     held = found.held_out
@@ -196,7 +196,7 @@ def test_rope_and_figures_stand_before_the_page_is_drawn(tmp_path, swing, monkey
 # ---- tables
 
 
-def test_parameters_are_told_with_unit_deviation_interval_and_guess(markers):
+def test_parameters_are_reported_with_unit_deviation_interval_and_guess(markers):
     found = changed(markers[1])
     table = parameters_table(found, hf.Rope.uniform(length=0.6, mass=0.1, n_links=6, friction=4e-4))
     rows = {row[0]: row for row in table.rows}
@@ -233,7 +233,7 @@ def test_intervals_of_the_identification_itself_come_first(markers):
     assert [row[4] for row in ratios_table(found).rows if row[1] == "3"] == ["0.250 to 0.750"]
 
 
-def test_laws_along_the_rope_are_told_as_factors(markers):
+def test_laws_along_the_rope_are_reported_as_factors(markers):
     found = changed(
         markers[1],
         parameters=("friction:shared", "stiffness:factor", "mass:taper"),
@@ -263,7 +263,7 @@ def test_what_errs_together_is_named(swing):
     assert ties(lost) == ()
 
 
-def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
+def test_ratios_omit_fixed_values_and_join_equal_ones(swing, markers):
     table = ratios_table(swing[1])
     assert table is not None
     free = ["J/p1[0]", "J/p1[1]", "p/p1[1]", "c/p1[0]", "c/p1[1]"]
@@ -277,7 +277,7 @@ def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
     assert ratios_table(held) is None
 
 
-def test_the_set_up_is_told(swing, markers):
+def test_the_set_up_is_reported(swing, markers):
     recording, found = markers
     told = dict(recording_table(recording, found).rows)
     assert told["samples"] == "60, every 30 ms (33.33 a second)"

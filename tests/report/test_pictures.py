@@ -59,7 +59,7 @@ def run_key(figure):
     return [each.get_text() for each in figure.axes[0].child_axes[0].get_xticklabels()]
 
 
-def test_strobe_says_which_time_a_colour_is_and_hides_no_wraps(short_cast):
+def test_strobe_shows_the_time_of_each_colour_and_hides_no_wraps(short_cast):
     (axis,) = strobe_figure(short_cast, start=0.25, end=1.25, count=5).axes
     axis.figure.canvas.draw()
     (key,) = axis.child_axes

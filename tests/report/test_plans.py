@@ -74,7 +74,7 @@ PAGES = {  # a report, its figures, and what the page says
 
 
 @pytest.mark.parametrize(("made", "figures", "values"), PAGES.values(), ids=PAGES.keys())
-def test_the_page_of_a_plan_says_what_it_is(tmp_path, made, figures, values):
+def test_the_page_of_a_plan_states_its_kind(tmp_path, made, figures, values):
     files = made().write(tmp_path)
     page = words_of(files["page"])
     assert [value for value in values.split("; ") if value not in page] == []
@@ -109,7 +109,7 @@ def test_a_rule_of_thumb_is_named_whatever_its_message():
     ],
     ids=["late", "stopped", "unreachable", "misses"],
 )
-def test_a_plan_that_fails_says_so_first(tmp_path, made, reason):
+def test_a_plan_that_fails_reports_it_first(tmp_path, made, reason):
     page = words_of(CastReport(made()).write(tmp_path)["page"])
     assert page.index("No cast found round a target at x") < page.index("In short")
     assert f"In short No cast that winds and holds was found: {reason}" in page
@@ -201,7 +201,7 @@ def test_figures_of_the_tip_come_with_their_doubts():
     assert " off, in simulation." in WhipReport(replace(whip, finer_outcome=None, position_std=math.nan)).verdict
 
 
-def test_a_success_probability_says_what_it_omits():
+def test_a_success_probability_reports_what_it_omits():
     plan = planned_insert()
     weak = replace(plan, problem=replace(plan.problem, limits=hf.MotorLimits(torque=10.0)))
     for shown, omits in ((plan, False), (weak, True)):

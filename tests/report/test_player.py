@@ -108,7 +108,7 @@ def test_it_is_scrubbed_by_keys_slider_plot_and_address(page):
     assert page.evaluate("document.getElementById('time').textContent") == "t = 7.50 s"
 
 
-def test_it_plays_at_the_speed_asked_for_and_begins_again(page):
+def test_it_plays_at_the_requested_speed_and_restarts(page):
     page.press("+")
     assert page.evaluate("player.speed") == 2.0
     page.press(" ")
@@ -175,7 +175,7 @@ def test_pegs_that_turn_walls_and_floors_are_drawn(browser, tmp_path):
     assert browser.complaints == []
 
 
-def test_what_the_rope_must_not_touch_is_told_apart(browser, tmp_path):
+def test_obstacles_are_distinguished_from_the_target(browser, tmp_path):
     walls = (hf.Wall(-1.9, -1.8, -1.7, -0.6), hf.Ground(0.0, -2.4), hf.Peg(1.4, 0.3, 0.12))
     plan = planned()
     known = replace(plan.problem, obstacles=walls)

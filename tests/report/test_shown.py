@@ -43,7 +43,7 @@ def test_a_result_is_named_in_a_line(kind, found):
     assert "array(" not in told
 
 
-def test_a_line_says_what_matters(found):
+def test_a_line_reports_the_main_results(found):
     assert repr(made("setup", found)) == "Setup(Rope(2 links, 0.4 m, 0.37 kg), arm of 0.1 m, motion, 0.5 s, 1 obstacle)"
     assert "CastPlan(target (2.5, 0) m, Rope(50 links" in repr(unreachable())
     assert "fails: out of reach: the rope ends" in repr(unreachable())

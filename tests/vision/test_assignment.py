@@ -54,7 +54,7 @@ def test_gaps_and_clutter():
     assert np.allclose(got.places[keep], truth[keep])
 
 
-def test_a_whole_rope_that_is_off_is_told_by_its_joint_covariance():
+def test_a_whole_rope_that_is_off_is_reported_by_its_joint_covariance():
     """All predictions are 70 px to the left of the truth, more than the spacing of 60 px, and something lies where the
     first marker is expected: each alone takes a neighbour, together they are right by the rope's shape."""
     count = 8

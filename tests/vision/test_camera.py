@@ -54,7 +54,7 @@ def test_gaps_and_points_behind_the_camera_are_nan():
     assert camera.project(np.zeros((0, 2))).shape == (0, 2)
 
 
-def test_facing_camera_has_the_scale_and_roll_asked_for():
+def test_facing_camera_has_the_requested_scale_and_roll():
     camera = Camera.facing((640, 480), pixels_per_metre=250.0, origin=(300.0, 50.0), roll=np.pi / 2)
     assert np.allclose(camera.project([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]]), [[300, 50], [300, -50], [200, 50]])
     assert camera.pixels_per_metre == pytest.approx(250.0)
@@ -96,7 +96,7 @@ SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     ],
     ids=["upright", "on its side", "upside down", "y down", "x left"],
 )
-def test_it_says_how_the_plane_is_seen(by_place, directions, roll, notes):
+def test_it_reports_the_directions_of_the_plane(by_place, directions, roll, notes):
     """Known points whose axes point elsewhere than right and up are taken, and said."""
     pixels = SQUARE @ np.array(by_place).T + [600, 400]
     pixels[0, 0] += 0.01  # OpenCV finds no pose of a plane that is seen from behind exactly at a right angle
@@ -141,7 +141,7 @@ def test_a_file_with_a_plane_that_cannot_be_seen_is_refused(tmp_path, rotation, 
         read_camera(tmp_path / "camera.toml")
 
 
-def test_without_a_plane_it_says_what_to_do():
+def test_without_a_plane_it_reports_what_to_do():
     with pytest.raises(InvalidInput, match="with_plane"):
         Camera.pinhole((1280, 720)).project(POINTS)
 

@@ -148,7 +148,7 @@ def test_colour_follows_the_light():
     assert np.abs(following.colour.bgr - first.bgr * renderer.scene.light(1.97)).max() < 15.0
 
 
-def test_a_marker_covered_in_part_says_so():
+def test_a_marker_covered_in_part_reports_it():
     image = np.full((80, 80, 3), 180, np.uint8)
     cv2.circle(image, (40, 40), 8, (40, 30, 210), -1, cv2.LINE_AA)
     detector = MarkerDetector(MarkerColour([40.0, 30.0, 210.0], area=float(np.pi * 8.2**2)), adapt=False)

@@ -67,7 +67,7 @@ def test_rotation_is_obeyed_as_opencv_does(video, angle, direction):
     assert np.abs(np.rot90(pattern(), angle // 90).astype(float) - want).mean() < 6.0
 
 
-def test_what_is_left_of_a_truncated_video_is_read_and_said(video):
+def test_the_rest_of_a_truncated_video_is_read_and_reported(video):
     content = video.read_bytes()
     video.write_bytes(content[: int(0.6 * len(content))])  # its index stands in front, so it opens
     frames, reader = read(video)
@@ -75,7 +75,7 @@ def test_what_is_left_of_a_truncated_video_is_read_and_said(video):
     assert any("lists 60 frames" in note for note in reader.notes)
 
 
-def test_damaged_parts_are_left_out_and_said(video):
+def test_damaged_parts_are_omitted_and_reported(video):
     content = bytearray(video.read_bytes())
     middle = len(content) // 2
     content[middle : middle + 2000] = bytes(2000)
@@ -186,7 +186,7 @@ def test_live_source_that_is_not_there(source):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit of a process's memory is Linux's")
-def test_too_little_memory_is_said(video):
+def test_too_little_memory_is_reported(video):
     """FFmpeg, which then cannot start its threads, says "Resource temporarily unavailable"."""
     program = (
         "import resource, sys; from hyperflex.vision import VideoReader; import av; "
