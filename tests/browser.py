@@ -35,7 +35,7 @@ def found() -> str | None:
 
 
 class Browser:
-    """One page of a browser: what it asked the network for, and what its console said."""
+    """One page of a browser, its network requests and its console messages."""
 
     def __init__(self, program: str) -> None:
         self.requests: list[str] = []
@@ -131,7 +131,7 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1)
 
     def screenshot(self, path: Path) -> None:
-        """Write what the window shows to a PNG file."""
+        """Write the content of the window to a PNG file."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def _next(self, what: str) -> dict[str, Any]:

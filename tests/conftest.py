@@ -50,7 +50,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def recordings_folder(root: Path) -> Path:
-    """Return $HYPERFLEX_DATA if it is set, else shared/data beside the project."""
+    """Return $HYPERFLEX_DATA if it is set, else shared/data next to the project."""
     named = os.environ.get("HYPERFLEX_DATA")
     return Path(named).expanduser() if named else root.parent / "shared" / "data"
 

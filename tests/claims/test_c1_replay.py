@@ -65,7 +65,8 @@ def test_replaying_the_recovered_torque_gives_the_same_motion(friction_model):
 
 
 def test_the_acceleration_of_a_driven_arm_is_the_input_at_every_instant():
-    """A callback that wants a given acceleration and asks (3) for the torque gets it, to first order in its period."""
+    """A callback that computes the torque for a given acceleration from (3) obtains it, to first order in its
+    period."""
     rope = cable("relative").replace(friction=2e-3)
     wanted = 20.0
 

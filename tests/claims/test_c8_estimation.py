@@ -1,4 +1,5 @@
-"""Claim C8 of the source paper, Fig. 8: its online estimator, beside ours and trackers without dynamics. Rendered."""
+"""Claim C8 of the source paper, Fig. 8: its online estimator, compared with ours and with trackers without dynamics.
+Rendered."""
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def test_trackers_without_dynamics_lose_a_third_or_more():
 
 
 def test_the_state_is_continuous_between_frames():
-    """The paper's estimator knows the tip at any time: what it predicts leads to where it looks."""
+    """The paper's estimator knows the tip at any time: its prediction determines the search region."""
     run = followed("paper", DRAWN.seed)
     assert not np.isnan(run.tip).any()
     np.testing.assert_allclose(run.tip[:-1, -1], run.expected[1:, -1], atol=1e-6)

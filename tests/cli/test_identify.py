@@ -1,4 +1,4 @@
-"""``hyperflex identify``: a recording and a guess in, a rope out; what is not declared is refused."""
+"""``hyperflex identify``: a recording and a guess in, a rope out; missing declarations are refused."""
 
 import dataclasses
 import json
@@ -268,7 +268,8 @@ def test_bad_options_are_refused_by_name(hyperflex, led, options, message):
 
 
 def test_a_torque_column_drives_the_pendulum(hyperflex_json, refused, tmp_path, monkeypatch):
-    """A motor at the first joint, its current in a column: the known mass tells the constant, declared 10 % wrong."""
+    """A motor at the first joint, its current in a column: the known mass determines the constant, declared 10 %
+    wrong."""
     monkeypatch.chdir(tmp_path)
     rod = hf.Rope(length=[0.4], mass=[0.5], com=[0.3], inertia=[0.01], friction=[0.02])
     t = np.arange(501) / 100.0

@@ -51,7 +51,7 @@ def given(tmp_path):
 
 @pytest.fixture
 def ready(monkeypatch):
-    """Let a command find a plan done; returns what it was given."""
+    """Let a command get a finished plan; return the arguments of its planner."""
     asked = {}
 
     def plan(command, found=None, **changes):
@@ -193,7 +193,7 @@ def test_pegs_but_the_target_of_a_cast_are_obstacles(hyperflex, ready, tmp_path)
 @EACH
 @pytest.mark.usefixtures("undrawn")
 def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, given, ready, tmp_path, command):
-    """It also holds the verified run, whose rope is cut for a peg; what is planned with is what was before."""
+    """It also contains the verified run, whose rope is divided for a peg; planning uses the original rope."""
     plan, asked = MADE[command](), ready(command)
     plan.to_toml(tmp_path / "plan.toml")
     assert hyperflex(command, tmp_path / "plan.toml", "-o", tmp_path / "out")[0] == 0
@@ -224,7 +224,7 @@ def test_criteria_of_an_earlier_plan_hold_unless_others_are_given(
 
 @pytest.mark.usefixtures("undrawn")
 def test_plans_that_do_not_fit_their_files_are_refused(hyperflex, ready, tmp_path):
-    """A start that swings makes another throw; and what is planned with stands further down than the obstacles."""
+    """A swinging start needs another throw; the inputs of the planner are listed below the obstacles."""
     ready("cast")
     hf.Setup(CABLE, arm=hf.Arm(length=0.105), pegs=(PEG,), q0=[0.1] * CABLE.n_links).to_toml(tmp_path / "setup.toml")
     code, _, err = hyperflex("cast", tmp_path / "setup.toml", "-o", tmp_path / "out")

@@ -1,4 +1,4 @@
-"""``hyperflex look``: what a file holds, its picture, and lines that read it."""
+"""``hyperflex look``: the contents of a file, its picture, and the commands that read it."""
 
 import math
 import shlex

@@ -1,4 +1,4 @@
-"""``hyperflex run`` against emulated drives, and what it refuses."""
+"""``hyperflex run`` against emulated drives, and its refusals."""
 
 import io
 import signal

@@ -1,4 +1,4 @@
-"""What is printed, the JSON, the page and the exit code of ``hyperflex identify`` tell the same."""
+"""The output, the JSON, the page and the exit code of ``hyperflex identify`` agree."""
 
 import html
 import json
@@ -19,7 +19,7 @@ CASES = {  # exit code, grade, what is free, a factor of the times, and what the
 
 
 def text_of(page: str) -> str:
-    """The words of a page, tags left out."""
+    """The text of a page without tags."""
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", re.sub(r"(?s)<(style|script).*?</\1>", " ", page))).split())
 
 

@@ -1,4 +1,4 @@
-"""``hyperflex simulate``: set-up in, NetCDF out, and what it says when that cannot be."""
+"""``hyperflex simulate``: set-up in, NetCDF out, and its error messages."""
 
 import dataclasses
 from pathlib import Path
@@ -149,7 +149,7 @@ def test_ctrl_c_after_the_run_reports_that_it_is_written(hyperflex_json, setup, 
 
 @pytest.mark.filterwarnings("ignore:.*near the peg")
 def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json, setup):
-    """One peg that the rope hangs over, with what it holds on demand, and one that it never meets."""
+    """One peg over which the rope hangs, with optional properties, and one that it never touches."""
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=8, radius=0.003, friction=1e-4)
     pegs = [hf.Peg(0.0, 0.0, 0.1, mu=0.5), hf.Peg(2.0, 0.0, 0.1)]
     over = hf.Setup(rope, arm=hf.Arm(length=0.1, pivot=(-0.3, 0.25)), pegs=pegs, duration=1.0, q0=np.full(8, 1.6))

@@ -1,4 +1,4 @@
-"""``hyperflex init`` and ``doctor``, and what a shell is told of commands and options."""
+"""``hyperflex init`` and ``doctor``, and the completion of commands and options in a shell."""
 
 import json
 import os

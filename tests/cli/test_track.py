@@ -216,8 +216,8 @@ def test_what_was_never_seen_and_what_was_estimated_is_reported(hyperflex, folde
 def test_a_wrong_scale_is_refused_or_admitted(hyperflex, folder, tmp_path, scale):
     """A third off: markers further apart than the rope between them, or a rope that is bent where none is.
 
-    The first is refused. The second cannot be told from one picture; then what is seen and what the rope can do are far
-    apart, and the level of the noise says so (1 is what the detector states).
+    The first is refused. The second cannot be detected in one picture; then the observed motion is far from a possible
+    one, and the noise level is large (1 is the detector's value).
     """
     facing(scale=scale).write(folder / "wrong.toml")
     arguments = words("track", folder / "swing.mp4", folder, tmp_path / "out.nc", "--json", camera="wrong.toml")
@@ -251,7 +251,7 @@ def test_a_rope_that_begins_elsewhere_is_reported_in_the_first_line(hyperflex, f
 
 
 def test_markers_out_of_view(hyperflex, folder, tmp_path):
-    """The picture ends above the lower half of the rope: what is below is known less well, and that is said."""
+    """The picture ends above the lower half of the rope: the part below is less certain, and this is reported."""
     cut = facing((640, 240))
     cut.write(folder / "cut.toml")
     film_swing(tmp_path / "cut.mp4", cut, count=3 * COUNT)
@@ -270,7 +270,7 @@ def test_markers_out_of_view(hyperflex, folder, tmp_path):
 
 @BOTH
 def test_two_ropes(hyperflex, folder, tmp_path, command):
-    """Another rope with the same markers hangs half a metre beside: ours, which hangs from the origin, is followed."""
+    """Another rope with the same markers hangs half a metre away: ours, which hangs from the origin, is tracked."""
     other = film_swing(tmp_path / "other.mp4", seed=3)
     with VideoReader(folder / "swing.mp4") as ours, VideoWriter(tmp_path / "two.mp4", (640, 480)) as both:
         for frame, places in zip(ours, other, strict=True):

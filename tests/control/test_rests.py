@@ -20,7 +20,7 @@ def plan() -> PumpingPlan:
 
 
 def arrives(rests: np.ndarray) -> float:
-    """When the tip is at ``|x|`` = WANTED, s, in a run of its own, by the events of the engine."""
+    """Time at which the tip reaches ``|x|`` = WANTED, s, in a separate run, by an event."""
     motion = MODEL.motion(np.cumsum(np.append(0.0, np.asarray(rests) + 0.5)))
     found = []
     for side in (-1.0, 1.0):

@@ -1,4 +1,4 @@
-"""Where a controller gets its state from: the truth, or a stand-in for a camera with noise, delay, a wrong model."""
+"""State sources of a controller: the truth, or a simulated camera with noise, delay and a wrong model."""
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def test_another_number_of_links_is_refused():
 
 
 def test_times_that_do_not_add_up_to_the_last_digit_are_no_error():
-    """Runs between such times end a rounding before the time that was asked for."""
+    """Runs between such times end a rounding error before the requested time."""
     pairs = np.random.default_rng(0).uniform([0.1, 1.1], [0.3, 1.3], (400, 2))
     first, then = next((a, b) for a, b in pairs.tolist() if a + (b - a) < b)
     source = TrueState(ROPE, ARM)

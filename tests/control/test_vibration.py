@@ -84,7 +84,8 @@ def upright(strength: float, frequency: float) -> hf.VibrationPosture:
 
 @pytest.mark.parametrize("strength", [1.02, 1.2, 3.0])
 def test_what_holds_an_upright_rod_agrees_with_floquet(strength):
-    """Near the threshold gravity takes most of what the vibration makes, and its error counts against the rest."""
+    """Near the threshold gravity cancels most of the effect of the vibration, and its error is compared with the
+    rest."""
     held = upright(strength, 1.001 * upright(strength, 40.0).least_frequency)
     assert held.holds
     assert held.frequencies[0] == pytest.approx(floquet(held.amplitude, held.frequency), rel=0.05)
@@ -167,7 +168,7 @@ def test_the_arm_drags_the_first_joint_by_its_friction():
 
 
 def test_it_reports_where_averaging_does_not_hold():
-    """A strong and slow vibration: what is averaged away is as large as what remains."""
+    """A strong and slow vibration: the averaged part is as large as the remainder."""
     slow = hf.vibration_posture(ROD, 0.2, 4.0, 1.8)[0]
     assert not slow.holds
     assert f"averaging needs {slow.least_frequency:.3g} Hz" in repr(slow)
@@ -175,7 +176,7 @@ def test_it_reports_where_averaging_does_not_hold():
 
 
 def test_friction_counts_in_the_fast_motion():
-    """Joints that hardly turn in a period make a rod of the chain, for which a slower vibration is fast enough."""
+    """If joints barely turn in a period, the chain acts like a rod, for which a slower vibration is fast enough."""
     rope = hf.Rope(length=[0.06] * 5, mass=[0.01] * 5, radius=0.003, friction=[1e-5, *[0.5] * 4])
     held = nearest(hf.vibration_posture(rope, 0.01, 60.0, 2.4), 2.2)
     free = nearest(hf.vibration_posture(rope.replace(friction=np.full(5, 1e-5)), 0.01, 60.0, 2.4), 2.2)

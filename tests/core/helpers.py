@@ -1,4 +1,4 @@
-"""Calls of the kernels with what the tests have: links, a state and a base."""
+"""Calls of the kernels with the tests' links, state and base."""
 
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ class Sweep(NamedTuple):
 
 
 def chain_of(links: Any) -> kernels.Chain:
-    """The kernel's parameters from the reference's (same names, but for who bears the friction)."""
+    """The kernel's parameters from the reference's (same names, except for the reaction of friction)."""
     values = links._asdict()
     reaction = kernels.MUTUAL if values.pop("reaction") == 1.0 else kernels.ONE_SIDED
     return kernels.Chain(**values, reaction=reaction)

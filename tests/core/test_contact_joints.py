@@ -70,7 +70,7 @@ def test_an_impact_on_limits_is_that_of_the_dense_complementarity_problem(n, see
 @pytest.mark.parametrize("n", [1, 2, 3, 6, 12])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_step_with_dry_friction_is_that_of_dense_projections(n, seed):
-    """From rest or in motion, no gravity and slow, so that centrifugal terms are below what is compared."""
+    """From rest or in motion, without gravity and slow, so that centrifugal terms are below the compared ones."""
     rng = np.random.default_rng([n, seed, 1])
     q = np.cumsum(rng.normal(0.0, 0.5, n))
     moving = rng.random(n) < 0.5

@@ -46,7 +46,8 @@ class Case:
         return change, np.array(load)
 
     def dense(self) -> tuple[dense.Real, dense.Real, dense.Real]:
-        """The same by virtual work: one linear system for all rates; and what turns each link, times its lever."""
+        """The sweep by virtual work: one linear system for all rates; and the force that turns each link, times its
+        lever."""
         n, links = self.q.size, self.links
         across = dense.directions(self.q)[1]
         mass, reach = dense.bodies(links)

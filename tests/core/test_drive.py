@@ -1,4 +1,4 @@
-"""The compiled drive against the motion that it was packed from, and against the arm worked out anew."""
+"""The compiled drive against its motion, and against an independent computation of the arm."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_kernel_and_motion_agree_at_any_time(name, t):
 
 @each
 def test_rates_and_accelerations_are_derivatives(name):
-    """Of the angle and of the joint's position; central differences where nothing jumps within the step."""
+    """Derivatives of the angle and of the joint's position; central differences if nothing jumps within the step."""
     motion, h = MOTIONS[name], 1e-5
     times = np.linspace(0.013, 4.0, 97)
     switches = motion.switches(-1.0, 5.0)

@@ -32,7 +32,7 @@ def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n, reaction)
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
 def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n):
-    """Whole chains at rest beside their base, with limits about as large as the loads: some hold, some give way."""
+    """Complete chains at rest relative to their base, with limits similar to the loads: some stick, some slip."""
     kinds = set()
     for seed in range(12):
         links, state = random_links(n, seed, air=True), random_state(n, seed)
@@ -182,7 +182,7 @@ def test_a_dip_before_another_joint_s_event_is_found():
 
 
 def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before():
-    """Where friction acts on one link every attempt has a middle; it is no middle of what is left of the span."""
+    """If friction acts on one link, every attempt has a middle; it is not the middle of the remaining span."""
     search, low = new_search(1, 1.0), 0.5
     search.low[0, 0] = 1.0
     for step, margin, middle in ((1.0, -1.0, np.inf), (low, 0.2, np.inf), (0.6, 0.1, 0.0)):
@@ -193,7 +193,7 @@ def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before():
 
 
 def test_a_joint_that_comes_loose_does_not_stop_for_rounding():
-    """It hardly accelerates at first, so that its rate is rounding for long; then it slips, and stops much later."""
+    """It barely accelerates at first, so its rate is rounding for a long time; then it slips, and stops much later."""
     start, jerk, end, rounding = 3e-10, 1e3, 0.04, 4e-16
 
     def value(t):

@@ -33,7 +33,7 @@ class Direction:
 
 
 def random_direction(n: int, seed: int, *, parameters: bool) -> Direction:
-    """A change of state and base, and with `parameters` of all else, each in proportion to what is usual."""
+    """A change of state and base, and with `parameters` of all other inputs, in proportion to usual values."""
     rng = np.random.default_rng(seed)
     it = Direction(n)
     it.q, it.w, it.base = rng.normal(size=n), rng.normal(size=n), rng.normal(size=7)

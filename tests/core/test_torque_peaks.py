@@ -17,7 +17,7 @@ def watched(begins: list[float], steps: list[float], impulses: list[float]) -> n
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_peak_is_that_of_all_windows(seed):
-    """Up to what the ends of a window make: within a cell nobody knows what comes when."""
+    """Up to the effect of the ends of a window: the order within a cell is unknown."""
     rng = np.random.default_rng(seed)
     h = 10.0 ** rng.uniform(-7.0, -3.3, 400) * (rng.random(400) < 0.9)  # some are impacts
     end = np.cumsum(h)

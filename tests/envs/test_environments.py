@@ -1,4 +1,4 @@
-"""Environments: Gymnasium's own checks, members and single ones alike, episodes, limits, what is drawn."""
+"""Environments: Gymnasium's checks, equality of members and single ones, episodes, limits, random draws."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ def test_gymnasium_finds_nothing(name, action, observation, drawn):
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize("action", ["acceleration", "timing"])
 def test_members_are_single_environments(name, mode, action):
-    """Three episodes, beside Gymnasium's own way to make many of one: values, ends and information."""
+    """Three episodes, compared with Gymnasium's own vectorisation: values, ends and information."""
     arguments = {"max_episode_steps": 25, "action": action, "observation": "markers", **DRAWN}
     many = gymnasium.make_vec(name, num_envs=2, autoreset_mode=mode, **arguments)
     ones = SyncVectorEnv([lambda: gymnasium.make(name, **arguments)] * 2, autoreset_mode=AutoresetMode(mode))

@@ -32,7 +32,7 @@ def rope(n: int = 50, scale: float = 1.0) -> hf.Rope:
 
 @functools.cache
 def free_swing(seed: int, duration: float = 8.0) -> hf.Trajectory:
-    """A swing from 1.2 m beside the rest, bent by chance."""
+    """A swing from 1.2 m off its rest position, randomly bent."""
     rng, s = np.random.default_rng(seed), np.linspace(0.0, 1.0, FINE)
     bend = 0.15 * rng.normal() * np.sin(np.pi * s) + 0.1 * rng.normal() * np.sin(2.0 * np.pi * s)
     q0 = np.arcsin(1.2 / LENGTH) + bend
@@ -275,7 +275,7 @@ def _tip(tracker: RopeFilter) -> tuple[Array, Array, Array]:
 
 
 def friction_bound(truth: Truth, moved: bool, noise: float, frames: float = 30.0) -> float:
-    """Cramer-Rao bound of the relative friction, the start being unknown but for the filter's own prior."""
+    """Cramer-Rao bound of the relative friction, with the filter's prior of the start."""
     n, cable = truth.q.shape[1], rope(truth.q.shape[1])
     first = int(0.1 * RATE)
     at = np.arange(first, truth.t.size - first, round(RATE / frames))

@@ -67,7 +67,7 @@ def test_a_hidden_joint_leaves_the_last_direction():
 
 
 def test_the_filter_carries_on_hidden_bars(tmp_path):
-    """Every fourth frame is withheld, and foretold within 2 px rms."""
+    """Every fourth frame is withheld, and predicted within 2 px rms."""
     _, detector = filmed(tmp_path / "pendulum.mp4")
     tracker = RopeTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), BarMeasurement(detector))
     errors = withheld(tracker, tmp_path / "pendulum.mp4", every=4)
@@ -75,7 +75,7 @@ def test_the_filter_carries_on_hidden_bars(tmp_path):
 
 
 def test_frames_and_states_that_cannot_be_are_met_as_with_a_rope(tmp_path, monkeypatch):
-    """Another size is refused; where no rope can move on from the state, it is looked for anew."""
+    """Another size is refused; if no rope can continue from the state, it is searched again."""
     _, detector = filmed(tmp_path / "pendulum.mp4", duration=0.3)
     tracker = RopeTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), BarMeasurement(detector))
     with VideoReader(tmp_path / "pendulum.mp4") as video:
@@ -110,7 +110,7 @@ def test_places_of_bars_are_by_what_is_estimated(tmp_path):
 
 
 def withheld(tracker, path, every, skip=0):
-    """Return differences (m, 2), px, of places seen in frames that the tracker was not shown and those foretold."""
+    """Return differences (m, 2), px, of observed and predicted positions in frames withheld from the tracker."""
     errors = []
     with VideoReader(path) as video:
         for number, frame in enumerate(video):
@@ -138,7 +138,7 @@ def test_a_filter_with_other_points_is_refused():
 
 
 def test_the_real_pendulum(data_dir, tmp_path):
-    """From the video to ratios, the time between frames, and places foretold in frames that were withheld.
+    """From the video to ratios, the time between frames, and predicted positions in withheld frames.
 
     Bars of 0.205 and 0.179 m are 112.7 and 98.4 px long: 550 px/m, and the joints are 85.7 px = 0.156 m apart. Angles
     alone tell lengths only over g times the square of the clock's rate, so that the first link's length is fitted and

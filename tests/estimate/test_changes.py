@@ -16,7 +16,7 @@ CAMERA = np.array([0.0, -1.0, 4.0])  # m: where the picture is taken from, in fr
 
 
 def noticed(changes: list[Change], name: str) -> float:
-    """Seconds after the change until it was noticed as what it is."""
+    """Seconds from the change until its detection with the right name."""
     return next((each.noticed for each in changes if each.name == name), np.inf) - AT
 
 
@@ -64,7 +64,8 @@ def test_nothing_has_changed():
 
 
 def test_the_rate_of_false_alarms_is_what_was_requested():
-    """White innovations, 1.5 s between alarms asked for: at most as many, by Bonferroni's bound, but not none."""
+    """White innovations with 1.5 s required between alarms: at most as many, by Bonferroni's bound, but more than
+    none."""
     cable, rng = rope(6), np.random.default_rng(0)
     interval, dt, frames, count = 1.5, 1 / 30, 3000, 0
     tests = ChangeTests(("length", "touch"), interval, {"length": 0.0, "touch": 0.0})
@@ -148,7 +149,7 @@ def test_bad_input():
 
 
 def test_a_slow_camera_is_tested_too():
-    """3.3 frames/s: a mass at the tip is told, as it is at 10."""
+    """3.3 frames/s: a mass at the tip is detected, as at 10."""
     cable, gap = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, radius=0.002, friction=1e-4), 0.3
     heavy, rng = cable.replace(tip_mass=0.02), np.random.default_rng(0)
     first = hf.simulate(cable, duration=3.9, q0=np.full(10, 0.8), t_eval=np.arange(0.0, 3.91, gap))

@@ -21,9 +21,9 @@ def nees(found: Tracked, name: str, floor: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("moved", [False, True], ids=["free swings", "casts"])
 def test_where_the_model_is_right(moved):
-    """Disturbances as the filter assumes them, of a size that it does not know: chi squares, and white innovations.
+    """Disturbances as the filter assumes them, of unknown size: chi squares, and white innovations.
 
-    Frames close together are alike, so that the mean of NEES over two runs of 6 s still varies by some 10 %.
+    Successive frames are correlated, so the mean of NEES over two runs of 6 s varies by some 10 %.
     """
     runs = [
         track(

@@ -23,7 +23,7 @@ def true() -> tuple[np.ndarray, np.ndarray]:
 
 
 def found(times: np.ndarray, places: np.ndarray, alike: float = 1.0) -> RunErrors:
-    """Return what a filter with 20 links and a smoother make of places stated `alike` times as uncertain."""
+    """Return the results of a filter with 20 links and a smoother, for positions stated `alike` times as uncertain."""
     estimator = RopeFilter(rope(20), ARCS, parameters=ORIGIN)
     seen, states = [Observations(t, each, std=DECLARED * alike**0.5) for t, each in zip(times, places, strict=True)], []
     for each in seen:
@@ -40,7 +40,7 @@ def inside(errors: RunErrors, off: np.ndarray) -> float:
 
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 4.0])
 def test_the_noise_of_the_markers_is_found(true, ratio):
-    """1200 coordinates tell a standard deviation to 2 %; the coarser chain adds a tenth of a millimetre."""
+    """1200 coordinates determine a standard deviation to 2 %; the coarser chain adds a tenth of a millimetre."""
     times, places = true
     noise = ratio * DECLARED * np.random.default_rng(1).normal(size=places.shape)
     errors = found(times, places + noise)
@@ -91,7 +91,7 @@ def test_a_swing_out_of_the_plane_is_stated_across_the_rope_too(true):
 
 
 def test_a_shaking_camera_is_distinguished_from_the_markers_and_from_the_rope(true):
-    """The motion of all markers together is found to 20 %: 150 numbers tell a standard deviation to 6 %."""
+    """The common motion of all markers is found to 20 %: 150 numbers determine a standard deviation to 6 %."""
     times, places = true
     rng = np.random.default_rng(3)
     noise = DECLARED * rng.normal(size=places.shape) + 8e-3 * rng.normal(size=(len(places), 1, 2))

@@ -14,7 +14,7 @@ from tests.refusals import refuses
 
 @pytest.mark.parametrize("seed", range(2))
 def test_free_swing_at_7_frames_a_second(seed):
-    """The paper's camera: 10 markers, 7.5 frames/s. What is asked: 3 mm, 5 mm foretold, 2 % of speeds, 5 % of rates."""
+    """The paper's camera: 10 markers, 7.5 frames/s. Goals: 3 mm, 5 mm predicted, 2 % of speeds, 5 % of rates."""
     found = track(free_swing(seed), seed=seed)
     assert found.rms("tip") < 3e-3
     assert found.rms("foretold") < 5e-3
@@ -85,7 +85,7 @@ def test_derivatives_of_what_is_seen():
 
 
 def test_derivatives_of_the_motion_by_friction():
-    """That of the first joint is beside that of all."""
+    """The relative change of the first joint's friction is in addition to that of all joints."""
     names = ("friction", "first_joint_friction")
     tracker = RopeFilter(rope(4), [2.0], parameters=[EstimatedParameter(name, 0.5) for name in names])
     x, step = np.concatenate([[0.3, 0.5, 0.4, 0.2], [1.0, 3.0, -2.0, 1.0], [0.2, -0.3]]), 1e-3
@@ -224,7 +224,7 @@ def test_what_is_predicted_does_not_depend_on_its_steps():
 
 
 def test_what_a_covariance_omits_is_stated():
-    """The state now and the one foretold for now are one; a parameter that is known well is still there."""
+    """The present state equals its prediction; a well-known parameter is still included."""
     tracker = swinging(1.5, parameters=[EstimatedParameter("offset_x", 100.0)])
     assert tracker.t is not None
     now, foretold = tracker.state.covariance, tracker.state_at(tracker.t).covariance
@@ -235,10 +235,11 @@ def test_what_a_covariance_omits_is_stated():
 
 
 def test_a_whole_run_is_the_textbooks_filter(monkeypatch):
-    """An iterated extended Kalman filter with whole matrices (Bell, Cathey 1993), noise levels held, beside ours.
+    """An iterated extended Kalman filter with full matrices (Bell, Cathey 1993) and fixed noise levels, compared with
+    ours.
 
-    What a covariance leaves out and when an iteration ends differ: ours is done at 0.03 of a standard deviation. Stone
-    Soup 1.9.1 (IteratedKalmanUpdater), tried once on this run, was off as far: 0.04 in the first frames, 0.0004 later.
+    Details of the covariance and the end of the iteration differ: ours ends at 0.03 of a standard deviation. Stone Soup
+    1.9.1 (IteratedKalmanUpdater), tried once on this run, was off as far: 0.04 in the first frames, 0.0004 later.
     """
     monkeypatch.setattr(NoiseLevel, "see", lambda *_: None)
     arcs, ends, rng = np.linspace(0.2, LENGTH, 10), np.linspace(0.0, LENGTH, 101), np.random.default_rng(5)

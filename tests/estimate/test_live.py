@@ -77,7 +77,7 @@ def tracker(video: tuple[Path, MarkerColour]) -> RopeTracker:
 
 
 class Scripted:
-    """A source that gives out frames, and does in between what it is told: a number is a pause, s."""
+    """A source that provides frames, and executes the given actions in between: a number is a pause, s."""
 
     def __init__(self, *script: Frame | float | Exception) -> None:
         self.script, self.notes, self.closed = script, [], False
@@ -97,7 +97,7 @@ class Scripted:
 
 
 def watched(video: tuple[Path, MarkerColour], source: Scripted, interval: float = 30.0) -> list[LiveEstimate]:
-    """All that is told of a source that is watched until it ends."""
+    """All reports of a source that is watched until it ends."""
     with FrameThread(lambda: source, live=False) as frames:
         return list(Watch(frames, tracker(video), interval=interval))
 
@@ -189,7 +189,7 @@ def test_a_live_source_is_opened_again(video, pictures):
 
 
 def test_time_continues_if_a_source_restarts_its_stamps(video, pictures):
-    """A camera that was opened again: its stamps begin at 0, the frames' times go on, and the rope is found anew.
+    """A camera that was opened again: its stamps begin at 0, the frames' times continue, and the rope is found again.
 
     A busy machine may take no frame of an opening, or give a prediction before a frame that is late.
     """
@@ -221,7 +221,7 @@ def test_time_continues_if_a_source_restarts_its_stamps(video, pictures):
 
 
 class Stepped(Scripted):
-    """An emulated camera that gives frames when it is told to, and then breaks off for good."""
+    """An emulated camera that provides frames on request, and then fails permanently."""
 
     def __init__(self, *script: Frame) -> None:
         super().__init__(*script)
@@ -234,7 +234,7 @@ class Stepped(Scripted):
             self.given.release()
 
     def give(self, count: int) -> None:
-        """Give so many frames; return when they wait to be taken."""
+        """Provide `count` frames; return when they wait to be read."""
         for _ in range(count):
             self.told.release()
             assert self.given.acquire(timeout=30.0)
@@ -250,7 +250,7 @@ class Stepped(Scripted):
 
 
 def test_a_live_source_gives_the_newest(pictures):
-    """Nobody takes frames for a while: the newest is given, and how many were left out is told."""
+    """Frames are not read for a while: the newest one is provided, and the number of skipped ones is reported."""
     source = Stepped(*pictures[:7])
     with source.opening() as frames:
         source.give(6)
@@ -261,7 +261,7 @@ def test_a_live_source_gives_the_newest(pictures):
 
 
 def test_frames_that_wait_are_processed_later_unless_as_many_come(pictures, monkeypatch):
-    """Of 9 frames 4 wait, the newest in the place of the last one. Then each one that is taken is followed by one."""
+    """4 of 9 frames wait, the newest in place of the last one. Then each frame that is read is followed by one."""
     monkeypatch.setattr(FrameThread, "KEPT", 4 * pictures[0].image.nbytes)
     source = Stepped(*pictures[:15])
     with source.opening() as frames:
@@ -399,7 +399,7 @@ def ask(source: CameraStateSource, seconds: float) -> None:
 
 
 def test_a_state_source_predicts_to_now(source):
-    """The video plays at its own speed; the state asked for now is that of the rope now, and says how sure it is."""
+    """The video plays at its own speed; the requested state is that of the rope at this time, with its covariance."""
     source.wait_until_found(30.0)
     swing, motion = free_swing(0, 4.0), hf.hold_arm(0.0)
     time.sleep(0.7)

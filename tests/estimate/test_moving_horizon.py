@@ -41,7 +41,7 @@ def errors(tracker: RopeFilter, run: hf.Trajectory, observations: list[Observati
 
 
 def test_several_starts_find_the_rates_that_one_does_not():
-    """Two frames leave each rate open by whole turns, 79 rad/s; the third and fourth tell which it was."""
+    """Two frames leave each rate ambiguous by whole turns, 79 rad/s; the third and fourth resolve it."""
     right = {1: 0, 16: 0}
     for seed in range(3):
         run = spin(seed)

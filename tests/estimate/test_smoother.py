@@ -60,7 +60,7 @@ def covariances(found: list[Smoothed]) -> list[Array]:
 
 @pytest.mark.parametrize("noise_rows", [SIZE, 2, 0], ids=["full", "singular", "none"])
 def test_linear_smoother_is_the_textbooks(noise_rows):
-    """The same to rounding, which the textbook's inverses multiply by the condition of its matrices."""
+    """Equal up to rounding, which the textbook's inverses multiply by the condition of its matrices."""
     problem = linear_problem(0, noise_rows)
     found = smooth_linear(*problem)
     means, wide, likelihood = rauch_tung_striebel(*problem)

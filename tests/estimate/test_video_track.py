@@ -1,4 +1,4 @@
-"""A video tracked as a whole: what was estimated is in what is written, what was never seen is said, and threads."""
+"""A whole video: estimates are in the output, markers that were never seen are reported, and threads."""
 
 import struct
 import weakref
@@ -125,7 +125,8 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back(tmp_path):
 
 
 def test_times_are_earlier_by_the_delay_that_is_found(swing):
-    """A swing from a fixed point does not tell it: the value declared stays, is applied, and said to be untold."""
+    """A swing from a fixed point does not determine it: the declared value is kept, applied, and reported as
+    undetermined."""
     plain, late = tracked(swing, facing()), tracked(swing, facing(), [EstimatedParameter("delay", 0.01, value=0.02)])
     np.testing.assert_allclose(late.recording.t, plain.recording.t - 0.02, atol=1e-9)
     assert late.found_at == pytest.approx(plain.found_at - 0.02)

@@ -1,4 +1,4 @@
-"""Rendered videos of a finer rope in a pumped cast, hard to look at, and how a tracker with 50 links fares in them."""
+"""Difficult rendered videos of a finer rope in a pumped cast, and the results of a tracker with 50 links."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class HardVideo:
 
     @property
     def arc_lengths(self) -> Array:
-        """Of the markers, m; without one on the tip the last is 0.1 m above it."""
+        """Positions of the markers, m; without a marker on the tip the last one is 0.1 m above it."""
         spacing = LENGTH / MARKERS
         return np.linspace(spacing, LENGTH, MARKERS) - (0.0 if self.on_tip else 0.5 * spacing)
 
@@ -143,7 +143,7 @@ def rendered(video: HardVideo, renderer: Renderer) -> Iterator[Frame]:
 
 
 def follow(video: HardVideo, motion: RopeMotion, truth: Truth, frames: Iterable[Frame]) -> Followed:
-    """Let a tracker with 50 links look at the frames."""
+    """Track the frames with 50 links."""
     camera = video.camera
     estimator = RopeFilter(rope(50), video.arc_lengths, motion=SWINGS, arm=ARM, camera=camera)
     tracker: RopeTracker | None = None

@@ -1,4 +1,5 @@
-"""MCAP files: ours come back bit for bit, those of others by what is declared, and the mcap package reads both."""
+"""MCAP files: ours are read back bit for bit, those of others by their declarations, and the mcap package reads
+both."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""MJCF files: MuJoCo compiles what the set-up says and moves alike, and the set-up comes back bit for bit."""
+"""MJCF files: MuJoCo's model and motion agree with the set-up, which is read back bit for bit."""
 
 import re
 import warnings

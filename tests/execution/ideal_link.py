@@ -1,4 +1,4 @@
-"""A link to a motor that is where it was asked to be, for tests of what lies above a drive."""
+"""A link to an ideal motor without lag, for tests of the layers above a drive."""
 
 import math
 import time
@@ -87,5 +87,5 @@ def ideal_drive(notes: Path, limits: MotorLimits | None = None, **link: Any) -> 
 
 
 def open_ideal(notes: Path, _: str, limits: MotorLimits, *more: object, **link: Any) -> Drive:
-    """Return a drive over an ideal link, whatever its address, with an arm that hangs; it does not tell its torque."""
+    """Return a drive over an ideal link for any address, with a hanging arm; it does not report its torque."""
     return ideal_drive(notes, limits=limits, **{"angle": 0.0, "holds": math.nan, **link})

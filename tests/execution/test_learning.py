@@ -1,4 +1,4 @@
-"""Learning from casts: what is measured of rope, motor and motion, how it is planned from there, and how it ends."""
+"""Learning from casts: measurements of rope, motor and motion, replanning, and the end of learning."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

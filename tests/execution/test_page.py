@@ -1,4 +1,4 @@
-"""The page of a run: what it shows, and its stop button."""
+"""The page of a run: its contents and its stop button."""
 
 import json
 import time

@@ -226,7 +226,7 @@ def test_a_source_that_hangs_stops_the_run(tmp_path: Path) -> None:
 
 
 class HangsOnce(SeenRope):
-    """A source that hangs when the closed loop asks it."""
+    """A source that hangs when the closed loop reads it."""
 
     def __init__(self, plan: CastPlan) -> None:
         super().__init__(plan)

@@ -1,4 +1,4 @@
-"""A motion streamed to a drive by a process of its own: what is sent, and that the torque is off at every end."""
+"""A motion streamed to a drive by a separate process: the messages, and torque off at every end."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ from tests.execution.ideal_link import IdealLink, ideal_drive
 
 
 def lines(notes: Path) -> list[str]:
-    """Return what the drive has noted."""
+    """Return the log of the drive."""
     return notes.read_text().split()
 
 

@@ -66,7 +66,7 @@ def bounded(seconds: float = SECONDS) -> Iterator[None]:
 
 
 def refused_or_done(call: Callable[[], Any], seconds: float = SECONDS) -> Any:
-    """Return what the call returns; None where it raises an error of ours, which must be fit to be read."""
+    """Return the result of a call; None if it raises one of our errors, whose text must be complete."""
     with bounded(seconds):
         try:
             return call()
@@ -76,7 +76,7 @@ def refused_or_done(call: Callable[[], Any], seconds: float = SECONDS) -> Any:
 
 
 def apart(call: Callable[[], Any]) -> None:
-    """Make a call in a process of its own, and assert that it ends well.
+    """Make a call in a separate process, and assert that it ends well.
 
     For damaged HDF5 files: the library may write over its own memory where it reads one, and what fails then, much
     later, is a test that has done nothing wrong.

@@ -31,7 +31,7 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True)
 class Ended:
-    """How a forked process ended: what it told, and the time from the signal on, s of the clock and of processors."""
+    """The end of a forked process: its report, and elapsed and processor time since the signal, s."""
 
     told: Any
     seconds: float
@@ -133,7 +133,7 @@ def marks(result: Any) -> list[str]:
 
 
 def fingerprint(result: Any) -> str:
-    """Return a hash of the numbers of a result, but those that tell of time spent."""
+    """Return a hash of the numbers of a result without times spent."""
     import numpy as np
 
     digest, seen = hashlib.sha256(), set[int]()
@@ -228,7 +228,7 @@ class Left:
 
 
 def run_command(words: list[str], folder: Path, after: float | None, number: int = signal.SIGINT) -> tuple[Left, Ended]:
-    """Run a command in a forked process, in a new folder, with a signal `after` so many seconds."""
+    """Run a command in a forked process, in a new folder, with a signal `after` a time, s."""
     folder.mkdir()
 
     def work() -> int | str:
@@ -255,7 +255,7 @@ def run_command(words: list[str], folder: Path, after: float | None, number: int
 
 
 def faults(left: Left, whole: Left) -> list[str]:
-    """Return what is wrong with what a command has left, beside what the same one leaves undisturbed."""
+    """Return the faults in the files of a command, compared with those of an undisturbed one."""
     wrong = [f"left {name}" for name in left.files if ".part" in name]
     if "Traceback" in left.err or "Exception ignored" in left.err:
         wrong.append(left.err)
@@ -325,7 +325,7 @@ NO_PLAN = 4  # exit code of a search that finds nothing in its time
 
 
 def call_faults(name: str, ended: Ended, whole: Ended) -> list[str]:
-    """Return what is wrong with how a call ended, beside how the same one ends undisturbed."""
+    """Return the faults in the end of a call, compared with an undisturbed one."""
     told = ended.told
     if not isinstance(told, dict) or told["how"] == "failed":
         return [f"ended with {told}"]
@@ -381,7 +381,7 @@ def interrupt_commands(names: list[str], seeds: int, folder: Path) -> None:
 
 
 def main() -> int:
-    """Interrupt what is named at random times, and print what came of it; return 1 where anything was wrong."""
+    """Interrupt the named calls at random times, and print the results; return 1 after any fault."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--calls", nargs="*")

@@ -50,7 +50,7 @@ def usual_handler() -> Iterator[None]:
 
 @contextlib.contextmanager
 def soon(seconds: float) -> Iterator[None]:
-    """Send Ctrl-C to the main thread in so long, s; not any more once what is within has ended."""
+    """Send Ctrl-C to the main thread after a time, s, unless the block has ended."""
     timer = threading.Timer(seconds, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
     timer.start()
     try:
@@ -345,7 +345,7 @@ def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path):
 
 @pytest.mark.nightly
 def test_calls_and_commands_that_signals_end_at_random_times():
-    """Each ends as undisturbed, with the same result, or as interrupted, and what is kept says so."""
+    """Each ends undisturbed, with the same result, or interrupted, as the kept result states."""
     calls, commands = ["simulate batch", "identify"], ["simulate", "identify"]
     ask = ["--seeds", str(SEEDS), "--calls", *calls, "--commands", *commands]
     words = [sys.executable, "-m", "tests.faults.interrupting", *ask]

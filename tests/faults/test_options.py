@@ -1,4 +1,4 @@
-"""Odd values for every option of every command: one line that says what is wrong and exit code 2, or a result."""
+"""Odd values for every option of every command: one line with the mistake and exit code 2, or a result."""
 
 import contextlib
 import io

@@ -80,7 +80,7 @@ def problem_of(write: Callable[[], object]) -> str:
 
 
 def fail_everywhere(write: Callable[[], object], folder: Path) -> int:
-    """Let each call of a writer fail, and look at what is left; return how many calls it makes."""
+    """Let each call of a writer fail, and check the remaining files; return the number of calls."""
     before = content(folder)
     for call in itertools.count(1):
         for code, on in kinds(call):
@@ -234,7 +234,7 @@ def test_several_processes_at_once_leave_a_whole_file_or_folder(tmp_path, kind):
 
 
 def test_a_read_only_disk_is_reported(tmp_path, monkeypatch):
-    """Such a disk refuses to remove what is not there, too."""
+    """Such a disk also refuses to remove missing files."""
 
     def refused(*_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))

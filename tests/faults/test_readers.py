@@ -128,7 +128,7 @@ def changed(content: bytes, changes: list[tuple[str, float, Any]]) -> bytes:
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[bytes, Path]]:
-    """The bytes of each kind of sound file, made once, and where to put what is made of them."""
+    """The bytes of each kind of valid file, made once, and the folder of its variants."""
     folder, made = tmp_path_factory.mktemp("files"), {}
 
     def get(kind: str) -> tuple[bytes, Path]:

@@ -1,4 +1,4 @@
-"""Tables as trackers, spreadsheets and scripts write them, and what is wrong with tables: file, line, column, value."""
+"""Tables of trackers, spreadsheets and scripts, and errors in tables: file, line, column, value."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""A drive in memory, with a clock that stands still unless a request or a test moves it."""
+"""A drive in memory, with a clock that only requests and tests advance."""
 
 from hyperflex.hardware import Goal, Reading
 from hyperflex.hardware.drive import NoReply

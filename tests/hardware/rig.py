@@ -29,7 +29,7 @@ class Rig:
         self.replies.set(faults)
 
     def cut(self):
-        """Let the port vanish; the device goes on."""
+        """Remove the port; the device continues."""
         self._cut = True
 
     def __enter__(self):

@@ -6,7 +6,7 @@ from hyperflex.hardware.emulate import MotorModel
 
 
 class Servo:
-    """Follows its goal by a first-order lag of 5 ms; without torque it stands.
+    """Follows its goal with a first-order lag of 5 ms; without torque it does not move.
 
     `goals` came at times, s; `path` are times and angles of the shaft.
     """

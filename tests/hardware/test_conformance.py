@@ -194,7 +194,7 @@ def spoiled(rig) -> int:
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_no_state_is_stale_without_saying_so(make, rig, motor, count):
-    """The shaft is moved by a hundredth before each request is handled: an angle tells when the device looked at it."""
+    """The shaft is moved by a hundredth before each request is handled: an angle shows when the device read it."""
     looked = []
 
     def move():
@@ -264,7 +264,7 @@ def test_no_command_beyond_the_limits_arrives_over_a_bad_wire(make, rig, motor, 
 
 @pytest.fixture
 def host(make, rig):
-    """Starts a program that holds the motor, and ends it after the test."""
+    """Start a program that uses the motor, and end it after the test."""
     started = []
 
     def start(way):

@@ -42,7 +42,7 @@ def truths(truth: Truth) -> dict[str, float]:
 
 
 def test_lag_and_rate_limit_are_found(fit):
-    """Within 1 ms and 2 %: what a cast feels; an encoder step is 1.5 mrad, and stamps jitter by 1 ms."""
+    """Within 1 ms and 2 %, which a cast requires; an encoder step is 1.5 mrad, and stamps jitter by 1 ms."""
     assert fit.success
     assert not fit.doubt
     assert fit.lag == pytest.approx(Truth().lag, abs=1e-3)
@@ -67,7 +67,7 @@ def test_twenty_drives():
 
 @pytest.mark.nightly
 def test_a_drive_outside_the_model_class_is_doubted():
-    """Cogging of 2 % of the torque at stall, and twice the dry friction near rest; what a cast feels is right."""
+    """Cogging of 2 % of the stall torque, and twice the dry friction near rest; the quantities of a cast are right."""
     right = drawn(40)
     assert not identify_drive(record_of(right)).doubt
     truth = replace(right, cogging=0.02 * right.stall, sticking=1.0)

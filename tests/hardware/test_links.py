@@ -1,4 +1,4 @@
-"""Addresses of drives: what each means, and what is wrong with a bad one."""
+"""Addresses of drives: their meaning, and errors of invalid ones."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""moteus: frames of the emulated controller against printed ones, and what a host says of a port that is not right."""
+"""moteus: frames of the emulated controller against printed ones, and a host's errors for a wrong port."""
 
 import asyncio
 import errno

@@ -75,7 +75,7 @@ def _compiled():
 
 
 class Twin:
-    """The link of a drive that lives on a clock of its own."""
+    """The link of a drive with its own clock."""
 
     name, watchdog, takes = "twin", 0.1, frozenset({"rate"})
 

@@ -47,6 +47,6 @@ def try_open(link):
 
 
 def be_patient(monkeypatch, make, silence):
-    """Wait longer than a busy machine may take: what is tested is order and content, not speed."""
+    """Wait longer than a busy machine may take: order and content are tested, not speed."""
     monkeypatch.setattr(make, "SILENCE", silence)
     monkeypatch.setattr(make, "CONFIRM", 5.0)
