@@ -15,9 +15,9 @@ ACCEPT = "HYPERFLEX_ACCEPT_SCREENS"
 
 
 def compare(browser: Browser, name: str, seen: Path) -> None:
-    """Compare what the window shows with ``screens/<name>.png``; it is left at `seen`.
+    """Compare the content of the window with ``screens/<name>.png``; it is saved at `seen`.
 
-    With $HYPERFLEX_ACCEPT_SCREENS set it takes the place of the file, to be looked at.
+    With $HYPERFLEX_ACCEPT_SCREENS set it replaces the file, to be checked.
     """
     browser.screenshot(seen)
     with Image.open(seen) as picture:

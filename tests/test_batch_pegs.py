@@ -1,4 +1,4 @@
-"""Batches with pegs: each member as a run of its own, whatever the threads, and clear answers."""
+"""Batches with pegs: each member equals a single run for any number of threads, and clear errors."""
 
 import itertools
 import threading

@@ -1,4 +1,4 @@
-"""Members in lanes, taken interval by interval: each as a stepper of its own takes it, whatever its neighbours do."""
+"""Members in lanes, step by step: each equals a single stepper, independent of its neighbours."""
 
 import pickle
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Rows of long benchmarks: what a killed run leaves is read, gone on with, and not mixed up."""
+"""Rows of long benchmarks: those of a killed run are read, continued and kept intact."""
 
 import json
 

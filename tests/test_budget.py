@@ -1,4 +1,4 @@
-"""Budgets: time by the clock, shares, cancelling, and what is not counted."""
+"""Budgets: elapsed time, shares, cancelling, and time that does not count."""
 
 import math
 

@@ -62,7 +62,7 @@ def test_a_child_answers_writes_and_ends_by_itself(child: Child, records: Record
 
 
 def test_an_error_of_a_child_is_raised_in_the_parent(child: Child) -> None:
-    """In each thread that asks: a follower that received it is not the one that stops the run."""
+    """In each thread that polls: a follower that received it does not stop the run."""
     with ThreadPoolExecutor(1) as pool, pytest.raises(InvalidInput, match="the load is too large: got 3"):
         pool.submit(child.ask, "fail").result(20.0)
     for ask in (lambda: child.ask("double", 1), child.raise_if_ended):

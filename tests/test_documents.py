@@ -1,4 +1,4 @@
-"""What the documents and docstrings show is true: their Python runs as it stands, and their links lead somewhere."""
+"""Documents and docstrings are true: their Python runs as shown, and their links are valid."""
 
 import doctest
 import importlib

@@ -71,7 +71,7 @@ def test_mass_matrix_of_arm_and_rope(seed):
 @both
 @seeds
 def test_bias_is_what_the_accelerations_owe_to(seed, friction_model):
-    """Of arm and rope, and of a rope alone, on a wall."""
+    """Arm and rope, and a rope alone on a wall."""
     (q, w), cable = state(seed), rope(friction_model)
     whole = bias(cable, q[1:], w[1:], arm=ARM, arm_angle=q[0], arm_rate=w[0])
     for links, first, got in ((with_arm(cable), 0, whole), (links_of(cable), 1, bias(cable, q[1:], w[1:]))):

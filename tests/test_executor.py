@@ -20,7 +20,7 @@ LIMITED = ROPE.replace(max_bend=2.0)
 
 
 def processes(workers: int) -> ProcessPoolExecutor:
-    """New processes that take hyperflex over from one that has loaded it: quick, and safe beside threads."""
+    """New processes forked from one that has loaded hyperflex: fast, and safe with threads."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["hyperflex.envs.swing", "hyperflex.simulation.batch", "tests.workers"])
     return ProcessPoolExecutor(workers, mp_context=context)

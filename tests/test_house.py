@@ -49,13 +49,13 @@ def documented(obj: object) -> set[str]:
 
 
 def undocumented(name: str, obj: object) -> list[str]:
-    """Return the arguments without a word on them; a method may name them in a sentence of its own."""
+    """Return the undocumented arguments; a method may name them in a separate sentence."""
     text = (obj.__doc__ or "") if "." in name else ""
     return sorted(a for a in arguments(obj) - documented(obj) if not re.search(rf"\b{a}\b", text))
 
 
 def arguments(obj: object) -> set[str]:
-    """Return what a function, or a class when it is made, can be given; of a protocol nothing is made."""
+    """Return the parameters of a function, or of a class's constructor; a protocol has none."""
     if getattr(obj, "_is_protocol", False):
         return set()
     return {name for name in inspect.signature(obj).parameters if name not in {"self", "cls"}}
@@ -121,7 +121,7 @@ def imports_of(path: Path) -> set[str]:
 
 
 def test_imports_have_no_circle():
-    """Packages' own ``__init__`` files, which only offer names, are left out."""
+    """Packages' ``__init__`` files, which only export names, are omitted."""
     modules = {".".join(p.relative_to(ROOT / "src").with_suffix("").parts): p for p in SOURCES if p.stem != "__init__"}
     graph = {name: imports_of(path) & modules.keys() for name, path in modules.items()}
     try:
@@ -157,7 +157,7 @@ def test_every_dependency_is_pinned_once():
 
 
 def cross_room_imports(path: Path, source: str) -> list[str]:
-    """Return what a module imports from inside another room: a room is entered by its ``__init__`` (but `core`)."""
+    """Return a module's imports from inside another package; only `core` may be imported below its ``__init__``."""
     home, package = path.relative_to(PACKAGE).parts[0], "hyperflex."
     modules = [node.module or "" for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)]
     inner = [m.removeprefix(package).split(".") for m in modules if m.startswith(package) and m.count(".") > 1]
@@ -219,7 +219,7 @@ def test_types_that_public_calls_take_and_return_are_public():
 
 
 def hints_of(obj: object) -> dict[str, Any]:
-    """Return type hints, where names that only type checkers import are left out."""
+    """Return type hints without names that only type checkers import."""
     try:
         return get_type_hints(obj)
     except NameError:

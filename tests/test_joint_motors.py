@@ -1,4 +1,4 @@
-"""Motors in the joints of a rope: at the first joint itself, beside it an arm, and in inner joints."""
+"""Motors in the joints of a rope: at the first joint, with an arm, and in inner joints."""
 
 from typing import Any
 

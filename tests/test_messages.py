@@ -1,4 +1,4 @@
-"""The grammar of error messages: what was wrong, the value got, what is allowed, what to do; each part a sentence."""
+"""The grammar of error messages: the mistake, the value, the allowed values, the remedy; each part is a sentence."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Ropes and set-ups in TOML files, and back: equal bit for bit, files beside them found."""
+"""Ropes and set-ups in TOML files, and back: equal bit for bit, with files in the same folder."""
 
 import numpy as np
 import pytest

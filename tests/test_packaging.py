@@ -1,4 +1,4 @@
-"""What is built holds what it should and nothing else, and asks for what a run needs."""
+"""The built package contains exactly the right files, and requires the packages that a run needs."""
 
 import subprocess
 import sys

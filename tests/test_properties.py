@@ -1,4 +1,4 @@
-"""The table of properties: whatever stands in it is in files, fits, derivatives, reports and the notation."""
+"""The table of properties: each row is in files, fits, derivatives, reports and the notation."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -135,7 +135,7 @@ def test_it_goes_with_the_common_factor(each):
 
 
 def test_pieces_of_a_link_are_the_same_rope():
-    """Each way to cut: what is shared out keeps its sum, what is alike its mean, joints what they are per length."""
+    """Each rule of division: shared properties keep their sum, equal ones their mean, joints their value per length."""
     rope = ROPE.replace(com=0.5 * ROPE.length)
     for fine in (divided(rope, 4), with_links(rope, 15)):
         fine_ends, ends = np.cumsum(fine.length), np.cumsum(rope.length)

@@ -12,7 +12,7 @@ N = 4
 
 
 def rough_rope(friction_model: str = "relative") -> hf.Rope:
-    """A rope in which no two numbers are alike."""
+    """A rope in which all numbers differ."""
     rng = np.random.default_rng(4)
     return hf.Rope(
         length=rng.uniform(0.1, 0.3, N),

@@ -1,4 +1,4 @@
-"""The paper's method: initial state by downhill simplex (7), revision in turn (Fig. 4), and NF and CM beside it."""
+"""The paper's method: initial state by downhill simplex (7), alternating revision (Fig. 4), compared with NF and CM."""
 
 import numpy as np
 import pytest

@@ -72,7 +72,7 @@ def test_torques_derivatives_are_those_of_differences():
 
 
 def test_torque_and_acceleration_are_inverse():
-    """The torque that a prescribed arm asks for drives a free one with the same acceleration."""
+    """The torque of a prescribed arm drives a free arm with the same acceleration."""
     found = MotorTorque(ARM).measure(ROPE, ARM, state(X), 3.0)
     stepper, dt = hf.Stepper(ROPE, arm=ARM, command="torque", tol=1e-10), 1e-5
     begin = stepper.start(X[1:4], X[5:], arm_angle=X[0], arm_rate=X[4])
@@ -84,12 +84,12 @@ PLACES = [(0, 0.0), (0, 0.15), (1, 0.2), (1, 0.3), (2, 0.45), (2, 0.6)]  # (link
 
 
 def dry(rope: hf.Rope) -> hf.Rope:
-    """Return the rope with so much dry friction that its second joint sticks where its links turn alike."""
+    """Return the rope with enough dry friction for its second joint to stick if its links rotate together."""
     return rope.replace(dry_friction=[1e-3, 1.0, 1e-3])
 
 
 def test_pendulum_at_rest_reads_g_along_the_link():
-    """Gravity from the side: the rope hangs askew, and its accelerometers with it. A bias adds to what is read."""
+    """Gravity from the side: the rope and its accelerometers hang askew. A bias adds to the reading."""
     for gravity in ((0.0, -9.81), (3.0, -4.0)):
         rope = ROPE.replace(gravity=gravity)
         still = hf.State(0.0, np.full(3, rope.hanging_angle), np.zeros(3), arm_angle=rope.hanging_angle, arm_rate=0.0)

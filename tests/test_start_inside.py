@@ -59,7 +59,8 @@ def test_a_run_continues_from_where_one_has_ended_however_deep(monkeypatch):
 
 
 def test_an_arm_carries_the_rope_clear_of_a_peg():
-    """Where the arm stands at the start counts; of a driven arm no link does, and links count from the rope's first."""
+    """The initial position of the arm counts; a driven arm's link does not, and links count from the rope's first
+    one."""
     peg = hf.Peg(0.0, -0.4, 0.03)
     with pytest.raises(InvalidInput, match="starts inside"):
         check_outside(hf.Setup(ROPE, pegs=[peg]))

@@ -38,7 +38,7 @@ def commands(command: str, count: int, seed: int = 0) -> Array:
 
 
 def motion(command: str, given: Array, angle: float = 0.0, rate: float = 0.0) -> dict[str, hf.Motion]:
-    """The same commands as one motion, or one torque, worked out anew from what their documentation says."""
+    """The commands as one motion, or one torque, derived independently from their documentation."""
     coef = np.zeros((given.size, 4, 6))
     for piece, u in zip(coef, given, strict=True):
         if command == "torque":
@@ -299,7 +299,7 @@ def test_a_step_that_fails_reports_it_and_leaves_nothing_behind():
 
 
 def test_a_state_changed_by_hand_is_checked_like_a_start():
-    """Inside a peg or past a limit: refused, though the state comes from a step; its gap is told all the same."""
+    """Inside a peg or past a limit: refused, although the state comes from a step; its gap is still reported."""
     cable = rope()
     stepper = hf.Stepper(cable, arm=ARM, pegs=[hf.Peg(0.267, -0.65, 0.03)], refine=False)
     state = stepper.step(stepper.start(), 0.0, DT)
@@ -326,7 +326,7 @@ def test_energies_and_steps_of_a_state_count_when_they_are_replaced():
 
 @pytest.mark.parametrize("command", ["torque", "acceleration", "angle"])
 def test_a_state_goes_from_one_kind_of_command_to_another(command):
-    """Angles, rates and the arm's go along; what the integrator remembered of the other chain does not."""
+    """Angles, rates and the arm's state are kept; the integrator's memory of the other chain is not."""
     run = hf.simulate(rope(), hf.hold_arm(0.3), arm=ARM, duration=0.2, q0=np.full(6, 0.3))
     stepper = hf.Stepper(rope(), arm=ARM, command=command)
     begin = run.state

@@ -1,4 +1,4 @@
-"""Pegs that turn at the doors: files, batches, states to go on from, and what is refused."""
+"""Turning pegs in the public functions: files, batches, continued states, and refusals."""
 
 import numpy as np
 import pytest

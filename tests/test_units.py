@@ -1,4 +1,4 @@
-"""Values that are off by a unit, as millimetres for metres: what names the unit, and what is let pass."""
+"""Values in a wrong unit, such as millimetres for metres: errors that name the unit, and accepted values."""
 
 import json
 import warnings
@@ -58,7 +58,7 @@ def test_limits_of_the_motor_belong_to_its_limits():
 
 
 def test_a_run_continues_from_many_turns():
-    """As it ends after a long whirl; a start at rest is asked for its unit."""
+    """As after a long rotation; a start at rest gives a question about its unit."""
     setup = hf.Setup(ROPE, arm=hf.Arm(), q0=np.full(10, 90.3), qd0=np.full(10, 12.0))
     assert setup.replace(duration=0.1).q0 is not None
 

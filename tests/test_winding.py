@@ -163,7 +163,7 @@ def test_a_tug_takes_up_the_slack_before_it_pulls():
 
 
 def test_a_link_that_rolls_does_not_slip():
-    """A rod that rolls over a peg under its own weight: its contact goes along it and round the peg alike."""
+    """A rod that rolls over a peg under its own weight: its contact moves equally along it and round the peg."""
     peg, rod = hf.Peg(0.0, 0.0, 0.05, 1.0), hf.Rope(length=[1.0], mass=[0.1], radius=0.0025)
     angle = np.linspace(0.5 * math.pi, 0.7 * math.pi, 50)
     far = hf.moving_pivot([0.0, 1.0], [5.0, 5.0], [5.0, 5.0])  # any run of 50 samples, given other places below
@@ -209,7 +209,7 @@ def test_a_rope_is_held_as_long_as_one_of_its_links_is():
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
 def test_what_a_rope_covers_does_not_depend_on_its_size(scale):
-    """Of a wound rope one link stands off by a part of its length: a tenth counts as contact, more does not."""
+    """One link of a wound rope is lifted by a fraction of its length: a tenth counts as contact, more does not."""
     peg, length = hf.Peg(0.0, 0.0, 0.05 * scale, 0.3), 0.01 * scale
     rope = hf.Rope.uniform(60 * length, 0.1 * scale**3, 60, 0.002 * scale, friction=1e-4 * scale**4.5)
     axis = (peg.radius + rope.radius) * (1.0 + 1e-6)

@@ -34,7 +34,7 @@ def test_those_that_are_as_declared_are_not(seed):
 
 
 def test_one_that_moves_no_ratio_explains_a_poor_fit():
-    """An elbow's marker before the elbow acts like a scale of its own place."""
+    """A marker before the elbow acts like a scale of its own position."""
     result = found(-0.004, 1)
     assert result.grade == "do not use"
     assert result.findings[0].kind is Kind.MARKER_PLACES

@@ -29,7 +29,7 @@ def window(y: Array, prior: Array | None = None) -> Window:
 
 
 def predicted(model: Plant, x: Array, seen: Window) -> Array:
-    """Return the prediction (20, 2) from a state that is fitted anew."""
+    """Return the prediction (20, 2) from a newly fitted state."""
     found = fit_state(model, x, seen, seen.guess)
     assert found is not None
     result = model.predict(x, np.append(T[0], AHEAD), found[0])
@@ -131,7 +131,7 @@ def test_outliers_do_not_widen_the_band():
 
 
 def test_a_rope_with_few_markers_is_predicted_to_its_noise():
-    """The prior of its shape must not outweigh what the markers show of it."""
+    """The prior of its shape must not outweigh the markers."""
     rope = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
     t = np.arange(100) * 0.04
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))

@@ -59,7 +59,7 @@ def test_drag_is_found_though_little_of_it_shows_where_there_is_none():
 
 
 def test_deviations_grow_with_a_clock_that_is_off_also_beside_a_drag_of_nearly_nothing(data_dir):
-    """A drag that cannot become negative does not keep the other values from moving as gravity asks."""
+    """A drag that cannot become negative does not prevent the other values from following gravity."""
     part = hf.read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat").window(
         22.0, 30.0
     )
@@ -100,7 +100,8 @@ def test_a_wrong_frame_rate_of_a_real_recording_is_reported_with_wrong_masses(da
 
 
 def test_an_origin_that_is_wrong_is_named_for_a_marker_alone():
-    """5 mm beside a string of 0.6 m; across the string places show it, along it the marker's distance may be meant."""
+    """5 mm off a string of 0.6 m; across the string positions show it, along it the marker's distance may be the
+    cause."""
     rope = hf.Rope(length=[0.6], mass=[0.07], com=[0.6], inertia=[1e-6], friction=2e-4)
     t = np.arange(600) / 30.0
     run = hf.simulate(rope, duration=float(t[-1]), t_eval=t, q0=[0.4], tol=1e-8)
@@ -115,7 +116,7 @@ def test_an_origin_that_is_wrong_is_named_for_a_marker_alone():
 
 @pytest.mark.parametrize("noise", [0.0, 1e-8])
 def test_data_as_exact_as_the_simulation_are_a_fit_that_has_converged(noise):
-    """Its bottom is rough by rounding, where no step gains what the linear model promises."""
+    """Its minimum is rough by rounding, so no step gains as much as the linear model predicts."""
     true = hf.Rope(length=[0.3, 0.25], mass=[0.2, 0.12], friction=[5e-4, 3e-4])
     t = np.arange(401) / 100.0
     run = hf.simulate(true, duration=4.0, t_eval=t, q0=[0.6, 0.2], tol=1e-10)

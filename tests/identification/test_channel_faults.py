@@ -104,6 +104,6 @@ def test_right_recordings_and_errors_of_the_model_are_no_fault_of_a_channel(kind
 
 @each_draw
 def test_a_marker_that_errs_along_its_link_is_no_jump(seed):
-    """y of a marker hardly turns a link of a small swing: its pattern is that of the fit, not of noisy angles."""
+    """y of a marker barely rotates a link in a small swing: its pattern is that of the fit, not of noisy angles."""
     data = swing(1, "markers", seed=seed, amplitude=0.3)
     assert not any(map(identified(1, data, "markers").has, CHANNEL_FAULTS))

@@ -40,13 +40,13 @@ def swing(rope: Rope, duration: float = 9.0, seed: int = 1) -> Recording:
 
 
 def smooth(m: int, channels: int, degree: int) -> Array:
-    """Orthonormal polynomials (m C, k) in each channel: what a fit of states takes out."""
+    """Orthonormal polynomials (m C, k) in each channel, which represent a fit of states."""
     powers = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, m), degree))[0]
     return np.einsum("mk,cd->mckd", powers, np.eye(channels)).reshape(m * channels, -1)
 
 
 def remains(noise: Array, there: Array, basis: Array) -> Piece:
-    """What is left of noise (m, C) where the basis is taken out of what is there."""
+    """The remainder of noise (m, C) after the basis is projected out of the present samples."""
     basis = np.linalg.qr(basis * there.reshape(-1, 1))[0]
     flat = (noise * there).ravel()
     return Piece((flat - basis @ (basis.T @ flat)).reshape(noise.shape) * there, there, basis.reshape(*noise.shape, -1))

@@ -91,7 +91,8 @@ def test_few_degrees_of_freedom_count_when_a_value_is_poorly_determined() -> Non
 
 
 def test_each_link_has_its_own_limit_of_where_its_mass_may_be():
-    """A point mass 80 % beyond the end of its string is named beside a rod whose mass seems farther, but may be."""
+    """A point mass 80 % beyond the end of its string is reported, in contrast to a rod whose apparent distance is
+    possible."""
     guess = hf.Rope(length=[0.6, 0.25], mass=[0.06, 0.04], com=[0.6, 0.125], inertia=[0.0, 2e-4], friction=1e-4)
     rope = guess.replace(inertia=[0.029, 1.8e-3])
     (found,) = _far(rope, guess, np.full(2, 1e-4))
@@ -100,7 +101,7 @@ def test_each_link_has_its_own_limit_of_where_its_mass_may_be():
 
 @pytest.mark.parametrize("declared", [True, False])
 def test_a_spring_that_explains_as_much_as_a_declared_com_is_named_beside_it(declared: bool) -> None:
-    """Small swings hardly tell a spring in the first joint from more weight, and ratios are others then."""
+    """Small swings barely distinguish a spring in the first joint from more weight, which gives other ratios."""
     com = [0.12, 0.115] if declared else [0.105, 0.13]
     true = hf.Rope(length=[0.21, 0.26], mass=[0.18, 0.12], com=com, inertia=[7e-4, 8e-4], friction=[9e-4, 4e-4])
     t = np.arange(600) / 100.0

@@ -1,4 +1,5 @@
-"""Experiment design: predicted deviations against many fits, scaling laws, ranking, advice where none can tell."""
+"""Experiment design: predicted deviations against many fits, scaling laws, ranking, advice if no experiment
+suffices."""
 
 import json
 from dataclasses import replace
@@ -63,7 +64,8 @@ def test_markers_are_predicted_as_in_a_fit_of_positions():
 
 
 def test_noise_and_frame_rate_scale_as_they_must():
-    """Deviations are proportional to the noise, exactly; four times the frames halve them but for the ends' share."""
+    """Deviations are exactly proportional to the noise; four times the frames halve them, except for the effect of the
+    ends."""
     noisy = [
         design_experiment(SINGLE, "friction", [SHORT], noise=size).plans[0].std["friction[0]"] for size in (1e-3, 3e-3)
     ]

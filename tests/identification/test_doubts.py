@@ -1,4 +1,4 @@
-"""What hides behind something else, or is hardly off: held by the intervals, and said."""
+"""Faults that are masked or small: the intervals include them, and findings report them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -126,7 +126,7 @@ def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock():
 
 @pytest.mark.parametrize(("free", "said"), [(["inertia", "com", "friction"], True), (["inertia", "com"], False)])
 def test_a_longer_and_slower_rope_is_named_where_it_moves_alike(free, said):
-    """A friction that is held has a scale of its own, and would show a wrong clock."""
+    """A fixed friction sets a separate scale, and would reveal a wrong clock."""
     found = fitted(ROPE.replace(friction=1e-4), free, 2e-3)
     assert found.has(Kind.UNDETECTABLE) == said
 
@@ -187,7 +187,7 @@ def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir):
     ("name", "begin", "duration"), [("triple", 0.01, 0.6), ("triple", 5.0, 0.6), ("16", 25.0, 3.0)]
 )
 def test_short_recordings_that_are_right_are_not_refused(data_dir, name, begin, duration):
-    """Real pendulums: what all of the recording says is within three deviations of what a short part does."""
+    """Real pendulums: the result of the whole recording is within three deviations of that of a short part."""
     if name == "triple":
         every = hf.read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")
         guess = hf.Rope(length=[0.1727, 0.2286, 0.2413], mass=0.1, friction=1e-4)

@@ -1,4 +1,4 @@
-"""Air drag: identified from twins that are cut finer than the model, told from joint friction, and its ratio."""
+"""Air drag: identified from twins finer than the model, distinguished from joint friction, and its ratio."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy):
     [("drag", 0.01, 3.0, True), ("dry_friction", 2e-3, 3.0, True), ("friction", 8e-4, 20.0, False)],
 )
 def test_friction_that_represents_all_damping_is_reported(name, value, duration, said):
-    """Noise alone remains of a short swing, whatever damps it: the fit is right, and friction is what is free."""
+    """The residuals of a short swing are only noise with any damping law: the fit is right, with friction free."""
     t, rod = np.arange(0.0, duration, 1.0 / 60.0), hf.Rope(length=[0.6], mass=[0.05], com=[0.6], inertia=[1e-4])
     run = hf.simulate(rod.replace(**{name: value}), duration=t[-1], t_eval=t, q0=[0.8], tol=1e-9)
     seen = Recording(t, run.q + 2e-3 * np.random.default_rng(3).standard_normal(run.q.shape))

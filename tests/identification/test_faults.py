@@ -257,7 +257,7 @@ def test_outliers_are_named_and_bring_no_doubt_under_a_robust_loss():
 
 
 def test_y_that_points_down_is_no_reversed_order():
-    """For one link both turn the picture by half a turn; the marker that stands still is the pivot."""
+    """For one link both rotate the picture by half a turn; the marker at rest is the pivot."""
     right = recorded(n=1, kind="markers", duration=5.0)
     found = hf.identify(spoiled(right, right.data * [1.0, -1.0, 1.0, -1.0]), SINGLE)
     assert found.findings[0].kind is Kind.Y_AXIS

@@ -71,7 +71,7 @@ def test_a_decay_that_depends_on_the_amplitude_is_distinguished_from_viscous_fri
 
 
 def test_windows_of_a_tumbling_pendulum_stay_short():
-    """Errors grow exponentially: windows that are joined would tell what the noise has become (simulated)."""
+    """Errors grow exponentially: joined windows would fit amplified noise (simulated)."""
     rope = hf.Rope(length=[0.2, 0.2], mass=[0.1, 0.1], com=[0.1, 0.1], inertia=[5e-4, 5e-4], friction=[1e-5, 1e-5])
     t = np.arange(600) / 100.0
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=[2.6, 2.9], tol=1e-9)
@@ -107,7 +107,7 @@ def test_the_length_of_a_string_follows_from_its_swing():
 
 
 def test_ctrl_c_while_windows_are_joined_is_not_finished():
-    """The fit of short windows has converged by then: what is returned says that it was interrupted."""
+    """The fit of short windows has converged by then: the result states that it was interrupted."""
 
     def stop(entry):
         if entry["window"] > 5.0:

@@ -199,7 +199,7 @@ def test_a_marker_that_never_moves_is_named(told):
 
 
 def test_a_rope_held_at_both_ends_is_not_called_reversed():
-    """Both ends stand still but for 1 mm of noise, which is no motion of the first."""
+    """Both ends are at rest up to 1 mm of noise, which is not a motion of the first one."""
     t, along = np.arange(300) / 50.0, np.linspace(0.0, 1.0, 6)
     sway = 0.1 * np.sin(np.pi * along) * np.cos(4.0 * t)[:, None]
     places = np.stack([0.5 * along + sway, -0.2 * np.sin(np.pi * along) + 0.3 * sway], axis=2)
@@ -215,7 +215,7 @@ def test_a_rope_held_at_both_ends_is_not_called_reversed():
 
 @pytest.mark.parametrize(("noise", "precision"), [(1e-2, 1e-7), (1e-4, 5e-9), (1e-9, 1e-9)])
 def test_rollouts_are_as_fine_as_the_markers_are_known(noise, precision):
-    """Of places known to 0.1 mm the squares are so rough with a tolerance of 1e-7 that no fit converges."""
+    """For positions known to 0.1 mm, a tolerance of 1e-7 makes the sum of squares too rough for a fit to converge."""
     line, t = Rope.uniform(2.0, 0.1, 4, friction=1e-4), np.linspace(0.0, 1.0, 5)
     places = Recording(t, np.zeros((5, 4)), kind="markers", noise=noise)
     setup = RecordingSetup(origin=(0.0, 0.0))

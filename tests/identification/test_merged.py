@@ -1,4 +1,4 @@
-"""Samples denser than a swing needs become one value: nothing of what they tell is lost, and nothing is shifted."""
+"""Samples denser than a swing needs become one value, without loss of information and without a shift."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ MOTION = 0.6 * np.sin(2.0 * np.pi / PERIOD * T + 0.3)[:, None] * [1.0, 0.5]
 
 
 def off(recording: hf.Recording, spread: np.ndarray) -> np.ndarray:
-    """What values miss of the motion's means, but for the first and last, where derivatives are one-sided."""
+    """Differences between values and the motion's means, except the first and last, where derivatives are one-sided."""
     there = 0.6 * np.sin(2.0 * np.pi / PERIOD * recording.t + 0.3)[:, None] * [1.0, 0.5]
     return (recording.data - averaged(there, recording.t, spread))[3:-3]
 
@@ -106,7 +106,7 @@ def test_a_marker_that_errs_turns_a_short_link_farther():
 
 
 def test_channels_that_err_unlike_are_distinguished_from_chance():
-    """Long recordings show each channel's noise; short ones too little to be believed, and count as alike."""
+    """Long recordings determine each channel's noise; short ones do not, and use one value for all channels."""
     true = np.array([[1.6, -0.5, 0.0], [-0.5, 1.0, 0.2], [0.0, 0.2, 0.4]])
 
     def shown(count: int, covariance: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ def left(size: float, channels: int = 2) -> Array:
 
 
 def shown(seen: list[Window], residuals: Array, *, white: bool = False, loss: LossName = "squares") -> list[Kind]:
-    """Return what a converged fit with such residuals shows; the last of three channels is a torque."""
+    """Return the findings of a converged fit with such residuals; the last of three channels is a torque."""
     torque = residuals.shape[1] == 3
     parts = np.split(np.where(np.isnan(residuals), 0.0, -residuals), len(seen))
     weighted = [(part * window.weight).ravel() for part, window in zip(parts, seen, strict=True)]

@@ -70,7 +70,8 @@ def test_a_drive_tells_lengths_and_deviations_hold_them(factor):
 
 
 def test_clock_and_lengths_that_are_off_together_are_in_the_deviations():
-    """A longer and slower pendulum moves exactly alike; 1 % of lengths and 0.5 % of times are a deviation each."""
+    """A longer and slower pendulum moves in exactly the same way; 1 % of lengths and 0.5 % of times are a deviation
+    each."""
     case = KINDS["double"][0](np.random.default_rng(3))
 
     def found(factor, **stds):
@@ -139,7 +140,7 @@ def test_a_chain_of_just_these_links_is_not_reported():
 
 
 def fit_of_four_links(n_links: int, drag: float, free: list[str] | None) -> Identification:
-    """Four markers on a rope of so many links, fitted by four."""
+    """Four markers on a rope of `n_links` links, fitted with four."""
     rope = Rope.uniform(length=0.8, mass=0.1, n_links=n_links, friction=1.6e-3 / n_links, drag=drag)
     t = np.arange(400) / 100.0
     run = simulate(rope, duration=t[-1], t_eval=t, q0=np.full(n_links, 0.8))
@@ -216,7 +217,7 @@ def test_a_law_that_acts_as_inertia_does_counts_only_if_it_is_sure():
 
 @pytest.mark.parametrize("seed", [18, 21])
 def test_a_law_that_chance_gives_takes_no_more_than_there_is(seed):
-    """Where a swing hardly decays no law could tell it from another: friction seemed unknown by 400 %."""
+    """If a swing barely decays, laws cannot be distinguished: the uncertainty of friction seemed to be 400 %."""
     random = np.random.default_rng(seed)
     length = random.uniform(0.3, 1.2)
     rope = Rope(length=[length], mass=[0.05], com=[length], inertia=[1e-6], friction=5e-4 * length**2)

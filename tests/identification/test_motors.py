@@ -1,4 +1,4 @@
-"""Measured torque that drives the joints: constants, scales, and what a lab's own motor tells of a pendulum.
+"""Measured torque that drives the joints: constants, scales, and the results of a motor on a pendulum.
 
 The twins' data come from equations in closed form (tests/reference/motors.py), not from the model that is fitted.
 """
@@ -76,7 +76,7 @@ def test_a_wrong_constant_moves_all_masses_and_is_in_their_intervals(pendulum, l
 
 
 def test_what_is_known_of_the_constant_is_a_prior():
-    """Of free masses and a free constant the prior alone tells the scale: of two motors by their mean."""
+    """With free masses and a free constant only the prior determines the scale: for two motors by their mean."""
     one, two = (fit(each, n, 1, [*SCALED, "torque_constant"]) for each, n in ((ONE, 1), (TWO, 2)))
     assert one.values["torque_constant"] == pytest.approx([WRONG * KT], rel=0.01)
     assert one.std["torque_constant"] == pytest.approx(0.1 * one.values["torque_constant"], rel=0.05)

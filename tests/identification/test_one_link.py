@@ -1,4 +1,4 @@
-"""One link on a driven arm: what no motion of it tells is neither tested nor spoken of."""
+"""One link on a driven arm: quantities that its motion does not determine are neither tested nor reported."""
 
 import warnings
 
@@ -80,7 +80,8 @@ def test_information_that_determines_lengths_tells_them():
 
 
 def test_two_links_always_in_line_are_no_crash_and_ask_nothing_of_the_user():
-    """A rod cut in two: its parts act alike, and a free length may run away; ropes on the way are no user's."""
+    """A rod divided in two: its parts have the same effect, and a free length may diverge; intermediate ropes are
+    internal."""
     rod = hf.Rope([0.3], [0.1], friction=[3e-4])
     t = np.arange(150) / 50.0
     run = hf.simulate(rod, duration=float(t[-1]), t_eval=t, q0=[0.8])

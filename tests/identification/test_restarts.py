@@ -169,5 +169,6 @@ def test_what_ends_a_fit_of_the_windows_that_fit_leaves_all_windows(ended):
 
 @pytest.mark.parametrize("seed", [(7093, 1, 81), (5001, 2, 82)], ids=["stalled", "another start"])
 def test_short_swings_of_markers_that_ended_beside_the_optimum(seed):
-    """One step hardly gained though much was promised; one start led to the optimum from states of another fit."""
+    """One step gained little although much was predicted; one start reached the optimum from the states of another
+    fit."""
     assert examine(seed, float(seed[1]))["grade"] == "usable for ratios"

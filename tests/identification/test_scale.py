@@ -1,4 +1,4 @@
-"""An unknown common factor, and what stands at 0 beside it."""
+"""An unknown common factor, and parameters at 0 with it."""
 
 import numpy as np
 import pytest
@@ -68,14 +68,14 @@ def test_ratios_end_at_0_where_they_cannot_be_negative():
 
 
 def test_what_was_declared_has_no_students_doubt():
-    """Of a length known to 1 % half an interval is 1.96 %, however few values tell the noise."""
+    """The half interval of a length known to 1 % is 1.96 %, for any number of values that determine the noise."""
     value, std = {"J/p1": np.array([1.0])}, {"J/p1": np.array([0.01])}
     widths = [of_ratios(value, std, {"J/p1": np.array([part])}, 1.0)["J/p1[0]"].high - 1.0 for part in (0.0, 0.01)]
     assert widths == pytest.approx([0.127, 0.0196], rel=0.01)  # Student's quantile with one degree of freedom is 12.7
 
 
 def test_what_held_centres_of_mass_change_is_what_a_fit_with_others_finds():
-    """1 % of each: a linear estimate, so 3 % of it; noise is 50 times smaller than what it moves."""
+    """1 % of each: a linear estimate, so 3 % of it; noise is 50 times smaller than its effect."""
     t = np.arange(600) / 60.0
     true = TRUE.replace(friction=1e-3)
     swing = simulate(true, duration=10.0, t_eval=t, q0=[0.9, 1.2]).q

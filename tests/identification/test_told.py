@@ -110,7 +110,7 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
 
 
 def test_a_richer_fit_that_is_refused_leaves_the_first_one(monkeypatch):
-    """As for want of memory or of samples: nobody asked for it."""
+    """As with a lack of memory or samples: it was not requested."""
     stiff = PAIR.replace(stiffness=[0.0, 4e-3])
     run = hf.simulate(stiff, duration=4.0, t_eval=T, q0=[0.8, 0.8])
     recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
@@ -196,7 +196,7 @@ def test_findings_hold_numbers_and_their_texts_words(kind, values, words):
 
 
 def test_ratios_of_which_none_is_known_are_not_to_be_used():
-    """Half a second of much noise: intervals hold the truth, and 0, and tell nothing."""
+    """Half a second of strong noise: intervals contain the truth and 0, and are useless."""
     q = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8]).q[:30]
     q = q + 0.15 * np.random.default_rng(0).standard_normal(q.shape)
     found = hf.identify(

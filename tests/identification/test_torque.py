@@ -302,7 +302,7 @@ def test_an_arm_that_has_more_inertia_than_declared_is_reported(inertia, kinds):
 
 
 def driven(*, length: float = 1.0, arm: float = 1.0, clock: float = 1.0, scale: float = 1.0, **exact: float) -> Any:
-    """Fit a twin whose lengths, arm, clock or torque are declared as so many times what they are."""
+    """Fit a twin whose lengths, arm, clock or torque are declared wrong by a factor."""
     t = np.arange(300) / 50.0
     run = simulate(DOUBLE, MOVE, arm=Arm(length=0.1), duration=t[-1], t_eval=t, tol=1e-9)
     measured: dict[str, Any] = {"torque": scale * noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3}

@@ -1,4 +1,4 @@
-"""Windows that do not tell the same: a clock that drifts, and estimates that scatter."""
+"""Windows that disagree: a clock that drifts, and estimates that scatter."""
 
 from dataclasses import replace
 

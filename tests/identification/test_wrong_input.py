@@ -175,7 +175,7 @@ def test_what_counts_as_right(changed, end):
 
 
 def test_a_suspicion_is_of_the_true_cause():
-    """A clock and lengths that are off, told as the length, count; the same words for another cause do not."""
+    """A wrong clock and wrong lengths, reported as the length, count; the same finding for another cause does not."""
     case = next(case for case in SIMULATED if case.name == "driven: lengths x 0.99")
     case = replace(case, truth={name: 2.0 * value for name, value in ratios(DOUBLE).items()})
     assert outcome(case).end == "suspicion"

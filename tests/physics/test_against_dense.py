@@ -9,7 +9,7 @@ from tests.reference.arm import bang_bang_swings, cast, links_of, still
 
 
 def tangled(n: int, friction_model: str, **changes: object) -> hf.Rope:
-    """A short chain with everything that a joint can have, no two links alike."""
+    """A short chain with all joint properties and different links."""
     grow = np.linspace(1.0, 1.6, n)
     rope = hf.Rope(
         length=0.25 * grow,

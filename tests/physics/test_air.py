@@ -13,7 +13,7 @@ ARM = hf.Arm(length=0.105)
 
 
 def airy(n: int = 3, **changes: object) -> hf.Rope:
-    """A short chain in thick air, no two links alike; the air takes more than the joints."""
+    """A short chain of different links in dense air, which absorbs more energy than the joints."""
     grow = np.linspace(1.0, 1.6, n)
     rope = hf.Rope(
         length=0.25 * grow,
@@ -50,7 +50,7 @@ def falling(speed: float) -> hf.Motion:
 
 
 def test_a_level_rope_falls_at_its_terminal_velocity():
-    """Air bears each link's weight at sqrt(m g / (c l)): the rope stays straight and asks nothing of its end."""
+    """Air carries each link's weight at sqrt(m g / (c l)): the rope stays straight without a force at its end."""
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=8, friction=1e-4, drag=0.01)
     speed = float(np.sqrt(rope.mass[0] * 9.81 / (rope.drag[0] * rope.length[0])))
     t = np.linspace(0.0, 1.0, 5)
@@ -147,7 +147,7 @@ def test_derivatives_between_steps_and_with_respect_to_drag_where_there_is_none(
 
 
 def test_a_driven_arm_feels_the_air_on_its_rope():
-    """The torque goes into the arm; what the air takes closes the balance."""
+    """The torque accelerates the arm; the loss to the air closes the balance."""
     arm = hf.Arm(length=0.2, inertia=1e-3, mass=0.05, com=0.1)
     torque = hf.torque_profile([0.0, 0.5, 1.0], [0.05, -0.03, 0.02])
     run = hf.simulate(airy(), arm=arm, torque=torque, duration=1.0, tol=1e-10)
@@ -176,7 +176,7 @@ def test_contact_steps_take_the_same_air():
 
 
 def test_a_link_falls_onto_the_ground_through_air():
-    """Nothing is gained: what the link had is lost to the air, to its joint and to the ground."""
+    """No energy is gained: the link's energy is lost to the air, to its joint and to the ground."""
     rope = hf.Rope(length=[0.5, 0.5], mass=[0.05, 0.05], friction=1e-4, drag=0.05, radius=0.005)
     run = hf.simulate(rope, duration=1.5, q0=[np.pi / 2, np.pi / 2], pegs=[hf.Ground(x=0.0, y=-0.3)])
     energy = run.kinetic_energy + run.potential_energy

@@ -173,7 +173,7 @@ def test_a_coarse_run_is_not_held_up_where_a_whole_rope_winds_up(rate, distance)
 
 @pytest.mark.parametrize("deep", [5.6e-5, 8e-5])
 def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep):
-    """So a run starts that goes on from a coarse one. It may be given little energy, however short the steps are."""
+    """A run that continues from a coarse one starts in this way. It may gain little energy for any step length."""
     rope, peg = hf.Rope.uniform(1.0, 0.06, 40, 0.003, friction=2e-4), hf.Peg(0.4, -0.15, 0.04, 0.3)
     fallen = hf.simulate(hf.Setup(rope, q0=[1.6] * 40, duration=2.0, pegs=(peg,), tol=1e-3, contact_step=1e-3))
     higher = replace(peg, y=peg.y + deep)

@@ -16,7 +16,8 @@ def rise(values: np.ndarray) -> float:
 
 @pytest.mark.parametrize("n", [1, 8])
 def test_a_rope_whose_joints_stick_holds_a_load_up_to_the_torque_of_its_first_joint(n):
-    """It hangs straight; a force F across its tip asks for F times what is beyond a joint, most at the first one."""
+    """It hangs straight; a force F across its tip gives a moment F times the length beyond a joint, largest at the
+    first one."""
     rope = hf.Rope.uniform(0.8, 0.05, n, friction=0.0, dry_friction=4e-3)
     limit = 4e-3 / 0.8
     held = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(0.98 * limit, 0.0), refine=False)

@@ -1,4 +1,4 @@
-"""Coulomb's friction: closed forms, an integration with events by scipy, and joints that stand when they should."""
+"""Coulomb's friction: closed forms, an integration with events by scipy, and joints that stick when they should."""
 
 from dataclasses import replace
 
@@ -195,7 +195,7 @@ def test_chains_with_many_dry_joints(seed):
 
 
 def test_events_of_many_joints_are_as_exact_as_the_steps_and_found_at_once():
-    """Of a cast of 24 links whose joints stick and come loose all the time, beside a hundredth of the tolerance."""
+    """A cast of 24 links whose joints stick and slip continually, compared with a hundredth of the tolerance."""
     rope = hf.Rope.uniform(1.0, 0.06, 24, 0.0025, friction=3e-4, dry_friction=1e-3)
     setup = hf.Setup(rope, hf.arm_swings(), hf.Arm(length=0.1), duration=1.5)
     coarse, fine = (hf.simulate(replace(setup, tol=tol), t_eval=[1.5]) for tol in (1e-5, 1e-7))

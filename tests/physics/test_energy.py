@@ -1,4 +1,4 @@
-"""Energy: what the motor puts in, less what friction takes, is what the rope has gained."""
+"""Energy: the work of the motor minus the friction losses is the rope's gain."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_energies_of_a_run_are_those_of_the_reference():
 
 
 def test_motor_work_is_the_integral_of_torque_times_rate():
-    """For a prescribed arm of no mass of its own, on a fixed pivot; Simpson's rule between the switches."""
+    """For a prescribed massless arm on a fixed pivot; Simpson's rule between the switches."""
     t = np.linspace(0.0, 0.365, 401)  # one stretch: the acceleration jumps at its end
     run = hf.simulate(cable(), hf.arm_swings(), arm=hf.Arm(length=0.105), duration=0.5, t_eval=t, tol=1e-10)
     # At the switch itself the torque is that of the next stretch; leave that sample out.
@@ -78,7 +78,7 @@ def test_friction_of_a_run_at_rest_takes_nothing_and_the_cable_stays_where_it_ha
 
 @pytest.mark.parametrize("batch", [False, True])
 def test_a_run_sampled_only_at_rest_is_checked_by_its_motion_in_between(batch):
-    """Between turning points no sample has kinetic energy; what the springs held tells how much there was."""
+    """Samples at turning points have no kinetic energy; the energy of the springs gives the scale."""
     rope = hf.Rope.uniform(length=0.3, mass=0.1, n_links=8, stiffness=5.0, friction=0.0)
     how = {"duration": 0.1, "q0": 0.05 * np.sin(2.1 * np.arange(1, 9)), "t_eval": [0.1], "tol": 2e-5}
     # At this tolerance vibrations of 1 mm lose one percent of their energy; the guard allows two.

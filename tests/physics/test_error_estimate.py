@@ -1,4 +1,4 @@
-"""Errors of single steps against what the step control allows: chains without friction whose links turn wildly."""
+"""Errors of single steps against the allowed ones: chains without friction whose links rotate fast."""
 
 import pytest
 

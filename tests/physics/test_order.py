@@ -16,7 +16,7 @@ Q0 = np.array([0.5, 0.6])
 
 
 def chain() -> hf.Rope:
-    """Two links with mild friction: smooth, and slow beside the steps taken."""
+    """Two links with mild friction: smooth, and slow compared with the steps."""
     return hf.Rope(length=[1.0, 1.0], mass=[0.2, 0.1], friction=2e-2, tip_mass=0.05)
 
 
@@ -39,9 +39,9 @@ def test_runge_kutta_has_order_four():
 
 
 def fixed_steps(order: int, count: int, duration: float, part_of_last: float | None = None) -> np.ndarray:
-    """State (4,) at the end of extrapolated steps of equal length, or within the last; the error control is left out.
+    """State (4,) at the end of extrapolated steps of equal length, or within the last one, without error control.
 
-    Within the last step its substeps tell the course.
+    Within the last step the substeps give the state.
     """
     setup = hf.Setup(rope=chain(), q0=Q0)
     parameters, drive, table = setup.chain(), setup.drive(), scheme(order)
@@ -98,7 +98,8 @@ def test_the_substeps_tell_the_course_of_a_step_to_its_order(order, part):
     ids=["paper's", "friction", "fine", "stiff"],
 )
 def test_outputs_within_steps_are_as_good_as_the_steps(changes, torque):
-    """Also behind the arm's switches, where friction settles: there accelerations, and so torques, tell errors most."""
+    """Also after the arm's switches, where friction settles: accelerations and torques are most sensitive to errors
+    there."""
     t = np.linspace(0.0, 1.5, 1201)
     runs = [
         hf.simulate(cable(**changes), hf.arm_swings(), arm=hf.Arm(length=0.105), duration=1.5, t_eval=t, tol=tol)

@@ -64,7 +64,7 @@ def test_stopping_again_and_again():
 
 
 def test_going_on_with_another_motion_is_the_joined_motion(tmp_path):
-    """The second motion begins where the first is left, at a break of its own, so both readings are the same pieces."""
+    """The second motion begins at the end of the first, at a break, so both versions have the same pieces."""
     first = hf.arm_swings()
     angle = float(first.angle(STOP))
     second = hf.move_arm(angle, -1.0, 0.6).shifted(STOP)
@@ -100,7 +100,7 @@ def test_the_same_call_gives_the_same_bits():
 
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
 def test_looking_up_between_steps_leaves_no_trace(dry):
-    """A run may be told to return after every step; the mark to go on from must not depend on it."""
+    """A run may return after every step; the mark from which it continues must not depend on it."""
     setup = hf.Setup(cable(dry_friction=dry), hf.arm_swings(), ARM, tol=1e-7)
     for stop in np.linspace(0.05, 1.5, 59):  # some of these ends cut a step that is then refused and tried shorter
         marks = []

@@ -21,9 +21,9 @@ def swing(duration=1.0, dt=0.01, pegs=(), **changes):
 
 
 def test_a_plane_that_is_turned_about_the_vertical_is_the_same_swing():
-    """x = e sin q solves the equations exactly: tension and air are those of the turned plane.
+    """x = e sin q solves the equations exactly: tension and air are those of the rotated plane.
 
-    Not with friction: the wall does not turn, and its joint holds the twist.
+    Not with friction: the wall does not rotate, and its joint resists the twist.
     """
     off, known = [], []
     for dt in (0.01, 0.005, 0.0025):

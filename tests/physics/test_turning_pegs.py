@@ -37,7 +37,7 @@ def rise(values: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("sense", "ratio"), [(1.0, math.exp(0.2 * math.pi)), (-1.0, math.exp(-0.2 * math.pi))])
 def test_a_rope_brakes_a_spinning_peg_as_the_capstan_law_says(sense, ratio):
-    """The weight keeps its pull T, the other end bears T exp(+-mu pi); their difference stops the peg."""
+    """The weight keeps its pull T, the other end carries T exp(+-mu pi); their difference stops the peg."""
     rope, peg, q0 = hung(inertia=1e-4)
     spun = hf.State(0.0, q0, np.zeros(rope.n_links), peg_rate=[40.0 * sense])
     still = hf.moving_pivot([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
@@ -115,7 +115,8 @@ def pull_of(run: hf.Trajectory) -> float:
 
 @pytest.mark.parametrize("inertia", [1e-9, 0.2 * DISC])
 def test_tension_on_both_sides_of_a_free_peg(inertia):
-    """No friction holds: the sides differ by what the peg's own acceleration takes, next to nothing for a light one."""
+    """Without sticking the tensions differ by the moment that accelerates the peg, which is negligible for a light
+    one."""
     run, peg = pulled({"inertia": inertia})
     after, pull = WEIGHT * (GRAVITY + 2.0), WEIGHT * (GRAVITY + 2.0) + inertia * 2.0 / RADIUS**2
     # The rope has a thousandth of the mass, and a corner of 0.1 rad bends the lever by as much; capstan: 87 % more.
@@ -139,7 +140,7 @@ def test_a_peg_too_heavy_to_turn_is_a_fixed_one():
 
 @pytest.mark.parametrize("where", ["far", "touching"])
 def test_a_bearing_slows_a_peg_by_the_exponential(where):
-    """Without friction on the rope, in flight and in contact alike; what is lost is what the peg had."""
+    """Without friction on the rope, in flight and in contact; the loss is the peg's energy."""
     rope, peg, q0 = hung(mu=0.0, inertia=1e-4, bearing=2e-3)
     if where == "far":
         peg = hf.Peg(3.0, 0.0, RADIUS, 0.2, inertia=1e-4, bearing=2e-3)

@@ -1,4 +1,4 @@
-"""Events that end a run: closed forms, and tight runs read beside the instant."""
+"""Events that end a run: closed forms, and tight runs sampled near the event."""
 
 import numpy as np
 import pytest

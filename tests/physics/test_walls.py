@@ -57,7 +57,7 @@ def test_a_bouncing_rope_gains_no_energy():
 
 
 def test_a_rope_hangs_over_the_end_of_a_wall():
-    """The end of a wall is round, of the rope's own radius: nothing goes through it, and it holds the rope up."""
+    """The end of a wall is round, with the rope's radius: nothing passes through it, and it supports the rope."""
     rope = hf.Rope.uniform(0.6, 0.06, 30, RADIUS, friction=5e-3)
     wall = hf.Wall(0.15, -1.0, 0.15, -0.1, mu=0.3)
     run = hf.simulate(rope, duration=1.5, q0=np.full(30, 1.6), pegs=[wall], tol=1e-3, contact_step=1e-3)
@@ -72,7 +72,8 @@ def test_a_rope_hangs_over_the_end_of_a_wall():
 
 
 def test_a_rope_slides_to_and_fro_on_a_floor_without_friction():
-    """Which way it slid before is of no account: a few steps more than with next to no friction, and none unsolved."""
+    """The earlier direction of sliding has no effect: a few more steps than with almost no friction, and none
+    unsolved."""
     rope, how = hf.Rope.uniform(0.6, 0.06, 15, RADIUS, friction=1e-3), {"q0": np.full(15, 1.6), "duration": 2.0}
     facts = []
     for mu in (0.0, 1e-9):

@@ -1,4 +1,4 @@
-"""Casts from end to end on short ropes with few links, their margins, and what a search does with what it is given."""
+"""Complete casts on short ropes with few links, their margins, and the use of options by a search."""
 
 import os
 import re
@@ -70,7 +70,7 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
 
 
 def test_a_plan_continues_from_states_that_were_measured(cast):
-    """Of a rope that is longer than the plan's: the first moves are made again, and it winds."""
+    """A rope longer than the planned one: the first moves are planned again, and it winds."""
     moves, problem = cast.moves, replace(cast.problem, rope=scaled_rope(CORD, 1.02, 1.0, 1.0))
     stops = [moves.first(k).stops(problem.limits) for k in (1, 2)]  # before it touches the target
     run = hf.simulate(problem.rope, cast.motion, arm=ARM, duration=stops[-1], t_eval=[0.0, *stops])

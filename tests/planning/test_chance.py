@@ -1,4 +1,4 @@
-"""Stated success: its interval against scipy's, and draws of throws that are known to win and to lose."""
+"""Stated success: its interval against scipy's, and draws of throws that are known to succeed and to fail."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -39,7 +39,8 @@ def test_the_energy_is_that_of_rods(far, aside):
 
 
 def test_a_target_below_leaves_no_room_to_swing():
-    """Of two targets the one right below gets much less energy, which grows with the square of what a stroke adds."""
+    """The target directly below gets much less energy than another one, growing with the square of a stroke's
+    contribution."""
     beside, below = (check_feasibility(CAST_SETUP, at(1.0, aside)).energy_ratio for aside in (0.1, 0.0))
     assert below < 0.3 * beside
 
@@ -68,7 +69,8 @@ def test_a_short_time_is_reported():
 
 
 def test_what_widens_a_swing_is_the_way_of_the_arms_tip_aside():
-    """Of a quarter turn from hanging on half as much as of half a turn about it; the way up adds nothing."""
+    """A quarter turn from the hanging position adds half as much as a half turn about it; the upward part adds
+    nothing."""
     angles = [(-np.pi / 2, np.pi / 2), (0.0, np.pi), (0.0, np.pi / 2), (-np.pi, 0.0)]
     some = [replace(CAST_SETUP, limits=MotorLimits(100.0, 1e4, angles=each)) for each in angles]
     usual, *narrow = (check_feasibility(each, at(1.28, 0.67)).energy_ratio for each in some)
@@ -109,7 +111,7 @@ def test_a_motor_that_cannot_hold_the_hanging_rope_is_refused_before_a_search():
 
 
 def test_the_pull_borne_is_that_of_the_end_that_hangs():
-    """With a fourth of the mass in its outer half, of which the end is a part, it bears a fourth."""
+    """With a fourth of the mass in its outer half, which includes the end, it holds a fourth."""
     mass = np.repeat([1.0, 0.25], 25) * 0.0025
     light = hf.Rope(length=np.full(50, 0.04), mass=mass, friction=np.full(50, 5e-4), radius=0.0025)
     assert check_feasibility(replace(CAST_SETUP, rope=light), at(1.5, 0.9)).holding_force == pytest.approx(
@@ -145,7 +147,7 @@ def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside, radius):
 
 
 def test_the_required_hold_counts():
-    """The capstan equation on ropes drawn with one turn more or less, of which the one that bears most counts."""
+    """The capstan equation on random ropes with one turn more or less; the largest hold counts."""
     peg, weight = at(1.36, 0.66, 0.04), 0.125 * 9.81 / 2.0
     known, bears = check_feasibility(CAST_SETUP, peg), []
     for more in (1, 2):

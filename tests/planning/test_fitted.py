@@ -52,7 +52,8 @@ def test_masses_stay_above_0_and_friction_does_not_fall_below():
 
 
 def test_what_is_known_of_several_stays_known_where_one_meets_its_bound():
-    """A link's own inertia hardly known, its moment of inertia about the joint well: half of the draws are cut off."""
+    """A link's own inertia poorly determined, its inertia about the joint well determined: half of the draws are
+    clipped."""
     rod = hf.Rope(length=[0.3], mass=[0.1], com=[0.15], inertia=[1e-5])
     root = np.array([[4e-5, 0.0], [-4e-5 / 0.03, 1e-6 / 0.03]])  # J = I + m a^2, dJ = dI + 0.03 kg m da
     one = RopePosterior(rod, ("inertia[0]", "com[0]"), root @ root.T, {})
@@ -84,7 +85,7 @@ def test_a_drawn_length_leaves_a_rope_that_can_be_cut():
     ],
 )
 def test_what_a_fit_could_not_tell_is_known(std, row, unknown):
-    """An infinite deviation, the word for it in a file, or a row of 0: all that is said of a direction left out."""
+    """An infinite deviation, its text in a file, or a row of 0: the possible descriptions of an omitted direction."""
     names = ("friction[1]", "friction[2]")
     fit = SimpleNamespace(
         rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, std=std, length_covariance=np.zeros(3)

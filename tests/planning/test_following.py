@@ -1,4 +1,4 @@
-"""The closed loop: back to a plan that a wrong rope has left, what is kept, and a throw that is given up."""
+"""The closed loop: return to the plan with a wrong rope, kept moves, and an aborted throw."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def test_a_goal_of_another_rope_is_at_the_same_distances_from_the_arm():
 
 
 def test_a_rope_that_is_known_to_be_longer_is_led_as_predicted():
-    """What a decision expects of the strike is what the next one finds, if the rope is the one that is known."""
+    """The strike predicted by a decision is that of the next one, if the rope is known exactly."""
     longer = scaled_rope(CAST_SETUP.rope, 1.02, 1.0, 1.0)
     expected = []
     for known in (longer, None):
@@ -80,7 +80,7 @@ def test_the_goal_is_the_strike_of_the_plan():
 
 
 def test_a_throw_that_was_late_by_one_rest_is_led_back():
-    """The state after a stroke that came 40 ms late: what is left undoes most of it."""
+    """The state after a stroke that was 40 ms late: the remaining moves correct most of it."""
     goal, move = Goal.of(CAST_SETUP, PEG, WINDS, OPTIONS), 3
     assert goal is not None
     rests = WINDS.rests.copy()
@@ -146,7 +146,7 @@ def test_without_an_observation_the_plan_counts(plan, message):
 
 
 class Hanging:
-    """A source that always sees the rope hang at rest: nothing that is planned can win."""
+    """A source that always reports a rope at rest: no planned move can succeed."""
 
     def state(self, t: float, motion: object) -> RopeState:
         return RopeState(t, np.zeros(50), np.zeros(50))
@@ -179,7 +179,7 @@ def test_what_is_due_too_soon_to_be_decided_is_made_as_planned():
 
 
 class Kept(SimulatedMotor):
-    """A simulated motor that keeps what it was asked for; it refuses so many motions after the first one."""
+    """A simulated motor that records its commands; it refuses `refuses` motions after the first one."""
 
     def __init__(self, refuses: int = 0, **how: float) -> None:
         super().__init__(-0.5 * np.pi, **how)
@@ -192,7 +192,7 @@ class Kept(SimulatedMotor):
 
 
 def test_a_motor_gets_the_plan_and_a_rope_on_it_follows_its_motion():
-    """A servo that hardly lags: the rope's state at each look is that of the asked motion."""
+    """A servo with almost no lag: the rope's state at each sample is that of the commanded motion."""
     motor = Kept(lag=1e-3, counts=10**6)
     world = MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor)
     seen: list[tuple[RopeState, Motion]] = []

@@ -1,4 +1,4 @@
-"""What a wound rope holds: the tail's weight, the capstan equation, and the tug beside them."""
+"""Holding force of a wound rope: the tail's weight, the capstan equation, and the tug test."""
 
 from dataclasses import replace
 

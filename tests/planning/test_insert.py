@@ -1,4 +1,4 @@
-"""Insertions: entries in closed form, residuals, a plan from end to end, scenarios, what is a touch."""
+"""Insertions: entries in closed form, residuals, a complete plan, scenarios, definition of a touch."""
 
 import functools
 import math
@@ -253,7 +253,7 @@ def certain(problem: Problem, slot: Slot = SLOT) -> int:
 
 
 def test_a_scenario_fails_in_which_the_tip_is_too_fast_or_the_slot_elsewhere():
-    """By what a run with as many links tells."""
+    """Checked by a run with as many links."""
     who = Problem(ROPE, ARM, LIMITS, 4.0)
     seen = verify_insert(InsertTask(who, SLOT).finer, SLOT, MOVES.motion(who.limits), NEAR)
     assert seen is not None
@@ -263,7 +263,7 @@ def test_a_scenario_fails_in_which_the_tip_is_too_fast_or_the_slot_elsewhere():
 
 
 def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle():
-    """By what a run with as many links tells: with 1 mm more than is there, not with 1 mm less."""
+    """Checked by a run with as many links: with 1 mm more than the clearance, not with 1 mm less."""
     who = Problem(ROPE, ARM, LIMITS, 4.0)
     seen = verify_insert(InsertTask(who, SLOT).finer, SLOT, MOVES.motion(who.limits), NEAR)
     assert seen is not None

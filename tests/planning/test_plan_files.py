@@ -1,4 +1,4 @@
-"""Plans as files: the motor's table, the set-up that is simulated again, what is read back."""
+"""Plans as files: the motor's table, the repeated simulation of the set-up, reading back."""
 
 import math
 from dataclasses import replace

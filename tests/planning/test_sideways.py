@@ -1,4 +1,4 @@
-"""Motion out of the plane in plans: what a cast reports, requires, and draws."""
+"""Motion out of the plane in plans: reports, criteria and pictures of a cast."""
 
 import math
 from dataclasses import replace

@@ -50,7 +50,8 @@ def test_a_rope_that_hangs_near_the_peg_leaves_it_before_it_strikes():
 
 
 def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
-    """A wall where the arm is, of its thickness, and a peg for the shaft; links that hang from the arm left out."""
+    """A wall in place of the arm, of its thickness, and a peg for the shaft, without the links that hang from the
+    arm."""
     random, arm = np.random.default_rng(6), hf.Arm(length=0.2, pivot=(0.1, -0.2), radius=0.004, shaft_radius=0.012)
     rope = hf.Rope.uniform(1.2, 0.06, 12, 0.003, friction=0.0)
     pivot, shaft = np.array(arm.pivot), hf.Peg(*arm.pivot, arm.shaft_radius)
@@ -66,7 +67,7 @@ def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
 
 
 def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not():
-    """All links at all samples, beside those alone that may be near."""
+    """All links at all samples, compared with only those that may be near."""
     random, arm, far = (
         np.random.default_rng(5),
         hf.Arm(length=0.15),

@@ -1,4 +1,4 @@
-"""Casts that begin from a rope that swings while the arm stands still, as a tracker tells it."""
+"""Casts that begin with a swinging rope and the arm at rest, with the state from a tracker."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ SWINGS = Problem(CORD, ARM, hf.MotorLimits(), side=-1, q0=tuple(SEEN.q), qd0=tup
 
 
 def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path):
-    """By links that the planner did not know. The first plan that stands ends the search, if it is told to."""
+    """With links that the planner did not use. The first successful plan ends the search on request."""
     heard: list[CastPlan] = []
 
     def on_plan(found):
@@ -91,7 +91,7 @@ def test_a_start_that_cannot_be_is_refused(change, told):
 
 
 def test_a_rope_that_touches_something_before_the_motion_begins_is_not_cast():
-    """SEEN swings to the left, past where it hangs from the arm: a wall stands there, out of its way at first."""
+    """SEEN swings to the left, past its hanging position, to a wall that it does not touch at first."""
     held = hf.hold_arm(-np.pi / 2)
     tips = hf.simulate(CORD, held, arm=ARM, duration=2.0, q0=SEEN.q, qd0=SEEN.qd).tip
     least = float(tips[:, 0].min())

@@ -1,4 +1,4 @@
-"""Drawn worlds: how far they spread, that they stay possible, and what a motor makes of a throw in them."""
+"""Sampled scenarios: their spread, their validity, and the motor's motion in them."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""What a verified run refuses: a rope that goes through itself or its own arm; what it covers of the peg."""
+"""Refusals of a verified run: a rope that passes through itself or its arm; its contact angle on the peg."""
 
 from dataclasses import replace
 

@@ -234,7 +234,7 @@ def test_a_switch_just_before_a_wall_is_struck():
 
 
 def test_short_touches_are_touches():
-    """Of small pegs off which the rope bounces between samples."""
+    """Small pegs off which the rope bounces between samples."""
     run, t, target, _ = free_strike()
     for row in np.searchsorted(run.t, t + np.linspace(0.03, 0.12, 7)):
         side = np.array([-run.tip_velocity[row, 1], run.tip_velocity[row, 0]])

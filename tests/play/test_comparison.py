@@ -1,4 +1,4 @@
-"""A recording beside its rope: the rings are what was measured, the rope is predicted, draws say how sure it is."""
+"""A recording with its rope: rings are measurements, the rope is predicted, draws show its uncertainty."""
 
 import base64
 import json
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 
 
 def shown(page):
-    """Return what a page holds: its data, the rope's tip, the rings and the ropes drawn, m."""
+    """Return the contents of a page: its data, the rope's tip, the rings and the drawn ropes, m."""
     data = json.loads(re.search(r'<script type="application/json" id="run">(.*?)</script>', page, re.S)[1])
 
     def numbers(text, kind):

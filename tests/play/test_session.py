@@ -1,4 +1,4 @@
-"""The rope of the page: it moves as `simulate` moves it, takes what is set, and refuses what cannot be."""
+"""The rope of the page: it moves like a run of `simulate`, accepts settings, and refuses impossible ones."""
 
 import math
 
@@ -177,7 +177,8 @@ def test_hours_of_swinging_keep_a_bounded_memory():
 
 
 def test_a_control_changes_the_opened_rope_and_nothing_else_of_it():
-    """A tapered cord of 1 m with stiffness, a weight at its tip and other gravity: what is not set stays, or scales."""
+    """A tapered cord of 1 m with stiffness, a tip weight and other gravity: properties that are not set stay, or
+    scale."""
     cord = hf.Rope(
         length=[0.2, 0.3, 0.5],
         mass=[0.03, 0.02, 0.01],

@@ -22,7 +22,7 @@ LIKELY = np.where(FRAMES == 7, 0.05, 0.98)  # of the tip
 
 
 class Sample(NamedTuple):
-    """A file: its bytes, the arguments with which it is read, and what it then holds, m: times and x, y of markers."""
+    """A file: its bytes, the arguments of its reader, and its contents, m: times and x, y of markers."""
 
     content: bytes
     arguments: dict[str, Any]
@@ -54,7 +54,7 @@ def table(rows: list[list[str]], mark: str = ",", end: str = "\n") -> str:
 
 
 def motive() -> Sample:
-    """Motive 1.23: a rigid body with its quaternion beside two markers."""
+    """Motive 1.23: a rigid body with its quaternion, and two markers."""
     meta = [
         "Format Version",
         "1.23",

@@ -124,7 +124,7 @@ def test_quaternions_and_errors_of_rigid_bodies_are_no_markers(tmp_path):
 
 
 def test_each_column_of_a_vicon_file_has_its_own_unit(tmp_path):
-    """Model outputs beside the trajectories: angles are no markers, and a force is neither."""
+    """Model outputs with the trajectories: angles are not markers, and a force is neither."""
     lines = ["Trajectories", "100", ",,pivot,,,tip,,,knee,,,plate,,", f"Frame,Sub Frame{',X,Y,Z' * 4}"]
     lines += [f",,{','.join(3 * ['mm'] + 3 * ['m'] + 3 * ['deg'] + 3 * ['N'])}"]
     lines += [f"{k + 1},0,0,0,0,0.1,0,-0.4,{k},0,0,1,2,3" for k in range(12)]
@@ -431,7 +431,7 @@ def test_a_range_beyond_a_turn_leaves_the_unit_undecided(tmp_path):
 
 
 def test_the_proposal_takes_the_markers_of_one_body(tmp_path):
-    """The swing is in xy; the body stands 0.5 m before it."""
+    """The swing is in xy; the body is 0.5 m in front of it."""
     angle = 0.3 * np.cos(6.0 * np.arange(50) / 50.0)
     rope = [np.column_stack([r * np.sin(angle), -r * np.cos(angle), 0.5 + 0.0 * angle]) for r in (0.0, 0.2, 0.4)]
     places = np.hstack([np.arange(50)[:, None] / 50.0, np.tile([0.01, 0.02, 0.0], (50, 1)), *rope])

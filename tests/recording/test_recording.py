@@ -1,4 +1,4 @@
-"""recording: what a Recording refuses, conversions that must be declared, and each reader on good and bad files."""
+"""recording: refusals of a Recording, conversions that must be declared, and each reader on good and bad files."""
 
 import math
 from collections.abc import Callable
@@ -428,7 +428,7 @@ def cell(pieces: list[Array]) -> Any:
 
 
 def mat_content(n: int, samples: int = 403) -> dict[str, Any]:
-    """Return what the published preparation scripts save, for n links in pieces of 100 samples."""
+    """Return the output of the published preparation scripts, for n links in pieces of 100 samples."""
     t, data, rates = swing(n, samples)
     state = np.hstack([data + math.pi, rates]).T
     cuts = list(range(100, samples, 100))

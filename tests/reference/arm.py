@@ -1,4 +1,5 @@
-"""The paper's arm, worked out anew: bang-bang swings between -pi/2 and pi/2, as stretches of constant acceleration."""
+"""The paper's arm, derived independently: bang-bang swings between -pi/2 and pi/2, as intervals of constant
+acceleration."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple

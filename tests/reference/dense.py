@@ -43,7 +43,7 @@ class Links(NamedTuple):
 class Answer(NamedTuple):
     """Accelerations alpha (n,); force (2,) of the base on the chain; torque that the parent gives to the first joint.
 
-    The torque is what the parent loses: with friction as printed, which does not react, it is the spring's alone.
+    The torque is that on the parent: with the printed friction, which has no reaction, only that of the spring.
     ``held`` (n,) is the friction torque of each stuck joint, 0 for the others.
     """
 
@@ -95,7 +95,7 @@ class Joints(NamedTuple):
 def joints(
     links: Any, q: Real, w: Real, parent: tuple[Any, Any], h: float = 0.0, dtype: Any = float, grip: Real | None = None
 ) -> Joints:
-    """Joint torques at (q, w) beside a parent with (angle, rate), with the slopes of an Euler step of h seconds.
+    """Joint torques at (q, w) relative to a parent with (angle, rate), with the slopes of an Euler step of h seconds.
 
     ``grip`` (n,) are the senses in which the joints slip, by default those of their rates.
     """
@@ -145,7 +145,7 @@ def accelerations(
     """Accelerations of the links for a given motion of the base, h > 0 with linearly implicit joints.
 
     A joint whose ``grip`` is 0 (and that has dry friction) is locked: its friction is an unknown torque, a Lagrange
-    multiplier, beside the condition that the two links accelerate alike.
+    multiplier, with the condition of equal accelerations of both links.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Whether the time of an event is as exact as the run that it ends: against the same event of a tighter run.
+"""Whether the time of an event is as accurate as the run that it ends: against the event of a tighter run.
 
-An error e in a reading that changes at the rate s moves its event by e / s. What a run may err in places and rates is
-known (``judging``), so each kind of event has a bound, and LOCATED beside it, to which an event is found.
+An error e in a reading that changes at the rate s moves its event by e / s. The bounds of position and rate errors are
+known (``judging``), so each kind of event has a bound, plus the accuracy LOCATED of its location.
 """
 
 import math

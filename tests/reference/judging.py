@@ -1,18 +1,18 @@
-"""Whether a run keeps its tolerance: against a tighter run, and Runge and Kutta's where that is cheap, in a horizon.
+"""Whether a run keeps its tolerance: against a tighter run, and a Runge-Kutta run if that is cheap, within a horizon.
 
-`tol` is what one step may err in the place of any joint, and in its velocity times some milliseconds; short ones, below
-:data:`SHARE`, may err in proportion. What such an error grows to is measured from two nudged runs: one in the angles,
-one in the rates, each as large as `tol` allows. Were all errors to point the same way, they would add up to::
+`tol` is the allowed error of one step in the position of any joint, and in its velocity times some milliseconds; for
+steps below :data:`SHARE` in proportion. The growth of such an error is measured with two perturbed runs: one in the
+angles, one in the rates, each as large as `tol` allows. If all errors had the same direction, they would add up to::
 
     error(t) <= K tol (1 + t / SHARE) max(1, growth(t))
 
-which is the promise that a run is held to, for as long as the right side, and the distance of the nudged runs, are
-small beside the rope (:data:`SMALL`): that is the horizon. A run that is further off is silently wrong. K = 3, since
-the error of one step was seen to be up to 2.6 times its estimate, and since two random nudges miss what grows fastest.
-The runs that a run is compared with need not last longer than that: they are a :data:`SHORTEST` part of it at first,
-and twice as long each time, until the horizon lies in them.
-A run of the same rope that ends at an event has to end in time (``event_times``).
-Most errors do not add up like that: :data:`USUAL` counts those that stay below ``USUAL tol max(1, growth)`` for good.
+which is the bound of a run, as long as the right side, and the distance of the perturbed runs, are small compared with
+the rope (:data:`SMALL`): this is the horizon. A run with a larger error is wrong without a warning. K = 3, because the
+error of one step was up to 2.6 times its estimate, and because two random perturbations miss the fastest growth. The
+runs that a run is compared with need not last longer than that: they are a :data:`SHORTEST` part of it at first, and
+twice as long each time, until the horizon lies in them. A run of the same rope that ends at an event has to end in time
+(``event_times``). Most errors do not add up in this way: :data:`USUAL` counts the runs that stay below ``USUAL tol
+max(1, growth)``.
 """
 
 import time
@@ -146,7 +146,7 @@ def distance(run: Trajectory, other: Trajectory) -> Real:
 
 
 def nudges(setup: Setup, rng: np.random.Generator) -> list[dict[str, Real]]:
-    """Starts beside that of the set-up: every angle, every rate, by as much as `tol` allows a step to err."""
+    """Perturbed starts of the set-up: every angle, every rate, by the error that `tol` allows in a step."""
     rope = setup.rope
     n = rope.n_links
     q = np.full(n, rope.hanging_angle) if setup.q0 is None else setup.q0
@@ -161,7 +161,7 @@ def nudges(setup: Setup, rng: np.random.Generator) -> list[dict[str, Real]]:
 
 
 def growth_along_the_way(apart: Real, tol: float) -> Real:
-    """How much an error of `tol` made at any earlier instant has grown by each instant (T,).
+    """Growth factor (T,) at each time of an error of `tol` made at any earlier time.
 
     A nudge of `tol` at the start that is `apart` by then tells of later errors as well, as long as it has not sunk
     into the errors of the runs themselves, some hundredths of `tol`: what was less than a tenth counts as a tenth.

@@ -38,7 +38,7 @@ def draw(seed: int, number: int, most_links: int = 300) -> Case:
 
 
 def draw_stuck(seed: int, number: int, most_links: int = 300) -> Case:
-    """Return a rope at rest, bent at random, whose dry friction bears 1.05 to 3 times what its weight asks for."""
+    """Return a randomly bent rope at rest, whose dry friction is 1.05 to 3 times the moment of its weight."""
     rng = np.random.default_rng([seed, number, 1])
     rope, about = random_rope(rng, most_links)
     n = rope.n_links

@@ -1,4 +1,4 @@
-"""Errors of single steps against what the step control allows: chains without friction whose links turn wildly."""
+"""Errors of single steps against the allowed ones: chains without friction whose links rotate fast."""
 
 from typing import NamedTuple
 
@@ -45,7 +45,8 @@ def steps(setup: hf.Setup) -> list[Step]:
 
 
 def error(setup: hf.Setup, step: Step) -> float:
-    """Error of a step in units of what is allowed: of the joints' positions, or of their velocities while they last."""
+    """Error of a step in units of the allowed error: of the joints' positions, or of their velocities over their
+    duration."""
     n, size = setup.rope.n_links, step.end - step.t
     exact = Rollout(setup.replace(tol=TIGHT), np.array([step.t, step.end]), (step.y[:n], step.y[n : 2 * n]))
     exact.complete()

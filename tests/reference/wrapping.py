@@ -11,10 +11,10 @@ ARM = 0.3  # m
 
 
 def laid(length: Real, start: tuple[float, float], axis: float, swept: float) -> Real:
-    """Angles (n,) of links that come straight down to a circle about the origin, go round it and leave it straight.
+    """Angles (n,) of links that run straight down to a circle about the origin, round it, and straight away from it.
 
     The first joint is at `start`, left of the circle of radius `axis`; after the angle `swept`, rad, counterclockwise,
-    the rope goes on straight. Each link on the circle is tangent to it.
+    the rope is straight. Each link on the circle is tangent to it.
     """
     q, (x, y), before = np.zeros(len(length)), start, 0.0
     for i, size in enumerate(length):

@@ -1,4 +1,4 @@
-"""A report's folder: all of its files or none, and what stood there before stays or stands again."""
+"""A report's folder: all of its files or none, and earlier files are kept or restored."""
 
 import errno
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The report of an identification: true to the fit, complete in one file, and clear about what is not known."""
+"""The report of an identification: consistent with the fit, complete in one file, and clear about unknown values."""
 
 import dataclasses
 import re
@@ -52,7 +52,7 @@ def swing() -> Case:
 
 @pytest.fixture(scope="module")
 def markers() -> Case:
-    """Three markers on six links, fitted to the end; the camera sees the first joint beside its own origin."""
+    """Three markers on six links, all samples fitted; the first joint is off the camera's origin."""
     rope = hf.Rope.uniform(length=0.6, mass=0.1, n_links=6, friction=2e-4)
     t = np.arange(60) * 0.03
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=np.full(6, 0.8))

@@ -1,4 +1,4 @@
-"""Reports of plans: what a reader must find on the page, in the film and in the figures."""
+"""Reports of plans: required contents of the page, the film and the figures."""
 
 import html
 import math

@@ -20,7 +20,7 @@ BETWEEN = 2e-4  # m, between samples 10 ms apart
 
 @pytest.fixture(scope="module")
 def cast(tmp_path_factory):
-    """The paper's cable with two pegs and a floor beside its way, 10 s at 60 Hz, as it is read back, and its page."""
+    """The paper's cable with two pegs and a floor off its path, 10 s at 60 Hz, read from a file, and its page."""
     folder = tmp_path_factory.mktemp("player")
     rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     t = np.arange(601) / 60.0

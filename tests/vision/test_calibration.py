@@ -1,4 +1,4 @@
-"""Calibration on rendered boards: how exact it is, and what it refuses."""
+"""Calibration on rendered boards: its accuracy and its refusals."""
 
 import functools
 
@@ -26,7 +26,7 @@ def few():
 
 
 def parallel(lean):
-    """Boards that all lean the same way tell no focal length, whether they face the camera or not."""
+    """Boards with equal tilts do not determine the focal length, whether they face the camera or not."""
     poses = enumerate(board_poses(CHARUCO, 6, tilt=0.0))
     turn, aside = np.array([lean, 0.0, 0.0]), np.array([0.03, 0.02, 0.0])
     return [render_board(CHARUCO, turn, place - aside, seed=k) for k, (_, place) in poses]

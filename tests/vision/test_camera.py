@@ -13,7 +13,7 @@ POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (10, 2)) * [1.0, 0.8]
 
 
 def tilted():
-    """Return a camera with distortion that looks at the plane from the side."""
+    """Return a camera with distortion that views the plane from the side."""
     facing = Camera.facing((1280, 720), pixels_per_metre=300.0, origin=(640.0, 300.0))
     turn = cv2.Rodrigues(np.array([0.1, 0.2, 0.05]))[0] @ facing.axes[0]
     return replace(

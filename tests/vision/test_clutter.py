@@ -1,4 +1,4 @@
-"""What is learnt of clutter: its density, and places at which it stands still."""
+"""Learning of clutter: its density, and positions of static clutter."""
 
 import numpy as np
 import pytest

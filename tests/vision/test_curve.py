@@ -77,7 +77,7 @@ def seen(t=0.5, away=(0.0, 0.0), std=3.0, speed=6.0, occluders=(), **look):
 
 @pytest.mark.parametrize("speed", [0.5, 6.0, 10.0])
 def test_offsets_are_measured_across_and_the_end_along(speed):
-    """Errors within what is stated, and a tenth of a pixel of model error where the rope turns while it is exposed."""
+    """Errors within the stated ones, plus a tenth of a pixel of model error if the rope rotates during the exposure."""
     found, true, end, _ = seen(away=(3.0, -2.0), speed=speed)
     assert np.isfinite(found.offsets).sum() >= PIECES - 1
     error = (found.offsets - true) / np.sqrt(found.variances)
@@ -110,7 +110,7 @@ def test_a_line_beside_the_rope_is_not_taken_for_a_piece_of_it():
 
 
 def lines(*columns, contrast=1.0, wall=180.0, look=None):
-    """Return what is found where a rope is expected at column 100 to 3 px, of 20 pieces, and there are these lines."""
+    """Return the detections of a rope of 20 pieces expected at column 100 to 3 px, in a picture of these lines."""
     image, look = np.full((200, 200, 3), wall), look or RopeLook(DARK, 1.0)
     image[:, list(columns)] -= contrast * (wall - look.levels)
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + np.random.default_rng(1).normal(0.0, 1.0, image.shape)
@@ -134,7 +134,7 @@ def test_a_faint_line_is_no_rope_that_is_not_seen(part):
 
 
 def test_noise_of_a_wall_is_no_rope_however_widely_it_is_searched():
-    """Of a rope with three times the contrast of the noise, in eight pictures without it."""
+    """A rope with three times the contrast of the noise, in eight pictures without it."""
     line = np.stack([np.full(141, 100.0), np.append(np.arange(20.0, 160.0), 180.0)], axis=1)
     alike = np.exp(-0.5 * (np.subtract.outer(range(21), range(21)) / 4.0) ** 2)
     view = view_curve(np.tile(line, (3, 1, 1)), 20, 14.0**2 * np.kron(alike, np.eye(2)), 4.0, 50)

@@ -1,4 +1,4 @@
-"""The look of a plain rope: its colour and width from a curve, the wall beside it, light that changes."""
+"""The appearance of a plain rope: its colour and width from a curve, the adjacent wall, changing light."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The synthetic camera: places of what it draws against its own truth, blur and readout against brute force."""
+"""The synthetic camera: drawn positions against its truth, blur and readout against brute force."""
 
 from dataclasses import replace
 
