@@ -249,7 +249,7 @@ def _write_depths(gap: Array, wall: Wall, begin: Array, end: Array) -> None:
 
 
 def gap_of(obstacle: Obstacle, place: ArrayLike) -> float:
-    """Distance of a point from an obstacle, m, <= 0 inside."""
+    """Distance of a point `place` (2,), m, from an obstacle, m, <= 0 inside."""
     link = np.array([place])
     return float(obstacle_gaps((obstacle,), link, link)[0, 0])
 
