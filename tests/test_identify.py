@@ -18,8 +18,7 @@ from hyperflex.identification.measurements import measure
 from hyperflex.identification.model import Parameters, Plant, parse, scaling
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.symptoms import _of_prediction
-from hyperflex.identification.uncertainty.basis import Basis
-from hyperflex.identification.uncertainty.covariance import estimate_covariance, ratio_spread
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance, ratio_spread
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings

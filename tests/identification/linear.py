@@ -5,8 +5,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.fit import Loss, LossName, Window, fit
 from hyperflex.identification.model import Parameters, Plant, PredictedChannels, parse
-from hyperflex.identification.uncertainty.basis import Basis
-from hyperflex.identification.uncertainty.covariance import estimate_covariance
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.model import Rope
 
 ROPE = Rope(length=[1.0], mass=[1.0], com=[0.5], inertia=[1.0], friction=[1.0])

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from hyperflex.files.json import dumps_json, plain, write_json
     from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
     from hyperflex.files.reading import LARGEST, not_damaged, read_bytes, read_text, regular_file
-    from hyperflex.files.rescue import rescued
     from hyperflex.files.tables import (
         Table,
         cells_of,
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
         check_space,
         check_writable,
         remove_left_behind,
+        rescued,
         write_bytes,
         write_text,
     )

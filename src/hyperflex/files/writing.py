@@ -1,4 +1,7 @@
-"""Writing wholly or not at all: temporary name in the same folder, forced to the disk, then renamed."""
+"""Writing wholly or not at all: temporary name in the same folder, forced to the disk, then renamed.
+
+A result that cannot be written where it should goes to a fallback folder, which the message names.
+"""
 
 import errno
 import glob
@@ -9,16 +12,17 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any, Literal, TypeVar
 
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.interruption import deferred
 from hyperflex.memory import in_words
 
 PathLike = str | os.PathLike[str]
+Answer = TypeVar("Answer")
 
 LEFT_BEHIND = 3600.0  # s without a change after which no process is writing any more
 _TOKEN = "[0-9a-f]" * 8
@@ -162,3 +166,54 @@ def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
         reason = (ours and error.strerror) or str(error).replace(part.name, target.name)
         fix = "Give another path"
     return FileProblem(f"{target} could not be written: {reason}. {unchanged}. {fix}.")
+
+
+def rescued(write: Callable[[Path], Answer], path: Path) -> Answer:
+    """Call ``write(path)``; where that fails, write to a new folder of the user's state or of temporary files.
+
+    Parameters
+    ----------
+    write : callable
+        Writes a file or a folder to the path that it is given, wholly or not at all.
+    path : pathlib.Path
+        Where it should be.
+
+    Raises
+    ------
+    FileProblem
+        It is not where it should be; the message says where it is instead.
+    """
+    try:
+        return write(path)
+    except FileProblem as error:
+        place = next(filter(None, (_written(write, base, path) for base in _fallbacks())), None)
+        if place is None:
+            raise
+        raise FileProblem(f"{error} The result is in {place} instead.") from error
+
+
+def _written(write: Callable[[Path], object], base: Path, path: Path) -> Path | None:
+    """Write to a new folder in `base`, under the name of `path`; return the place, None where that fails, too."""
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix="hyperflex-", dir=base))
+    except OSError:
+        return None
+    try:
+        place = folder / (path.resolve().name or "result")
+        write(place)
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, OSError):  # FileProblem is one
+            return None
+        raise
+    return place
+
+
+def _fallbacks() -> Iterator[Path]:
+    """Yield folders that may take what another one did not: of the user's state, then of temporary files."""
+    state = Path(os.environ.get("XDG_STATE_HOME", ""))
+    with suppress(RuntimeError):  # a user without a home folder
+        yield (state if state.is_absolute() else Path.home() / ".local" / "state") / "hyperflex"
+    with suppress(OSError):  # no folder takes temporary files
+        yield Path(tempfile.gettempdir())

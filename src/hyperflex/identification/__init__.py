@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut
     from hyperflex.identification.result import Identification
-    from hyperflex.identification.uncertainty.basis import Basis
-    from hyperflex.identification.uncertainty.covariance import Interval, ratios
+    from hyperflex.identification.uncertainty.covariance import Basis, Interval, ratios
     from hyperflex.identification.uncertainty.profile import Profile, profile
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -19,7 +19,7 @@ from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.basis import Basis
+from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import DAMPING, MOST_LINKS, RESISTANCES, Rope, parse_label, with_links

@@ -43,8 +43,8 @@ from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
 from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms, without_unexplained
-from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
+    Basis,
     Information,
     Interval,
     estimate_covariance,

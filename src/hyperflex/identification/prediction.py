@@ -11,8 +11,7 @@ from hyperflex.identification.fit import NORMAL, Loss, Window, averaged, fit_sta
 from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
 from hyperflex.identification.model import Plant
 from hyperflex.identification.options import FitOptions
-from hyperflex.identification.uncertainty.basis import Basis
-from hyperflex.identification.uncertainty.covariance import LEVEL
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis
 
 BAND = NormalDist().inv_cdf(0.5 * (1.0 + LEVEL))  # standard deviations on either side that hold 95 %
 # part of the values within the 95 % band: fewer are there where deviations are 2.9 times too small

@@ -12,8 +12,7 @@ from hyperflex.files import PathLike
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding, Grade, Kind, Severity, grade, percent, report, text
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.basis import Basis
-from hyperflex.identification.uncertainty.covariance import Interval
+from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.status import Status

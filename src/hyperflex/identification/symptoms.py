@@ -15,11 +15,11 @@ from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, extended, lumped
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
     MASSES,
     TOUCHED,
+    Basis,
     quantile,
     ratio_gradients,
     ratio_spread,

@@ -10,7 +10,7 @@ from typing import Any
 
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.files import PathLike, as_path, open_hdf5, regular_file
-from hyperflex.recording import c3d, capture, hdf5, matfile, messages, tables, videos
+from hyperflex.recording import arrays, c3d, capture, hdf5, messages, tables, videos
 from hyperflex.recording.content import Content, Selection
 
 _BEGIN = 65_536  # bytes by which a file is recognised: room for the names of hundreds of markers
@@ -93,7 +93,7 @@ FORMATS = (
     _BAG,
     Format("MCAP", _bytes(rb"\x89MCAP0\r\n"), messages.read_mcap, options=_MESSAGES),
     Format("C3D", _bytes(rb"[\x01-\x08\x0b\x0e-\x1f]\x50"), c3d.read),
-    Format("MATLAB 5", _bytes(rb"MATLAB 5\.0 MAT-file"), matfile.read, options=_TIME),
+    Format("MATLAB 5", _bytes(rb"MATLAB 5\.0 MAT-file"), arrays.read_matlab, options=_TIME),
     Format("NetCDF of hyperflex", _holds("@format"), hdf5.read_netcdf_recording),
     Format("NetCDF-3", _bytes(rb"CDF[\x01\x02\x05]"), hdf5.read_netcdf_recording),
     Format("SLEAP analysis", _holds("tracks", "node_names"), hdf5.read_sleap),

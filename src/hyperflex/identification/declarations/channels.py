@@ -14,13 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.model import Mask
-from hyperflex.identification.uncertainty.basis import Basis
-from hyperflex.identification.uncertainty.covariance import (
-    MASSES,
-    ratio_gradients,
-    ratio_spread,
-    ratios,
-)
+from hyperflex.identification.uncertainty.covariance import MASSES, Basis, ratio_gradients, ratio_spread, ratios
 from hyperflex.identification.uncertainty.noise import CHANCE, Piece, whiteness
 from hyperflex.recording import UNIT, Recording
 from hyperflex.sensors import Angles

@@ -11,7 +11,7 @@ from hyperflex.identification.declarations.held import FEW_LINKS, LINKS
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, within
 from hyperflex.identification.fit import Window, averaged, fit
 from hyperflex.identification.model import Plant
-from hyperflex.identification.uncertainty.basis import REFIT, Basis
+from hyperflex.identification.uncertainty.covariance import REFIT, Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles

@@ -21,13 +21,7 @@ from hyperflex.identification.declarations.held import (
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Window, linearise
 from hyperflex.identification.model import Parameter, Plant, extended, scale_words
-from hyperflex.identification.uncertainty.basis import Basis
-from hyperflex.identification.uncertainty.covariance import (
-    LEVEL,
-    quantile,
-    ratio_spread,
-    ratios,
-)
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, quantile, ratio_spread, ratios
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import RESISTANCES
 

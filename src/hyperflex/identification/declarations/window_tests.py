@@ -9,8 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.held import CLOCK, DRIFT
 from hyperflex.identification.declarations.score_tests import TESTING, Scores, ScoreTest
-from hyperflex.identification.uncertainty.basis import Basis
-from hyperflex.identification.uncertainty.covariance import ratio_gradients, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratio_spread, ratios
 from hyperflex.identification.uncertainty.noise import CHANCE
 
 

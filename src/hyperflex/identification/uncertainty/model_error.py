@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, QUANTITIES, SCALES, base
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.model import scale_words
-from hyperflex.identification.uncertainty.basis import Basis
+from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import PROPERTIES
 

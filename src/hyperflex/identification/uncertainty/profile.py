@@ -14,10 +14,10 @@ from hyperflex.identification.fit import Fit, Loss, Report, Target, fit, with_en
 from hyperflex.identification.model import Mask
 from hyperflex.identification.options import How
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.basis import Basis
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
     SIGNED,
+    Basis,
     End,
     Interval,
     checked_level,
