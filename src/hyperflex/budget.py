@@ -77,7 +77,7 @@ class Budget:
             part = given.limit(given.remaining)
             part.threads = threads
             return part
-        seconds = math.inf if given is None else checks.number(name, given, sign="positive", unit="s", infinite=True)
+        seconds = math.inf if given is None else checks.positive(name, given, "s", infinite=True)
         return cls(seconds, threads=threads)
 
     @property

@@ -78,6 +78,11 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
     raise InvalidInput(f"{name} {wrong}", got=got, allowed=allowed) from None
 
 
+def positive(name: str, value: object, unit: str = "", *, infinite: bool = False) -> float:
+    """Return `value` as a finite float > 0 (``infinite=True`` lets inf pass)."""
+    return number(name, value, sign="positive", unit=unit, infinite=infinite)
+
+
 def meant(name: str, value: npt.ArrayLike, unit: str, *, most: float | None = None) -> None:
     """Warn (UserWarning, at the caller's line) of a value beyond `most`, SI, most likely given in a smaller unit."""
     limit, smaller, factor = _SLIPS[unit]

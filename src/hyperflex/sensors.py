@@ -120,7 +120,7 @@ class Angles(PostureSensor):
     """Absolute link angles, rad, times `factor`: 1 for a calibrated sensor."""
 
     def __init__(self, factor: float = 1.0) -> None:
-        self.values = np.array([checks.number("factor", factor, sign="positive")])
+        self.values = np.array([checks.positive("factor", factor)])
 
     def with_values(self, values: Array) -> "Angles":
         return Angles(float(values[0]))
@@ -327,7 +327,7 @@ class MotorTorque:
 
     def __init__(self, arm: Arm, constant: float = 1.0) -> None:
         self.arm = arm
-        constant = checks.number("constant", constant, sign="positive")
+        constant = checks.positive("constant", constant)
         self.values = np.array([arm.inertia, arm.friction, arm.dry_friction, constant])
 
     def with_values(self, values: Array) -> "MotorTorque":

@@ -297,7 +297,7 @@ class Trajectory:
 
     def _limit(self, allowed: float | None) -> float:
         default = PARTED * self.setup.rope.total_length
-        return checks.number("allowed", default if allowed is None else allowed, sign="positive", unit="m")
+        return checks.positive("allowed", default if allowed is None else allowed, "m")
 
     @cached_property
     def dataset(self) -> "xr.Dataset":

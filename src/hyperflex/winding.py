@@ -77,7 +77,7 @@ class TugTest:
 
     def holds(self, force: float) -> bool:
         """Whether the rope withstood a pull of `force`, N, with less than the allowed slip."""
-        return self.hold >= checks.number("force", force, sign="positive", unit="N")
+        return self.hold >= checks.positive("force", force, "N")
 
 
 def measure_winding(run: Trajectory, peg: Peg) -> Winding:
@@ -246,13 +246,13 @@ def tug_test(
     -------
     TugTest
     """
-    speed = checks.number("speed", speed, sign="positive", unit="m/s")
-    allowed = checks.number("allowed", allowed, sign="positive", unit="m")
+    speed = checks.positive("speed", speed, "m/s")
+    allowed = checks.positive("allowed", allowed, "m")
     checks.instance("run", run, Trajectory)
     checks.instance("peg", peg, Peg)
     loose = _slack(run, peg) if distance is None else 0.0
     quick = LOOSE * loose
-    rest = checks.number("distance", loose + PULL if distance is None else distance, sign="positive", unit="m") - quick
+    rest = checks.positive("distance", loose + PULL if distance is None else distance, "m") - quick
     end = run.joints[-1, 0]
     away = end - np.array([peg.x, peg.y])
     away /= np.hypot(*away)

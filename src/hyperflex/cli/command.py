@@ -23,7 +23,7 @@ def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float |
     """Return the check of an option whose value, if given, must be positive and finite."""
 
     def check(option: typer.CallbackParam, value: float | None) -> float | None:
-        return None if value is None else checks.number(option.opts[0], value, sign="positive", unit=unit)
+        return None if value is None else checks.positive(option.opts[0], value, unit)
 
     return check
 

@@ -49,7 +49,7 @@ _WRITTEN = {
 
 def _rate(option: typer.CallbackParam, value: float) -> float:
     """Refuse, before the search, a rate that would give too few rows, or too many, of any plan."""
-    if not 10.0 <= checks.number(option.opts[0], value, sign="positive", unit="Hz") <= 1e5:
+    if not 10.0 <= checks.positive(option.opts[0], value, "Hz") <= 1e5:
         raise InvalidInput("--rate suits no motor", got=value, allowed="10 to 100,000 rows a second")
     return value
 

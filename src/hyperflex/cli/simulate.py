@@ -59,7 +59,7 @@ def simulate(
 
     check_destination(out, ".nc", [setup])
     if horizon is not None:
-        checks.number("--horizon", horizon, sign="positive", unit="m")
+        checks.positive("--horizon", horizon, "m")
     simulated = Setup.from_toml(setup)
     if tilt is not None:
         checks.number("--tilt", tilt, unit="rad")

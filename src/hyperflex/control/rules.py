@@ -123,8 +123,8 @@ def run_closed_loop(
     >>> [round(float(start), 2) for start in swung.starts]
     [0.0, 1.03, 1.78, 2.99]
     """
-    end = checks.number("duration", duration, sign="positive", unit="s")
-    pause = checks.number("recheck_time", recheck_time, sign="positive", unit="s", infinite=True)
+    end = checks.positive("duration", duration, "s")
+    pause = checks.positive("recheck_time", recheck_time, "s", infinite=True)
     starts = [0.0]
     decisions = 0
     while True:
@@ -160,12 +160,12 @@ class LookaheadRule(ABC):
 
     def __init__(self, model: SwingModel, target: float, *, depth: int = 2, horizon: float | None = None) -> None:
         self.model = model
-        self.target = checks.number("target", target, sign="positive", unit="m")
+        self.target = checks.positive("target", target, "m")
         depth = checks.count("depth", depth)
         period = model.period
         self.horizon = 1.38 * period
         if horizon is not None:
-            self.horizon = checks.number("horizon", horizon, sign="positive", unit="s")
+            self.horizon = checks.positive("horizon", horizon, "s")
         self.longest = 0.6 * period
         self.rests = np.full(depth, model.usual_rest)
         self._before = (0, 0.0)  # half turns made, and time, s, at the last call
@@ -239,7 +239,7 @@ class PumpingRule(LookaheadRule):
         self.plan = None if rests is None else checks.array("rests", rests, (-1,), sign="nonnegative", unit="s")
         self.arrival_time = 0.0
         if arrival_time is not None:
-            self.arrival_time = checks.number("arrival_time", arrival_time, sign="positive", unit="s")
+            self.arrival_time = checks.positive("arrival_time", arrival_time, "s")
         if self.plan is not None:
             self.rests = np.append(0.0, self.plan)
 
@@ -342,7 +342,7 @@ def optimize_pumping(
     """
     from scipy.optimize import differential_evolution
 
-    want = checks.number("target", target, sign="positive", unit="m")
+    want = checks.positive("target", target, "m")
     rounds = checks.count("rounds", rounds, least=0)
     begin, most, rollouts = hanging_state(model.rope), 0.5 * model.period, 0
 

@@ -68,7 +68,7 @@ def spiral(t: object, x: object, velocity: object, c: float) -> Spiral:
     """
     times = checks.times("t", t)
     place = checks.array("x", x, times.shape, unit="m")
-    scale = checks.number("c", c, sign="positive", unit="s")
+    scale = checks.positive("c", c, "s")
     scaled = scale * checks.array("velocity", velocity, times.shape, unit="m/s")
     theta = np.unwrap(np.arctan2(place, scaled))
     return Spiral(times, place, scaled, np.hypot(scaled, place), theta, scale)
@@ -81,8 +81,8 @@ def pseudo_energy(x: Array, velocity: Array, mass: float, c: float) -> Array:
     mass, kg, and `c` sqrt(M/K), s. Paper eq. (9). No energy of the rope itself: a measure of the tip's horizontal
     swing.
     """
-    total = checks.number("mass", mass, sign="positive", unit="kg")
-    stiffness = total / checks.number("c", c, sign="positive", unit="s") ** 2
+    total = checks.positive("mass", mass, "kg")
+    stiffness = total / checks.positive("c", c, "s") ** 2
     return 0.5 * total * velocity**2 + 0.5 * stiffness * x**2
 
 
@@ -92,7 +92,7 @@ def driving_constant(t_move: float, t_rest: float) -> float:
     The arm goes there and back in 2 (t_move + t_rest), so c is one over its angular frequency; the paper's 0.40 s
     and 0.34 s are this figure for its success and (inferred) failure.
     """
-    whole = checks.number("t_move", t_move, sign="positive", unit="s")
+    whole = checks.positive("t_move", t_move, "s")
     return (whole + checks.number("t_rest", t_rest, sign="nonnegative", unit="s")) / np.pi
 
 

@@ -85,7 +85,7 @@ class SimulatedCamera:
         seed: int = 0,
     ) -> None:
         self.truth, self.rope, self.arm = truth, rope, arm
-        self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
+        self.rate = checks.positive("rate", rate, "Hz")
         self.delay = checks.number("delay", delay, sign="nonnegative", unit="s")
         self.angle_std = checks.number("angle_std", angle_std, sign="nonnegative", unit="rad")
         self.rate_std = checks.number("rate_std", rate_std, sign="nonnegative", unit="rad/s")

@@ -148,7 +148,7 @@ class VibrationPosture:
         `duration`, s, is rounded up to such a number. There are 32 samples a period, the last one not included, so that
         a mean over the samples is one over whole periods. `setup` are other fields of :class:`hyperflex.Setup`.
         """
-        periods = math.ceil(checks.number("duration", duration, sign="positive", unit="s") * self.frequency)
+        periods = math.ceil(checks.positive("duration", duration, "s") * self.frequency)
         rates = -math.tau * self.frequency * self.ripple.imag
         start = {"q0": self.q + self.ripple.real, "qd0": rates, "motion": self.motion, "arm": self.arm}
         t = np.arange(32 * periods) / (32.0 * self.frequency)
@@ -320,7 +320,7 @@ def _checked(
     """Return the averaged rope, and the amplitude, m/s, of its base's velocity."""
     line = checks.number("direction", direction, unit="rad")
     checks.meant("direction", line, "rad")
-    rate = checks.number("frequency", frequency, sign="positive", unit="Hz")
+    rate = checks.positive("frequency", frequency, "Hz")
     way = checks.number("amplitude", amplitude, sign="nonnegative", unit="m")
     if arm is not None and checks.instance("arm", arm, Arm).length <= way:
         raise InvalidInput("amplitude is no small angle of the arm", got=way, allowed=f"less than {arm.length:g} m")

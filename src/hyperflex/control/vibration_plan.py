@@ -121,7 +121,7 @@ def plan_vibration(
     (False, ['acceleration', 'speed'])
     """
     checks.choice("of", of, ("chain", "tip"))
-    wanted = 1e-300 if stiffness is None else checks.number("stiffness", stiffness, sign="positive", unit="N/m")
+    wanted = 1e-300 if stiffness is None else checks.positive("stiffness", stiffness, "N/m")
     if limits is not None and arm is None:
         raise InvalidInput("limits are those of an arm's motor", got="no arm", fix="Give arm=Arm(length=...)")
     if limits is not None:
@@ -135,7 +135,7 @@ def plan_vibration(
     checks.meant("tilt", tilt, "rad")
     family = _Family(rope, arm, tilt, of, direction, wanted, across)
     given = 20.0 * swing_rate(rope) / math.tau if frequency is None else frequency
-    now = checks.number("frequency", given, sign="positive", unit="Hz")
+    now = checks.positive("frequency", given, "Hz")
     found = family.weakest(now)
     for _ in range(7):  # friction in the joints makes the posture depend on the frequency
         if frequency is not None or found is None or 1.0 <= now / found.least_frequency <= 1.2:

@@ -78,7 +78,7 @@ class EnvOptions:
             checks.instance(name, getattr(self, name), kind)
         checks.choice("action", self.action, tuple(ACTUATORS))
         checks.choice("observation", self.observation, ("state", "markers"))
-        checks.number("dt", self.dt, sign="positive", unit="s")
+        checks.positive("dt", self.dt, "s")
         for name, known in (("mismatch", FACTORS), ("randomization", (*FACTORS, "mu"))):
             checks.keys(name, checks.mapping(name, getattr(self, name)), known)
 
@@ -131,7 +131,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         self.model = checks.instance("rope", options.rope or default_rope(self.n_links), Rope)
         self.arm, self.limits, self.dt = options.arm, options.limits, options.dt
         given = options.mismatch
-        factors = [checks.number(f"mismatch {name}", given.get(name, 1.0), sign="positive") for name in FACTORS]
+        factors = [checks.positive(f"mismatch {name}", given.get(name, 1.0)) for name in FACTORS]
         true = scaled_rope(self.model, *factors)
         self._true = Problem(true, self.arm, self.limits) if options.randomization else true
         known = dict.fromkeys((*FACTORS, "mu", "lag", "timing"), 0.0)

@@ -228,7 +228,7 @@ class EmulatedCamera:
         seen = float(np.pi / 4.0 * (size * view.pixels_per_metre) ** 2)  # px^2
         colour = MarkerColour(np.asarray(scene.marker_colours)[0], area=seen)
         self.task = TrackingTask(believed, arcs, view, [colour], arm, measured_length(), waits=True)
-        period = 1.0 / checks.number("rate", rate, sign="positive", unit="Hz")
+        period = 1.0 / checks.positive("rate", rate, "Hz")
         given = emulator.states, rope.length, arm, view, scene, period, self.frames
         self._child, self._emulator = Child("The emulated camera", EstimatorLost, film, *given), emulator
 

@@ -131,11 +131,11 @@ class MotionStream:
         waits: bool = False,
         patience: float = 5.0,
     ) -> None:
-        self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
-        rows = math.ceil(self.rate * checks.number("duration", duration, sign="positive", unit="s"))
+        self.rate = checks.positive("rate", rate, "Hz")
+        rows = math.ceil(self.rate * checks.positive("duration", duration, "s"))
         self._records = Records(rows, len(FIELDS))
         self._alive = multiprocessing.get_context("spawn").RawValue("d")  # when this program last showed that it is, s
-        patience = checks.number("patience", patience, sign="positive", unit="s")
+        patience = checks.positive("patience", patience, "s")
         arguments = connect, clear_fault, 1.0 / self.rate, waits, self._records, self._alive, patience
         self._child = Child("The process of the drive", DriveError, stream, *arguments)
         self._zero, self.late = 0.0, 0

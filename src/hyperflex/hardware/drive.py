@@ -231,9 +231,9 @@ class Drive:
         if direction not in (1, -1):
             raise InvalidInput("direction of a drive", got=direction, allowed="1 or -1")
         self.direction = direction
-        self.max_temperature = checks.number("max_temperature", max_temperature, sign="positive", unit="C")
+        self.max_temperature = checks.positive("max_temperature", max_temperature, "C")
         self.silence = max(SILENCE, 0.5 * link.watchdog)  # s without a valid reply after which the link counts as lost
-        self.max_deviation = checks.number("max_deviation", max_deviation, sign="positive", unit="rad")
+        self.max_deviation = checks.positive("max_deviation", max_deviation, "rad")
         self._state: DriveState | None = None
         self._fault = ""  # latched
         self._connected = self._enabled = False  # enabled: the torque may be on

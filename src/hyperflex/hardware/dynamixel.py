@@ -164,9 +164,9 @@ class DynamixelLink:
     ) -> None:
         self.port, self.number = checks.text("port", port), checks.count("dynamixel id", number, least=0, most=252)
         self.baud = checks.count("baud", baud)
-        units = round(checks.number("watchdog", watchdog, sign="positive", unit="s") / 0.02)
+        units = round(checks.positive("watchdog", watchdog, "s") / 0.02)
         self.watchdog = 0.02 * max(1, min(127, units))
-        self.patience = checks.number("patience", patience, sign="positive", unit="s")
+        self.patience = checks.positive("patience", patience, "s")
         self.clock, self.name = clock, f"dynamixel {number} on {port}"
         self.servo = Servo("unknown")
         self._missing: dict[int, float] = {}  # reads without a reply: bytes before the state, and when it was asked for

@@ -89,8 +89,8 @@ class MoteusLink:
         self.port, self.number = checks.text("port", port), checks.count("moteus id", number, most=126)
         self.timeout_mode, self._trusted = checks.count("timeout_mode", timeout_mode, least=0), False
         self.baud = checks.count("baud", baud)
-        self.watchdog = checks.number("watchdog", watchdog, sign="positive", unit="s")
-        self.patience = checks.number("patience", patience, sign="positive", unit="s")
+        self.watchdog = checks.positive("watchdog", watchdog, "s")
+        self.patience = checks.positive("patience", patience, "s")
         self.clock, self.name = clock, f"moteus {number} on {port}"
         self._requests = 0
         self._limits: dict[str, float] = {}

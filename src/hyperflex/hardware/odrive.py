@@ -144,9 +144,9 @@ class ODriveLink:
         self.number = checks.count("odrive id", number, least=0, most=63)
         self.interface = interface or ("slcan" if channel.startswith("/") else "socketcan")
         self.bitrate = checks.count("bitrate", bitrate)
-        self.watchdog = checks.number("watchdog", watchdog, sign="positive", unit="s")
+        self.watchdog = checks.positive("watchdog", watchdog, "s")
         self.torque_constant = checks.number("torque_constant", torque_constant, sign="nonnegative", unit="N m/A")
-        self.patience = checks.number("patience", patience, sign="positive", unit="s")
+        self.patience = checks.positive("patience", patience, "s")
         self.clock, self.name = clock, f"odrive {number} on {channel}"
         self._trial = bool(trial)
         self._bus: Any = None

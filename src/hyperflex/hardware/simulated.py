@@ -60,11 +60,11 @@ class SimulatedMotor:
         torque: float = math.inf,
         inertia: float = 1e-3,
     ) -> None:
-        self.lag = checks.number("lag", lag, sign="positive", unit="s")
+        self.lag = checks.positive("lag", lag, "s")
         self.latency = checks.number("latency", latency, sign="nonnegative", unit="s")
         self.counts = checks.count("counts", counts)
-        self.torque = checks.number("torque", torque, sign="positive", unit="N m", infinite=True)
-        self.inertia = checks.number("inertia", inertia, sign="positive", unit="kg m^2")
+        self.torque = checks.positive("torque", torque, "N m", infinite=True)
+        self.inertia = checks.positive("inertia", inertia, "kg m^2")
         start = checks.number("angle", angle, unit="rad")
         self._asked: list[tuple[float, Motion]] = [(-math.inf, hold_arm(start))]
         self._now = 0.0  # until when others know of it

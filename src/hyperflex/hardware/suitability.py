@@ -58,7 +58,7 @@ class MotorData:
 
     def at(self, voltage: float) -> "MotorData":
         """Return the motor at another voltage, V: speed and stall torque in proportion."""
-        factor = checks.number("voltage", voltage, sign="positive", unit="V") / self.voltage
+        factor = checks.positive("voltage", voltage, "V") / self.voltage
         return replace(self, voltage=voltage, speed=factor * self.speed, stall_torque=factor * self.stall_torque)
 
 
@@ -181,7 +181,7 @@ def check_motor(
     ([120.0, 112.5], 0.129)
     """
     arm = arm or Arm()
-    move_time = checks.number("move_time", move_time, sign="positive", unit="s")
+    move_time = checks.positive("move_time", move_time, "s")
     hanging = float(arm.weight_torque(rope, rope.hanging_angle + 0.5 * math.pi))
     half = (-0.5 * math.pi, 0.5 * math.pi, move_time)
     profiles = {"bang-bang": "half turn, bang-bang", "minimum-jerk": "half turn, minimum jerk"}

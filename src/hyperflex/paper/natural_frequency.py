@@ -51,7 +51,7 @@ def natural_frequency_inertia(rope: Rope, period: float) -> float:
     moment = float(lumped(rope)[0].sum())
     if gravity * moment <= 0.0:
         raise InvalidInput("a rope without weight has no natural period", got=gravity, allowed="gravity and mass")
-    seconds = checks.number("period", period, sign="positive", unit="s")
+    seconds = checks.positive("period", period, "s")
     inertia = gravity * moment * (seconds / (2.0 * np.pi)) ** 2 - moment**2 / mass
     if inertia <= 0.0:
         least = 2.0 * np.pi * float(np.sqrt(moment / mass / gravity))

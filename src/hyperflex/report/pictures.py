@@ -154,7 +154,7 @@ def animate(
     if suffix == ".gif" and (100 % rate or rate > _FASTEST_GIF):
         allowed = "10, 20, 25 or 50 frames per second: a GIF counts in hundredths of a second"
         raise InvalidInput("frame_rate does not fit a GIF", got=frame_rate, allowed=allowed)
-    step = checks.number("speed", speed, sign="positive") / frame_rate
+    step = checks.positive("speed", speed) / frame_rate
     first, last = span(run, start, end)
     times = np.arange(first, last + 0.5 * step, step)
     draw = _film(run, times, checks.count("width", width, least=64), title)

@@ -59,7 +59,7 @@ def player_html(
     """
     first, last = span(run, start, end)
     if frame_rate is not None:
-        checks.number("frame_rate", frame_rate, sign="positive", unit="Hz")
+        checks.positive("frame_rate", frame_rate, "Hz")
     times, note = _frame_times(run, first, last, frame_rate), overlay.note
     drawn = shapes(run, times)
     arm = run.setup.arm is not None
@@ -85,7 +85,7 @@ def player_html(
         "notes": [each for k, each in enumerate(words) if not k or each[1] != words[k - 1][1]],
         "note_lines": max((text.count("\n") + 1 for _, text in words), default=0),
         "marks": [[t] for t in overlay.marks],
-        "speed": checks.number("speed", speed, sign="positive"),
+        "speed": checks.positive("speed", speed),
         "trail": overlay.trail,
         "autoplay": autoplay,
         **_curves(run, first, last, overlay.plots),

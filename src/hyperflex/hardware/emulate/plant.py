@@ -92,7 +92,7 @@ class Plant:
         tol: float | None = None,
     ) -> None:
         self.model = checks.instance("model", model, MotorModel)
-        self.step = checks.number("step", step, sign="positive", unit="s")
+        self.step = checks.positive("step", step, "s")
         if model.backlash > 0.0:  # the rotor turns apart from the arm
             driven = replace(arm, torque_limit=math.inf)
         else:

@@ -118,8 +118,7 @@ class Emulator:
         **plant: Any,
     ) -> None:
         span, sample = (
-            checks.number(name, value, sign="positive", unit="s")
-            for name, value in (("duration", duration), ("sample", sample))
+            checks.positive(name, value, "s") for name, value in (("duration", duration), ("sample", sample))
         )
         links = 1 if rope is None else rope.n_links
         self.states = Records(round(span / sample), len(STATES) + 2 * links)
