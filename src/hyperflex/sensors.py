@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from hyperflex import checks
@@ -163,7 +162,7 @@ class Markers(PostureSensor):
 
     placed = True
 
-    def __init__(self, arc_lengths: npt.ArrayLike, origin: npt.ArrayLike = (0.0, 0.0)) -> None:
+    def __init__(self, arc_lengths: ArrayLike, origin: ArrayLike = (0.0, 0.0)) -> None:
         self.arc_lengths = checks.array("arc_lengths", arc_lengths, (-1,), unit="m")
         if not self.arc_lengths.size:
             raise InvalidInput("arc_lengths is empty", allowed="at least one marker")

@@ -72,13 +72,13 @@ LIFTED = "q0 = [{q0}]  # rad, the links' angles at the start; without it the rop
 class Answers:
     """What the set-up file is made from."""
 
-    length: float = option(2.0, "length of the rope", unit="m", sign="positive")
-    mass: float = option(0.125, "mass of the rope", unit="kg", sign="positive")
-    radius: float = option(0.0025, "radius of the rope, half its thickness", unit="m", sign="nonnegative")
+    length: float = option(2.0, "length of the rope", "m", sign="positive")
+    mass: float = option(0.125, "mass of the rope", "kg", sign="positive")
+    radius: float = option(0.0025, "radius of the rope, half its thickness", "m", sign="nonnegative")
     links: int = option(20, "number of links of the rope")
-    arm: float = option(0.105, "length of the arm", unit="m", sign="positive")
+    arm: float = option(0.105, "length of the arm", "m", sign="positive")
     motion: str = option("swings", f"motion of the arm: {', '.join(MOTIONS)}")
-    duration: float = option(10.0, "simulated time", unit="s", sign="positive")
+    duration: float = option(10.0, "simulated time", "s", sign="positive")
 
     def __post_init__(self) -> None:
         options.check(self, "")

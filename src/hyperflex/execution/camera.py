@@ -7,7 +7,7 @@ from multiprocessing.connection import Connection
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -211,7 +211,7 @@ class EmulatedCamera:
         peg: Peg | None = None,
         *,
         camera: Camera | None = None,
-        arc_lengths: npt.ArrayLike | None = None,
+        arc_lengths: ArrayLike | None = None,
         rate: float = 30.0,
     ) -> None:
         arm, believed, peg = plan.problem.arm, plan.problem.rope, peg or plan.target

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.budget import Budget, one_thread
@@ -64,8 +64,8 @@ class CastLog:
     """
 
     recording: Recording
-    arc_lengths: npt.ArrayLike | None = None
-    arm_angle: npt.ArrayLike | None = None
+    arc_lengths: ArrayLike | None = None
+    arm_angle: ArrayLike | None = None
     wound: bool | None = None
 
     def __post_init__(self) -> None:
@@ -120,13 +120,13 @@ class LearningOptions:
         EstimatedParameter("friction", 0.2),
         EstimatedParameter("drag", 0.5),
     )
-    struck: float = option(0.02, "distance at which the rope strikes", unit="m", sign="nonnegative")
-    span: float = option(4.0, "time before the strike from which is learned", unit="s", sign="positive")
-    settled: float = option(0.5, "time after which states are known", unit="s", sign="nonnegative")
-    apart: float = option(0.04, "time between the samples that are used", unit="s", sign="positive")
+    struck: float = option(0.02, "distance at which the rope strikes", "m", sign="nonnegative")
+    span: float = option(4.0, "time before the strike from which is learned", "s", sign="positive")
+    settled: float = option(0.5, "time after which states are known", "s", sign="nonnegative")
+    apart: float = option(0.04, "time between the samples that are used", "s", sign="positive")
     varied: int = option(32, "variations of the last moves that are tried first", sign="nonnegative")
     spread: tuple[float, float] = option((0.01, 0.3), "standard deviations of these variations", sign="positive")
-    planning: float = option(30.0, "time to plan a cast again", unit="s", sign="positive")
+    planning: float = option(30.0, "time to plan a cast again", "s", sign="positive")
     clock: Callable[[], float] = time.monotonic
     threads: int | None = None
 

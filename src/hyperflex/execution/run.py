@@ -59,20 +59,18 @@ class RunOptions:
         estimated from pictures and when a plan is followed.
     """
 
-    rate: float = option(200.0, "goals a second", unit="Hz", sign="positive")
+    rate: float = option(200.0, "goals a second", "Hz", sign="positive")
     approach: float = option(
         0.1, "fraction of the motor's speed with which the arm moves to its start", sign="positive"
     )
     calm: float = option(3.0, "least time of that move, in periods of the rope", sign="nonnegative")
-    still: float = option(
-        0.05, "greatest change of a link in a second that counts as still", unit="rad", sign="positive"
-    )
-    wait: float = option(20.0, "time to wait for the rope to hang still", unit="s", sign="nonnegative")
-    countdown: float = option(3.0, "time between the last warning and the motion", unit="s", sign="nonnegative")
+    still: float = option(0.05, "greatest change of a link in a second that counts as still", "rad", sign="positive")
+    wait: float = option(20.0, "time to wait for the rope to hang still", "s", sign="nonnegative")
+    countdown: float = option(3.0, "time between the last warning and the motion", "s", sign="nonnegative")
     feed_forward: bool = option(True, "send the torque of the simulation with each goal")
     clear_fault: bool = option(False, "clear a fault of the device at the start")
-    sampling: float = option(60.0, "rate at which the rope's state is recorded", unit="Hz", sign="positive")
-    lag: float = option(0.0, "identified lag of the drive", unit="s", sign="nonnegative")
+    sampling: float = option(60.0, "rate at which the rope's state is recorded", "Hz", sign="positive")
+    lag: float = option(0.0, "identified lag of the drive", "s", sign="nonnegative")
 
     def __post_init__(self) -> None:
         check(self, "")

@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -179,7 +179,7 @@ class MotionStream:
         """Return the newest state of the drive, with the torque on or off."""
         return checks.instance("answer", self._ask("state"), DriveState)
 
-    def set_motion(self, motion: Motion, at: float, torque: tuple[npt.ArrayLike, npt.ArrayLike] | None = None) -> bool:
+    def set_motion(self, motion: Motion, at: float, torque: tuple[ArrayLike, ArrayLike] | None = None) -> bool:
         """Stream a motion from a time `at` (s) on; see :class:`hyperflex.interfaces.Motor`.
 
         `torque` are times (K,), s, and feed-forward torques (K,), N m, between which the torque is interpolated; it is

@@ -12,7 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.checks import Array, Flags
 from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker
@@ -96,7 +96,7 @@ class NoisyMotion(RopeMotion):
         self._arcs, frames = arc_lengths, round(RATE * DURATION) + 1
         self._off = NOISE * np.random.default_rng((seed, 1)).normal(size=(frames, arc_lengths.size, 2))
 
-    def places(self, t: npt.ArrayLike, arc_lengths: npt.ArrayLike) -> Array:
+    def places(self, t: ArrayLike, arc_lengths: ArrayLike) -> Array:
         """Return places (m, P, 3), m: x, y and off the plane, at times (m,), s, of points (P,), m along the rope."""
         result, of = super().places(t, arc_lengths), np.isclose(np.asarray(arc_lengths)[:, None], self._arcs)
         frame = np.clip(np.round((np.atleast_1d(t) - START) * RATE).astype(int), 0, len(self._off) - 1)

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.checks import Array
 from hyperflex.model import Rope
@@ -90,7 +90,7 @@ class OnlineEstimator:
     change by that angle over t_sim.
     """
 
-    def __init__(self, rope: Rope, arc_lengths: npt.ArrayLike, t: float, places: Array) -> None:
+    def __init__(self, rope: Rope, arc_lengths: ArrayLike, t: float, places: Array) -> None:
         self.rope, self._markers = rope, Markers(arc_lengths)
         self._part = np.searchsorted(self._markers.arc_lengths, rope.link_middles)  # which marker follows each link
         self.t, self.qd = t, np.zeros(rope.n_links)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -107,15 +107,15 @@ class LeastSquares:
 
 def fit_regression(
     rope: Rope,
-    q: npt.ArrayLike,
-    qd: npt.ArrayLike,
-    qdd: npt.ArrayLike,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
     names: Sequence[str] = ("inertia:shared", "friction:shared"),
     *,
-    pivot_velocity: npt.ArrayLike | None = None,
-    pivot_acceleration: npt.ArrayLike | None = None,
-    arm_angle: npt.ArrayLike = 0.0,
-    arm_rate: npt.ArrayLike = 0.0,
+    pivot_velocity: ArrayLike | None = None,
+    pivot_acceleration: ArrayLike | None = None,
+    arm_angle: ArrayLike = 0.0,
+    arm_rate: ArrayLike = 0.0,
 ) -> Regression:
     """Divide the equation of motion into terms with known and with unknown parameters (paper (4), (5)).
 

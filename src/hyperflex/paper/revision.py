@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.budget import one_thread
@@ -75,7 +75,7 @@ def estimate_initial_state(
     rope: Rope,
     *,
     rates: Rates = "rest",
-    start: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    start: tuple[ArrayLike, ArrayLike] | None = None,
     max_evaluations: int = MAX_EVALUATIONS,
 ) -> InitialState:
     """Find the initial state from which a rope comes nearest to its recording: (7) by the Nelder-Mead simplex.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.model import PROPERTIES, RATIOS
 
@@ -39,7 +39,7 @@ class Unit:
         return f" {self.name}".replace(" ", "\u00a0") if self.name else ""
 
 
-def readable_unit(what: str, values: npt.ArrayLike) -> Unit:
+def readable_unit(what: str, values: ArrayLike) -> Unit:
     """Return the unit that suits these values of a property, or of a residual in ``rad`` or ``m``.
 
     The largest one in which the greatest value is at least 1, else the smallest there is; numbers without a unit keep

@@ -16,7 +16,7 @@ class WireFaults:
     late: float = option(0.0, "probability that a reply comes late", sign="nonnegative")
     garbled: float = option(0.0, "probability that a byte of a reply is changed", sign="nonnegative")
     truncated: float = option(0.0, "probability that a reply ends early", sign="nonnegative")
-    delay: float = option(0.03, "how late a late reply comes", unit="s", sign="positive")
+    delay: float = option(0.03, "how late a late reply comes", "s", sign="positive")
     seed: int = option(0, "seed of the random numbers")
 
     def __post_init__(self) -> None:
