@@ -45,14 +45,18 @@ class Child:
         self._reading, self._sending = threading.RLock(), threading.Lock()
         self._ending = threading.Lock()  # two threads that wait lose an exit code
 
-    def start(self, patience: float = START) -> Any:
-        """Start the process, and return what it sends first within `patience`, s."""
+    def launch(self) -> None:
+        """Start the process."""
         context = multiprocessing.get_context("spawn")
         self.link, theirs = context.Pipe()
         process: Any = context.Process(target=_run, args=(theirs, *self._call), name=self.name, daemon=True)
         process.start()
         self._process, self.code, self._cause = process, None, None
         theirs.close()
+
+    def start(self, patience: float = START) -> Any:
+        """Start the process, and return what it sends first within `patience`, s."""
+        self.launch()
         try:
             return self.receive(patience)
         except BaseException:

@@ -337,10 +337,9 @@ def test_the_planning_process_sends_each_plan_that_succeeds(monkeypatch):
         return replace(known, seconds=2.0)
 
     monkeypatch.setattr(planning_process, "plan_cast", plan_cast)
-    monkeypatch.setattr(planning_process, "leave_terminal", lambda: None)
     monkeypatch.setattr(planning_process.os, "nice", lambda _: None)
     ours, theirs = Pipe(duplex=False)
-    reader = threading.Thread(target=lambda: heard.extend(ours.recv() for _ in range(3)))
+    reader = threading.Thread(target=lambda: heard.extend(ours.recv()[1] for _ in range(3)))
     heard = []
     reader.start()
     planning_process.work(theirs, planning_process.PlanningTask("cast", *where))

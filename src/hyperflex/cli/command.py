@@ -33,6 +33,7 @@ ArmLength = Annotated[
     float | None,
     typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
 ]
+Workers = Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")]
 ArcLengths = Annotated[
     list[str] | None,
     "Distance of each marker along the rope, m; several times or with commas.",

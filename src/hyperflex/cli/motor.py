@@ -21,10 +21,7 @@ if TYPE_CHECKING:
     from hyperflex.hardware import Demand, Drive, DriveZero, Emulator, MotorData
 
 RPM = 60.0 / math.tau  # rev/min per rad/s
-Address = Annotated[
-    str,
-    typer.Option("--motor", help="Make and port, such as moteus:/dev/ttyACM0, or emulator:moteus.", show_default=False),
-]
+Address = Annotated[str, "Make and port, such as moteus:/dev/ttyACM0, or emulator:moteus."]
 ZeroFile = Annotated[Path | None, "File of hyperflex motor zero; a real motor that is to move needs it."]
 Yes = Annotated[bool, "Do not wait for Enter before the arm of a real motor moves."]
 

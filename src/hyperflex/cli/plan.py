@@ -13,7 +13,7 @@ import typer
 
 from hyperflex import checks, files
 from hyperflex.cli import output
-from hyperflex.cli.command import ArmLength, Given, OutFolder, positive
+from hyperflex.cli.command import ArmLength, Given, OutFolder, Workers, positive
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model import PLAN, PLANNING, Arm, Obstacle, Peg, Rope, Setup, check_tables, obstacles_of, warn_of_grade
@@ -394,7 +394,7 @@ def reach_map(
     conditions: Annotated[Given, Conditions, "clearance"],
     search: Annotated[Given, SearchOptions, "seed"],
     time_budget: Annotated[float, "Time for each target", "s"] = 10.0,
-    workers: Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")] = 1,
+    workers: Workers = 1,
 ) -> None:
     """Map the targets round which a rope can be wound.
 

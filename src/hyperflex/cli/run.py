@@ -13,7 +13,7 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, Given, OutFolder, numbers, positive
-from hyperflex.cli.motor import Yes, ZeroFile, check_torque, wait_for_enter, warn_if_behind, zero_of
+from hyperflex.cli.motor import Address, Yes, ZeroFile, check_torque, wait_for_enter, warn_if_behind, zero_of
 from hyperflex.cli.output import Rows
 from hyperflex.errors import DriveError, Interrupted, InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
@@ -93,10 +93,7 @@ def run(
     options: Annotated[Given, RunOptions],
     out: OutFolder,
     *,
-    motor: Annotated[
-        str,
-        typer.Option(help="Make and port, such as moteus:/dev/ttyACM0; or emulator:moteus.", show_default=False),
-    ],
+    motor: Address,
     zero: ZeroFile = None,
     drive: Annotated[
         Path | None, "File of hyperflex motor identify: its limits count, and its lag without --lag."

@@ -11,12 +11,11 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from subprocess import DEVNULL, PIPE
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from hyperflex import checks
 from hyperflex.cli import output
+from hyperflex.cli.command import Workers
 from hyperflex.errors import FileProblem, HyperflexError, MissingPackage
 from hyperflex.progress import progress_bar
 
@@ -26,7 +25,7 @@ COMMAND = (sys.executable, "-c", "import sys; from hyperflex.cli.warm import cal
 
 
 def warm(
-    workers: Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")] = 2,
+    workers: Workers = 2,
 ) -> None:
     """Compile all kernels in advance.
 

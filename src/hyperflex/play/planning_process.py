@@ -1,6 +1,5 @@
 """Planning in a separate process, so that the rope continues to move and planning can be cancelled at once."""
 
-import multiprocessing
 import os
 import time
 from collections.abc import Callable
@@ -8,8 +7,8 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
 
+from hyperflex.child import Child
 from hyperflex.errors import HyperflexError
-from hyperflex.interruption import leave_terminal
 from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.planning import (
     CastPlan,
@@ -22,7 +21,7 @@ from hyperflex.planning import (
     plan_whip,
 )
 
-_BEGIN, _FOUND, _END = range(3)  # kinds of answers: the search begins, a plan succeeds, the last plan or an error
+_BEGIN, _FOUND, _END = range(3)  # kinds of answers: the search begins, a plan succeeds, the last plan
 
 
 class PlanningTask(NamedTuple):
@@ -63,17 +62,14 @@ class PlanningProcess:
     def __init__(self, task: PlanningTask) -> None:
         self.task, self.begun = task, 0.0
         self.best: CastPlan | None = None
-        context = multiprocessing.get_context("spawn")
-        self._answers, answers = context.Pipe(duplex=False)
-        self._process = context.Process(target=work, args=(answers, task), daemon=True)
-        self._process.start()
-        answers.close()
+        self._child = Child("The planning process", HyperflexError, work, task)
+        self._child.launch()
 
     def result(self) -> CastPlan | WhipPlan | str | None:
         """Return the plan or the error message; None while there is neither."""
         try:
-            while self._answers.poll():
-                kind, answer = self._answers.recv()
+            while self._child.link.poll():
+                kind, answer = self._child.receive(0.0)
                 if kind == _END:
                     self.cancel()
                     return answer  # type: ignore[no-any-return]
@@ -81,26 +77,19 @@ class PlanningProcess:
                     self.begun = time.monotonic()
                 else:
                     self.best = answer
-        except (EOFError, OSError):
+        except HyperflexError as error:
             self.cancel()
-            return "the planning process ended without an answer"
+            return str(error)
         return None
 
     def cancel(self) -> None:
         """End the process."""
-        for end in (self._process.terminate, self._process.kill):
-            end()
-            self._process.join(0.5)
-        self._answers.close()
+        self._child.end()
 
 
-def work(answers: Connection, task: PlanningTask) -> None:
-    """Plan; send that the search begins, plans that succeed, and how it ended."""
-    leave_terminal()  # Ctrl-C there is for the page, which ends this process
+def work(link: Connection, task: PlanningTask) -> None:
+    """Plan; send that the search begins, plans that succeed, and the last one."""
     with suppress(AttributeError, OSError):  # Windows has no nice
         os.nice(10)
-    try:
-        answers.send((_BEGIN, None))
-        answers.send((_END, task.plan(lambda plan: answers.send((_FOUND, plan)))))
-    except HyperflexError as error:
-        answers.send((_END, str(error)))
+    link.send((0, (_BEGIN, None)))
+    link.send((0, (_END, task.plan(lambda plan: link.send((0, (_FOUND, plan)))))))
