@@ -290,7 +290,7 @@ def test_a_plan_is_searched_in_a_separate_process_and_cancelled(server, page):
     page.ask(set={"links": 10, "target_x": -0.83, "time_budget": 60.0})
     page.ask(button="plan")
     page.until(lambda scene: (scene["planning"] or {}).get("spent", 0.0) > 0.0)
-    process = runner._planning._process
+    process = runner._planning._child._process
     assert "a plan is being made" in page.ask(button="whip")["error"]
     begin = time.monotonic()
     page.ask(button="cancel")
@@ -313,11 +313,11 @@ def test_a_plan_that_succeeds_can_be_carried_out_while_a_better_one_is_sought(se
     ours, theirs = Pipe(duplex=False)
     with runner.news:  # what the process sends comes from here, before it can send anything
         runner.act("plan")
-        runner._planning._answers = ours
-    theirs.send((0, None))
+        runner._planning._child.link = ours
+    theirs.send((0, (0, None)))
     assert page.until(lambda scene: (scene["planning"] or {}).get("spent", 0.0) > 0.0)["planning"]["found"] is False
     for plan in (replace(planned(), seconds=seconds) for seconds in (1.0, 2.0)):
-        theirs.send((1, plan))
+        theirs.send((0, (1, plan)))
         told = page.until(lambda scene: (scene["planning"] or {}).get("found"))
         assert told["plan"]["success"]
         page.until(lambda _, plan=plan: runner.plan.seconds == plan.seconds)
