@@ -57,8 +57,12 @@ class LocalServer(ABC):
     def __init__(self, port: int = 0, host: str = HOST, allow: Collection[str] = ()) -> None:
         for each in allow:
             if _authority(f"//{each}") != each:
-                fix = "Omit http:// and everything after the port"
-                raise InvalidInput("allow is no host", got=each, allowed="host:port, as in robot.lan:8080", fix=fix)
+                raise InvalidInput(
+                    "allow is no host",
+                    got=each,
+                    allowed="host:port, as in robot.lan:8080",
+                    fix="Omit http:// and everything after the port",
+                )
         page = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -83,9 +87,11 @@ class LocalServer(ABC):
             self._server = _Server((host, port), Handler)
         except (OSError, OverflowError) as error:
             why = str(error.strerror).lower() if isinstance(error, OSError) else "there is no such port"
-            allowed = "an address of this machine, and a free port up to 65535, or 0 for any"
-            got = f"{host}, port {port}"
-            raise InvalidInput(f"no page can be shown there: {why}", got=got, allowed=allowed) from None
+            raise InvalidInput(
+                f"no page can be shown there: {why}",
+                got=f"{host}, port {port}",
+                allowed="an address of this machine, and a free port up to 65535, or 0 for any",
+            ) from None
         self.port = int(self._server.server_address[1])
         self.address = f"http://{HOST if host == '0.0.0.0' else host}:{self.port}/"
         self._names = {*allow, f"{HOST}:{self.port}", f"localhost:{self.port}"}

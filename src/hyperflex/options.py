@@ -75,6 +75,10 @@ def check(instance: Any, name: str) -> None:
         elif isinstance(default, float) or (rule["unit"] and value is not None):
             value = checks.number(where, value, **rule)
             if rule["unit"] == "rad" and rule["sign"] != "nonnegative" and abs(value) > math.tau:
-                fix = f"If these are degrees, give {math.radians(value):.4g}"
-                raise InvalidInput(f"{where} is more than a turn", got=value, allowed="up to 2 pi, in rad", fix=fix)
+                raise InvalidInput(
+                    f"{where} is more than a turn",
+                    got=value,
+                    allowed="up to 2 pi, in rad",
+                    fix=f"If these are degrees, give {math.radians(value):.4g}",
+                )
         object.__setattr__(instance, field_name, value)

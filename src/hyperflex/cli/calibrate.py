@@ -104,8 +104,12 @@ def calibrate(
 def _short(option: str, value: float) -> float:
     """Return an exposure or readout, s; refuse one that no video's frame has time for."""
     if number(option, value, sign="nonnegative", unit="s") > _LONGEST:
-        fix = "Give it in seconds: 1/250 s is 0.004"
-        raise InvalidInput(f"{option} is longer than a frame of any video", got=value, allowed="0 to 1 s", fix=fix)
+        raise InvalidInput(
+            f"{option} is longer than a frame of any video",
+            got=value,
+            allowed="0 to 1 s",
+            fix="Give it in seconds: 1/250 s is 0.004",
+        )
     return value
 
 

@@ -158,9 +158,12 @@ def check_no_input(out: Path, inputs: Sequence[Path | None]) -> None:
     """Refuse an output that is among the inputs; an input may be None."""
     for path in inputs:
         if path is not None and out.exists() and path.exists() and out.samefile(path):
-            allowed, fix = f"a file other than {path}", "Give another name with -o"
-            what = "the output is one of the inputs and would overwrite it"
-            raise InvalidInput(what, got=str(out), allowed=allowed, fix=fix)
+            raise InvalidInput(
+                "the output is one of the inputs and would overwrite it",
+                got=str(out),
+                allowed=f"a file other than {path}",
+                fix="Give another name with -o",
+            )
 
 
 def words(given: Sequence[str] | None) -> list[str]:
@@ -173,5 +176,6 @@ def numbers(option: str, given: Sequence[str], example: str) -> list[float]:
     try:
         return [float(word) for word in words(given)]
     except ValueError:
-        allowed = f"numbers such as {example}"
-        raise InvalidInput(f"{option} is not made of numbers", got=",".join(given), allowed=allowed) from None
+        raise InvalidInput(
+            f"{option} is not made of numbers", got=",".join(given), allowed=f"numbers such as {example}"
+        ) from None

@@ -72,8 +72,9 @@ class Torque:
         if (columns := words(self.torque)) is None or not columns:
             given = [name for name, value in vars(self).items() if value]
             if given:
-                fix = "Name the column: --torque torque"
-                raise InvalidInput(f"--{given[0].replace('_', '-')} is given without --torque", fix=fix)
+                raise InvalidInput(
+                    f"--{given[0].replace('_', '-')} is given without --torque", fix="Name the column: --torque torque"
+                )
             return {}
         sense = reading.declarations.get("sense")
         found = read_channels(path, columns, time=reading.time, topic=reading.topic, sense=sense)

@@ -223,8 +223,12 @@ def _direction(drive: "Drive", emulated: bool) -> int:
     _press_enter("Turn the arm by hand, a quarter turn to +x, and hold it there. Then Enter")
     turned = drive.read().angle
     if not 1.2 < abs(turned) < 1.9:  # rad: by hand, within 20 degrees
-        fix = "Turn the arm by a quarter turn, or set the ratio of its gear in the drive"
-        raise InvalidInput("the drive has seen no quarter turn", got=turned, allowed="1.2 to 1.9 rad", fix=fix)
+        raise InvalidInput(
+            "the drive has seen no quarter turn",
+            got=turned,
+            allowed="1.2 to 1.9 rad",
+            fix="Turn the arm by a quarter turn, or set the ratio of its gear in the drive",
+        )
     return 1 if turned > 0.0 else -1
 
 
@@ -240,9 +244,11 @@ def zero_of(address: str, path: Path | None) -> "DriveZero":
 
     link = open_link(address)
     if link.watchdog > 0.2:
-        fix = "Remove ?watchdog="
         raise InvalidInput(
-            "the watchdog of a real motor is too long", got=link.watchdog, allowed="up to 0.2 s", fix=fix
+            "the watchdog of a real motor is too long",
+            got=link.watchdog,
+            allowed="up to 0.2 s",
+            fix="Remove ?watchdog=",
         )
     if path is None:
         raise InvalidInput("a real motor needs its zero", fix="Make a file with hyperflex motor zero, and give --zero")

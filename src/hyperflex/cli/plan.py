@@ -140,8 +140,10 @@ class Source:
             warn_of_grade(self.setup, content)
         if "rope" not in content:
             also = aim.missing(content.get(aim.name, {})) if aim else ""
-            fix = "Give --rope FILE, or a set-up file with a table [rope]"
-            raise InvalidInput(f"no rope is given{also and f', and {also}'}", fix=fix)
+            raise InvalidInput(
+                f"no rope is given{also and f', and {also}'}",
+                fix="Give --rope FILE, or a set-up file with a table [rope]",
+            )
         where = str(self.setup or self.rope)
         check_tables(where, content, (*PLANNING, "identification"))
         if swinging := [name for name in ("q0", "qd0") if name in content]:

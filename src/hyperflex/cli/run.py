@@ -261,8 +261,12 @@ def _of_drive(
         limits, options = fit.motor_limits(limits), {"lag": fit.lag} | options
     limits = limits if torque is None else replace(limits, torque=torque)
     if plan.torque > limits.torque:
-        allowed, fix = f"up to {limits.torque:.3g} N m", "Allow more, or plan again with --torque"
-        raise InvalidInput("the plan's torque is beyond the limit", got=round(plan.torque, 4), allowed=allowed, fix=fix)
+        raise InvalidInput(
+            "the plan's torque is beyond the limit",
+            got=round(plan.torque, 4),
+            allowed=f"up to {limits.torque:.3g} N m",
+            fix="Allow more, or plan again with --torque",
+        )
     return limits, RunOptions(**options)
 
 
@@ -296,8 +300,10 @@ def _check_real(
     check_torque(limits)
     for name, given in needed.items():
         if given and sight.camera is None:
-            fix = "Give --camera, --calibration and --arc-lengths"
-            raise InvalidInput(f"nothing shows the rope of a real motor, which {name} must know", fix=fix)
+            raise InvalidInput(
+                f"nothing shows the rope of a real motor, which {name} must know",
+                fix="Give --camera, --calibration and --arc-lengths",
+            )
     return known
 
 

@@ -44,8 +44,9 @@ def vibrate(
     arm = Arm() if arm_length is None else Arm(length=arm_length)
     if tilt is None:
         if amplitude is None or frequency is None or direction is None:
-            fix = "Give --tilt, or --amplitude, --frequency and --direction"
-            raise InvalidInput("nothing to hold is given", fix=fix)
+            raise InvalidInput(
+                "nothing to hold is given", fix="Give --tilt, or --amplitude, --frequency and --direction"
+            )
         if stiffness is not None:
             raise InvalidInput("a stiffness is required of a tilt", got="--stiffness", fix="Give --tilt, or omit it")
         found = vibration_posture(cord, amplitude, frequency, direction, arm=arm)

@@ -115,8 +115,12 @@ def _read(run: Path, command: str) -> Any:
         ".csv": f"A recording is drawn by hyperflex look {run} -o {run.stem}.png",
     }
     if fix := makes.get(run.suffix.lower()):
-        allowed = "a NetCDF file of a run, as simulate, cast and whip write"
-        raise InvalidInput(f"{command} shows runs, and this is none", got=str(run), allowed=allowed, fix=fix)
+        raise InvalidInput(
+            f"{command} shows runs, and this is none",
+            got=str(run),
+            allowed="a NetCDF file of a run, as simulate, cast and whip write",
+            fix=fix,
+        )
     return read_trajectory(run)
 
 
@@ -143,8 +147,12 @@ def play(
     from hyperflex.play import Folder, PlayServer, read_opened
 
     if setup is not None and setup.suffix.lower() == ".nc":
-        fix = f"View a run with hyperflex view {setup}; in the page, Open takes one from the folder"
-        raise InvalidInput("play begins with a set-up", got=str(setup), allowed="a TOML file", fix=fix)
+        raise InvalidInput(
+            "play begins with a set-up",
+            got=str(setup),
+            allowed="a TOML file",
+            fix=f"View a run with hyperflex view {setup}; in the page, Open takes one from the folder",
+        )
     opened = None if setup is None else read_opened(setup)
     with PlayServer(Folder(folder), port=port, host=host, allow=allow or ()) as server:
         if opened is not None:

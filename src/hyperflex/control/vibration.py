@@ -177,8 +177,11 @@ class Averaged:
         found = [kind for kind in ("dry_friction", "drag") if getattr(rope, kind).any()] + ["max_bend"] * rope.limited
         found += ["friction_model"] * (rope.friction_model != "relative")
         if found:
-            fix = "rope.replace(...) without them"
-            raise InvalidInput("averaging knows viscous friction and springs in the joints alone", got=found, fix=fix)
+            raise InvalidInput(
+                "averaging knows viscous friction and springs in the joints alone",
+                got=found,
+                fix="rope.replace(...) without them",
+            )
         self.rope, self.arm, self.direction, self.frequency = rope, arm, direction, frequency
         n, omega = rope.n_links, math.tau * frequency
         bend = np.eye(n) - np.eye(n, k=-1)  # from link angles to the relative angles of their joints

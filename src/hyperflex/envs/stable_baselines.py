@@ -30,8 +30,11 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
     except ImportError as missing:
         raise MissingPackage("Stable-Baselines3 is missing. Install it: pip install stable-baselines3.") from missing
     if envs.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
-        fix = 'Make it with autoreset_mode="SameStep"'
-        raise InvalidInput("members begin anew in another way", got=envs.metadata.get("autoreset_mode"), fix=fix)
+        raise InvalidInput(
+            "members begin anew in another way",
+            got=envs.metadata.get("autoreset_mode"),
+            fix='Make it with autoreset_mode="SameStep"',
+        )
 
     class StableBaselinesVecEnv(VecEnv):  # type: ignore[misc]
         """A VecEnv whose members share their attributes and have no methods."""
@@ -73,8 +76,9 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
 
 
 def _refuse(_: object, name: str, *__: object, **___: object) -> None:
-    what, fix = "members have neither attributes nor methods of their own", "Use the vector environment's"
-    raise InvalidInput(what, got=name, fix=fix)
+    raise InvalidInput(
+        "members have neither attributes nor methods of their own", got=name, fix="Use the vector environment's"
+    )
 
 
 def _each(info: dict[str, Any], count: int) -> list[dict[str, Any]]:

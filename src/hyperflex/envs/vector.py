@@ -183,8 +183,11 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         if not self.generators:
             raise InvalidInput("the environment has not begun", fix="Call reset() first")
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
-            fix = 'Call reset() first, for some of many with options={"reset_mask": mask}'
-            raise InvalidInput("episodes have ended", got=np.flatnonzero(self._ended).tolist(), fix=fix)
+            raise InvalidInput(
+                "episodes have ended",
+                got=np.flatnonzero(self._ended).tolist(),
+                fix='Call reset() first, for some of many with options={"reset_mask": mask}',
+            )
         world, anew, everyone = self.world, self._ended, np.ones(self.num_envs, dtype=np.bool_)
         world.step(self.actuator.accelerations(actions, world.arm_angle, world.arm_rate), self.dt)
         self.steps = self.steps + 1

@@ -278,8 +278,12 @@ def _approach(
     now = drive.enable().angle
     way = abs(start - now)
     if way > math.pi:
-        fix = "Let the arm hang and set the zero again, or turn the arm nearer by hand"
-        raise InvalidInput("the way to the start is more than half a turn", got=[now, start], allowed="half", fix=fix)
+        raise InvalidInput(
+            "the way to the start is more than half a turn",
+            got=[now, start],
+            allowed="half",
+            fix="Let the arm hang and set the zero again, or turn the arm nearer by hand",
+        )
     if way > 1e-4:
         # peak speed 1.875 way / T and acceleration 5.774 way / T^2 of minimum jerk
         slow = options.approach * limits.speed, options.approach * limits.acceleration
@@ -355,8 +359,12 @@ def _compare_weight(log: StreamLog, problem: Problem, doubt: Callable[[str], obj
     angles = where, problem.rope.hanging_angle + 0.5 * math.pi
     expected, most = problem.arm.weight_torque(problem.rope, angles).tolist()
     if held * expected < 0.0 and min(abs(held), abs(expected)) > 0.5 * most:
-        what, fix = "the motor holds arm and rope with a torque of the wrong sign", "Check the zero"
-        raise InvalidInput(what, got=held, allowed=f"about {expected:.3f} N m", fix=fix)
+        raise InvalidInput(
+            "the motor holds arm and rope with a torque of the wrong sign",
+            got=held,
+            allowed=f"about {expected:.3f} N m",
+            fix="Check the zero",
+        )
     if abs(held - expected) > 0.5 * most:
         causes = "Check zero, rope and arm; friction of a gear may hide the weight"
         doubt(f"at {where:.2f} rad the motor holds arm and rope with {held:.3f} N m, not {expected:.3f}. {causes}")

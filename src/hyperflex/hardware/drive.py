@@ -332,8 +332,9 @@ class Drive:
                     raise DriveError("The zero of a drive is set with its torque off.")
                 seen.append(now.angle)
             if not (spread := float(np.ptp(seen))) <= 0.02:
-                fix = "Let it come to rest"
-                raise InvalidInput("the arm still swings", got=spread, allowed="0.02 rad in half a second", fix=fix)
+                raise InvalidInput(
+                    "the arm still swings", got=spread, allowed="0.02 rad in half a second", fix="Let it come to rest"
+                )
             moved = float(np.mean(seen)) - angle
             self.zero += self.direction * moved
             self._state = replace(now, angle=now.angle - moved)
@@ -531,8 +532,9 @@ class Drive:
         """Refuse a first goal that is not where the shaft is now; what follows is counted from the shaft."""
         state = self._state
         if state is None or state.stale or now - state.received > self.silence:
-            allowed = f"a reading of the last {self.silence:g} s"
-            raise InvalidInput("first goal without a fresh reading", allowed=allowed)
+            raise InvalidInput(
+                "first goal without a fresh reading", allowed=f"a reading of the last {self.silence:g} s"
+            )
         if not abs(goal.angle - state.angle) <= STEP:
             raise InvalidInput(
                 "first goal is far from the shaft",

@@ -167,8 +167,11 @@ class DriveFit:
                 str(table.get("doubt", "")),
             )
         except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-            fix = "Make one with hyperflex motor identify"
-            raise InvalidInput(f"{path} has no identified drive", allowed=f"a table [{TABLE}]", fix=fix) from None
+            raise InvalidInput(
+                f"{path} has no identified drive",
+                allowed=f"a table [{TABLE}]",
+                fix="Make one with hyperflex motor identify",
+            ) from None
 
     def plot(self) -> "Figure":
         """Return a figure of goals, measured and modelled angle, and their difference; needs the record."""

@@ -108,8 +108,11 @@ def _arguments(make: str, query: str, address: str) -> dict[str, float]:
     checks.keys(f"an address of {make}", given, known)
     for key, value in given.items():
         if not re.fullmatch(r"\d+(\.\d+)?", value):
-            allowed = "digits, with a decimal point where it makes sense"
-            raise InvalidInput(f"{key} in the motor's address is not a number", got=address, allowed=allowed)
+            raise InvalidInput(
+                f"{key} in the motor's address is not a number",
+                got=address,
+                allowed="digits, with a decimal point where it makes sense",
+            )
     return {known[key]: int(value) if value.isdecimal() else float(value) for key, value in given.items()}
 
 

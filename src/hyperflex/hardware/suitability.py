@@ -81,8 +81,12 @@ def find_motor(name: str) -> MotorData:
     """Return a motor of the catalogue; letters of either case. Raises InvalidInput with the names there are."""
     motors = {each.lower(): motor for each, motor in motor_catalogue().items()}
     if name.lower() not in motors:
-        fix = "Or give speed, torque and voltage"
-        raise InvalidInput("motor is not in the catalogue", got=name, allowed=", ".join(motor_catalogue()), fix=fix)
+        raise InvalidInput(
+            "motor is not in the catalogue",
+            got=name,
+            allowed=", ".join(motor_catalogue()),
+            fix="Or give speed, torque and voltage",
+        )
     return motors[name.lower()]
 
 

@@ -39,8 +39,12 @@ class DriveZero:
         Port and id count; a zero without a motor belongs to any. Raises InvalidInput.
         """
         if self.motor and _port_and_id(self.motor) != _port_and_id(address):
-            fix = "Set that of this motor with hyperflex motor zero"
-            raise InvalidInput("the zero belongs to another motor", got=address, allowed=self.motor, fix=fix)
+            raise InvalidInput(
+                "the zero belongs to another motor",
+                got=address,
+                allowed=self.motor,
+                fix="Set that of this motor with hyperflex motor zero",
+            )
 
     def to_toml(self, path: files.PathLike) -> None:
         """Write it to a TOML file, wholly or not at all."""

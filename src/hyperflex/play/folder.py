@@ -93,8 +93,9 @@ class Folder:
 
     def _existing(self, name: str, *suffixes: str) -> Path:
         if name not in self.names() or not name.endswith(suffixes):
-            allowed = f"its files {', '.join(suffixes)}"
-            raise InvalidInput("there is no such file in the folder", got=name, allowed=allowed)
+            raise InvalidInput(
+                "there is no such file in the folder", got=name, allowed=f"its files {', '.join(suffixes)}"
+            )
         return self.path / name
 
     def _new(self, name: str) -> Path:

@@ -134,8 +134,9 @@ class PlayServer(LocalServer):
             case {"button": name}:
                 runner.act(str(name))
             case _:
-                commands = "set, button, open, save, files"
-                raise InvalidInput("the message has no command", got=list(command), allowed=commands)
+                raise InvalidInput(
+                    "the message has no command", got=list(command), allowed="set, button, open, save, files"
+                )
         return {}
 
 

@@ -255,10 +255,12 @@ class Session:
         except SimulationError as error:
             if error.status != Status.OUT_OF_TIME or time_budget is None:
                 raise
-            why = (
-                f"The next frame takes more than {time_budget:g} s of work. Hang the rope anew, or give it fewer links."
-            )
-            raise SimulationError(why, status=Status.OUT_OF_TIME, time=error.time) from error
+            raise SimulationError(
+                f"The next frame takes more than {time_budget:g} s of work. "
+                "Hang the rope anew, or give it fewer links.",
+                status=Status.OUT_OF_TIME,
+                time=error.time,
+            ) from error
         self._state = self._run.state
         self.t = self._state.t
 

@@ -105,8 +105,12 @@ def run_figure(
     if checks.choice("kind", kind, KINDS) == "strobe":
         return strobe_figure(run, start=start, end=end, title=title, ax=ax)
     if ax is not None:
-        fix = "Draw on the axes of the figure that it returns"
-        raise InvalidInput("a course has four panels", got="one ax", allowed="ax of a strobe", fix=fix)
+        raise InvalidInput(
+            "a course has four panels",
+            got="one ax",
+            allowed="ax of a strobe",
+            fix="Draw on the axes of the figure that it returns",
+        )
     shown = span(run, start, end)
     figure = time_course(run, title or "the run", (speed_plot(run), energy_plot(run)))
     figure.axes[0].set_xlim(shown)  # all axes share it

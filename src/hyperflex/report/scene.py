@@ -100,8 +100,10 @@ def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float
     last = float(run.t[-1]) if end is None else checks.number("end", end, unit="s")
     if not run.t[0] <= first < last <= run.t[-1]:
         given = [f"{name}={value:g}" for name, value in (("start", start), ("end", end)) if value is not None]
-        allowed = f"times from {run.t[0]:g} to {run.t[-1]:g} s, the start before the end"
-        raise InvalidInput(f"{' and '.join(given)} is no part of the run", allowed=allowed)
+        raise InvalidInput(
+            f"{' and '.join(given)} is no part of the run",
+            allowed=f"times from {run.t[0]:g} to {run.t[-1]:g} s, the start before the end",
+        )
     return first, last
 
 

@@ -104,8 +104,11 @@ class Plant:
         self._gear = GEAR[0] * light / self.step**2, GEAR[1] * light / self.step
         most, least = 2.0 * turned / self.step, 0.5 * model.kp * self.step
         if not least <= model.kd < most:
-            allowed = f"kp step / 2 = {least:.3g} to 2 inertia / step = {most:.3g} N m s/rad"
-            raise InvalidInput("the sampled position loop is unstable: kd", got=model.kd, allowed=allowed)
+            raise InvalidInput(
+                "the sampled position loop is unstable: kd",
+                got=model.kd,
+                allowed=f"kp step / 2 = {least:.3g} to 2 inertia / step = {most:.3g} N m s/rad",
+            )
         rope = rope or Rope.uniform(length=0.01, mass=1e-6, n_links=1, friction=1e-3)  # too light to be felt
         self._stepper = Stepper(rope, command="torque", refine=False, arm=driven, pegs=tuple(obstacles), tol=tol)
         self._ticks, self._now = 0, 0.0
