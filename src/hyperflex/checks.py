@@ -24,6 +24,8 @@ from hyperflex.errors import InvalidInput
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
+Indices = npt.NDArray[np.intp]
+ByName = dict[str, Any]  # values of any kind
 Sign = Literal["any", "positive", "nonnegative"]
 T = TypeVar("T")
 _derived = ContextVar("_derived", default=False)

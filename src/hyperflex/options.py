@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any, get_args
 
 from hyperflex import checks
-from hyperflex.checks import Sign
+from hyperflex.checks import ByName, Sign
 from hyperflex.errors import InvalidInput
 
 
@@ -40,7 +40,7 @@ def options_of(kind: type) -> tuple[Field[Any], ...]:
 
 
 @cache
-def _rules(kind: type) -> tuple[tuple[str, Any, int, dict[str, Any]], ...]:
+def _rules(kind: type) -> tuple[tuple[str, Any, int, ByName], ...]:
     """Return name, default, length (-1: any) and the rule for its number or numbers, of each option of a dataclass."""
     return tuple(
         (

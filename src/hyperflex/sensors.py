@@ -2,13 +2,13 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName, Indices
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, Drive
 from hyperflex.core.integrate.observation import observe, senses
@@ -195,7 +195,7 @@ class Markers(PostureSensor):
         return result.reshape(q.shape[0], -1, self.values.size)
 
 
-def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
+def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[Indices, Array]:
     """Return the links (K,) of points at arc lengths (K,), m, and the length of each link before them (K, n), m.
 
     These lengths times the links' directions give the points. Points beyond the tip lie on the line of the last link,
@@ -406,7 +406,7 @@ class MotorTorque:
 
 def _changed(chain: Chain, drive: Drive, part: ParameterChange, step: float) -> tuple[Chain, Drive]:
     """Return chain and drive with their properties changed by `step` times `part`."""
-    of_chain, of_drive = dict[str, Any](), dict[str, Any]()
+    of_chain, of_drive = ByName(), ByName()
     for name, change in part.items():
         known = PROPERTIES.get(name)
         if name in ("breaks", "coef"):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hyperflex import checks, extras, files
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.model import Setup, unit_across
@@ -103,7 +103,7 @@ class State:
     step: float = 0.0
     work: float = 0.0
     dissipated: float = 0.0
-    checkpoint: dict[str, Any] = field(default_factory=dict)
+    checkpoint: ByName = field(default_factory=dict)
     peg_angle: Array | None = None
     peg_rate: Array | None = None
     arm_angle: float | None = None
@@ -185,7 +185,7 @@ class Trajectory:
     start: State
     status: Status = Status.SUCCESS
     message: str = ""
-    attrs: dict[str, Any] = field(default_factory=dict)
+    attrs: ByName = field(default_factory=dict)
     event: tuple[str, float] | None = None
     contact_force: Array | None = None
     contact_loss: Array | None = None
@@ -317,7 +317,7 @@ class Trajectory:
             found[name] = Variable(("time", *dims), getattr(self, name), {"units": units, "long_name": long_name})
         return found
 
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> ByName:
         """What the dataset and the file say about the run as a whole, the set-up as TOML text included."""
         from hyperflex import __version__
 
@@ -495,7 +495,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
 
 def _state(variables: Mapping[str, Variable]) -> State:
-    plain: dict[str, Any] = {name: each.values for name, each in variables.items()}
+    plain: ByName = {name: each.values for name, each in variables.items()}
     plain |= {name: variables[name].numbers(name) for name in STATE if name in variables}
     plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in plain.items()}
     kept = {name.removeprefix(CHECKPOINT): value for name, value in plain.items() if name.startswith(CHECKPOINT)}

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.budget import Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Indices
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Peg, Rope, Setup, unit_across, unit_along
@@ -148,7 +147,7 @@ def rope_tension(run: Trajectory) -> Array:
     return np.hypot(force[..., 0], force[..., 1])
 
 
-def _joint_forces(run: Trajectory, rows: npt.NDArray[np.intp]) -> Array:
+def _joint_forces(run: Trajectory, rows: Indices) -> Array:
     """Force at samples `rows` (k,) on what is beyond each joint from what is before it (k, n + 1, 2), N, tip last."""
     rope, drive, q, rate = run.setup.rope, run.setup.drive(), run.q[rows], run.qd[rows]
     if run.setup.torque_driven:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from hyperflex import files
-from hyperflex.checks import number
+from hyperflex.checks import ByName, number
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.errors import InvalidInput
@@ -51,7 +51,7 @@ def calibrate(
         raise InvalidInput("--plane and --points are given both", fix="Give one of them")
     if origin_pixel is not None and plane is None:
         raise InvalidInput("--origin-pixel is given without --plane", fix="Give both")
-    timing: dict[str, Any] = {
+    timing: ByName = {
         "exposure": _short("--exposure", exposure),
         "readout": _short("--readout", readout),
         "readout_direction": readout_direction,

@@ -4,12 +4,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
 from hyperflex import files
+from hyperflex.checks import ByName
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, Given, check_destination, check_no_input, numbers, words
 from hyperflex.cli.output import Block, Rows
@@ -67,7 +68,7 @@ class Torque:
         "Standard deviation of the torque of an arm whose motion is prescribed, in its unit.",
     ] = None
 
-    def read(self, path: Path, reading: Reading) -> dict[str, Any]:
+    def read(self, path: Path, reading: Reading) -> ByName:
         """Return what a RecordingSetup takes of it."""
         if (columns := words(self.torque)) is None or not columns:
             given = [name for name, value in vars(self).items() if value]
@@ -80,7 +81,7 @@ class Torque:
         found = read_channels(path, columns, time=reading.time, topic=reading.topic, sense=sense)
         t = replace(reading, start=-math.inf, end=math.inf).read(path).t
         found = found[(t >= reading.start) & (t < reading.end)]
-        setup: dict[str, Any] = {"torque": found[:, 0] if len(columns) == 1 else found}
+        setup: ByName = {"torque": found[:, 0] if len(columns) == 1 else found}
         if self.torque_joints:
             setup["torque_joints"] = [int(each) for each in numbers("--torque-joints", self.torque_joints, "0,1")]
         if self.torque_constant:
@@ -154,7 +155,7 @@ def identify(
     placed, options = RecordingSetup(**driven, arc_lengths=places, origin=origin), FitOptions(**fit)
     for fault in measured.check():
         output.note(str(fault))
-    how: dict[str, Any] = {"setup": placed, "options": options, "time_budget": time_budget, "progress": True}
+    how: ByName = {"setup": placed, "options": options, "time_budget": time_budget, "progress": True}
     result, stopped = output.run(lambda: run(measured, guess, chosen, **how))
     summary = {"output": out, **result.summary()}
     if folder:
@@ -175,7 +176,7 @@ def identify(
     )
 
 
-def _drive(path: Path | None) -> dict[str, Any]:
+def _drive(path: Path | None) -> ByName:
     """Return the motion and the arm of a set-up."""
     from hyperflex.model import Setup
     from hyperflex.motion import hold_arm

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 import typer
 
 from hyperflex import checks, files
+from hyperflex.checks import ByName
 from hyperflex.cli import output
 from hyperflex.cli.command import ArmLength, Given, OutFolder, Workers, positive
 from hyperflex.cli.output import Rows
@@ -127,7 +128,7 @@ class Source:
             {**found.targets, "peg": first},
         )
 
-    def _of_tables(self, content: dict[str, Any], aim: "Aim | None") -> Problem:
+    def _of_tables(self, content: ByName, aim: "Aim | None") -> Problem:
         """Return the problem and the targets of a set-up file's tables, or of the rope's file alone."""
         tables = {name: content.get(name, {}) for name in ("limits", "target", "slot", "behind")}
         for name, table in tables.items():
@@ -181,7 +182,7 @@ def _of_plan(path: Path, given: Given) -> Problem:
     if special:
         output.note(f"{path} was planned with {' '.join(special)}, which is required again; give another to change it")
     obstacles: tuple[Obstacle, ...] = known.obstacles
-    targets: dict[str, Any] = {"target": {}, "slot": {}}
+    targets: ByName = {"target": {}, "slot": {}}
     if isinstance(plan, CastPlan):
         obstacles = (plan.target, *obstacles)
     else:
@@ -234,7 +235,7 @@ class Task(Source):
         self,
         plan: Any,
         report_of: "Callable[[Any, Any], PlanReport[Any]]",
-        measure: Callable[[], tuple[Any, dict[str, Any]]],
+        measure: Callable[[], tuple[Any, ByName]],
         doing: str,
         notes: Sequence[str] = (),
         **more: Any,
@@ -313,7 +314,7 @@ def cast(
     more = {"criteria": problem.criteria, "uncertainty": uncertainty, "on_plan": _report_plan, "search": search}
     plan = task.plan(plan_cast, problem, peg, time_budget=time_budget, **more)
 
-    def measure() -> tuple[Any, dict[str, Any]]:
+    def measure() -> tuple[Any, ByName]:
         held = plan.measure_holding_force()
         if held is None:
             return None, {}
@@ -356,7 +357,7 @@ def whip(target: Annotated[Given, TipTarget], task: Task, *, time_budget: TimeBu
     problem = task.read(task.conditions, aim=aim)
     plan = task.plan(plan_whip, problem, aim.target(problem.targets["target"]), time_budget=time_budget)
 
-    def measure() -> tuple[Any, dict[str, Any]]:
+    def measure() -> tuple[Any, ByName]:
         impact = plan.impact()
         return impact, {"impact": asdict(impact)}
 

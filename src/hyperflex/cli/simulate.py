@@ -3,12 +3,13 @@
 import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
 from hyperflex import checks, files
+from hyperflex.checks import ByName
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.errors import SimulationError
@@ -67,7 +68,7 @@ def simulate(
     if duration is None and "duration" not in files.read_toml(setup):
         output.note(f"no duration is given, so {simulated.duration:g} s are simulated; give --duration for another")
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
-    how: dict[str, Any] = {"duration": duration, "time_budget": time_budget, "extrapolate": extrapolate}
+    how: ByName = {"duration": duration, "time_budget": time_budget, "extrapolate": extrapolate}
     how |= {"progress": True, "throw": False}
     found, _ = output.run(lambda: run(simulated, **how))
     stopped = found.status == Status.INTERRUPTED
@@ -88,7 +89,7 @@ def simulate(
         if stopped:
             output.show(part, interrupted=text)
         output.show(part, text, code=output.ExitCode.NOT_CONVERGED)
-    result: dict[str, Any] = {
+    result: ByName = {
         "output": out,
         "status": found.status,
         "links": found.q.shape[1],
@@ -119,7 +120,7 @@ def simulate(
     output.show(result, output.rows("Simulated", result, *more))
 
 
-def _aside(run: "Trajectory", tilt: float) -> dict[str, Any]:
+def _aside(run: "Trajectory", tilt: float) -> ByName:
     """Return how far to the side of its plane the rope of a run is, until it touches an obstacle."""
     from hyperflex.simulation import sideways
 
@@ -134,7 +135,7 @@ def _aside(run: "Trajectory", tilt: float) -> dict[str, Any]:
     }
 
 
-def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> dict[str, Any]:
+def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> ByName:
     """Return how the rope lies on a peg at the end of a run, and with a tug what it holds."""
     from hyperflex import winding
 
@@ -153,7 +154,7 @@ def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> dict[str, Any]:
     return found
 
 
-def _winding(peg: dict[str, Any]) -> str:
+def _winding(peg: ByName) -> str:
     turns = f"{peg['turns']:.2f} turns"
     if np.isnan(peg["tension_N"]):
         return f"{turns}; the rope does not touch it at the end"
@@ -166,7 +167,7 @@ def _winding(peg: dict[str, Any]) -> str:
     return f"{text}; holds {'' if peg['tug_slipped'] else 'at least '}{peg['hold_N']:.2g} N"
 
 
-def _trust(run: "Trajectory", allowed: float | None) -> dict[str, Any]:
+def _trust(run: "Trajectory", allowed: float | None) -> ByName:
     """Return until when a run with a tenth of the tolerance differs by less than `allowed`, m; warn if not to the end.
 
     By default as ``Trajectory.predictable_until``.

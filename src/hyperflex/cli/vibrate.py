@@ -1,10 +1,11 @@
 """``hyperflex vibrate``: the posture that a vibration holds, or the vibration and motor that a posture takes."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
+from hyperflex.checks import ByName
 from hyperflex.cli import output
 from hyperflex.cli.command import ArmLength, Given, check_destination
 from hyperflex.cli.output import Rows
@@ -50,7 +51,7 @@ def vibrate(
         if stiffness is not None:
             raise InvalidInput("a stiffness is required of a tilt", got="--stiffness", fix="Give --tilt, or omit it")
         found = vibration_posture(cord, amplitude, frequency, direction, arm=arm)
-        result: dict[str, Any] = {"postures": [_posture(each, push) for each in found]}
+        result: ByName = {"postures": [_posture(each, push) for each in found]}
         shown, code = Rows("Postures", [(str(k + 1), repr(each)) for k, each in enumerate(found)]), 0
     else:
         if amplitude is not None:
@@ -76,7 +77,7 @@ def vibrate(
     output.show(result, shown, code=code)
 
 
-def _posture(found: VibrationPosture, push: float | None) -> dict[str, Any]:
+def _posture(found: VibrationPosture, push: float | None) -> ByName:
     """Return the numbers of a posture."""
     across = found.tilt + 0.5 * np.pi if push is None else push
     return {

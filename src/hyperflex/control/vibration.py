@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
@@ -353,7 +353,7 @@ class VibrationMap:
     amplitude: Array
     frequency: Array
     tilt: Array
-    holds: npt.NDArray[np.bool_]
+    holds: Flags
     direction: float
     arm: Arm | None
     rope: Rope

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Indices
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import MotorLimits
 
@@ -30,7 +30,7 @@ class Actuator(ABC):
     def accelerations(self, actions: npt.NDArray[np.generic], angle: Array, rate: Array) -> Array:
         """Return accelerations (M,), rad/s^2, of arms at an angle (M,), rad, with a rate (M,), rad/s."""
 
-    def begin(self, which: npt.NDArray[np.intp]) -> None:
+    def begin(self, which: Indices) -> None:
         """Forget the moves of some members."""
         self.remaining[which] = 0
 

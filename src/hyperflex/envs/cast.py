@@ -3,10 +3,9 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array, ByName, Flags, Indices
 from hyperflex.envs.vector import RopeEnv, RopeVectorEnv
 from hyperflex.envs.worlds import PegWorld
 from hyperflex.errors import InvalidInput
@@ -60,7 +59,7 @@ class CastVectorEnv(RopeVectorEnv):
         centres = np.array([(peg.x, peg.y) for peg in self.pegs])
         return np.asarray(np.nan_to_num(swept(places - centres[:, None]).sum(axis=1)) / (2.0 * np.pi))
 
-    def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:
+    def _start(self, which: Indices, places: Array) -> None:
         self._turns[which], self._wound[which] = self._about(places)[which], 0.0
 
     def _score(self, places: Array) -> tuple[Array, Flags]:
@@ -69,7 +68,7 @@ class CastVectorEnv(RopeVectorEnv):
         self._wound = np.where(part[1] < 1.0, 0.0, self._wound + self.dt)
         return part[1] - part[0] + self._held, self._held
 
-    def _values(self) -> dict[str, Any]:
+    def _values(self) -> ByName:
         return {"turns": self._turns, "is_success": self._held}
 
     @property

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array, ByName, Flags
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 
 Policy = Callable[[Array], Any]
@@ -95,7 +95,7 @@ def score_policy(
 
 
 def _episodes(
-    seeds: list[int], make_policy: Callable[[Any], Policy], environment: str, arguments: dict[str, Any]
+    seeds: list[int], make_policy: Callable[[Any], Policy], environment: str, arguments: ByName
 ) -> list[tuple[float, bool]]:
     """Play an episode from each seed; return the sums of the rewards, and whether they were successes."""
     env, ends = gymnasium.make(environment, **arguments), list[tuple[float, bool]]()

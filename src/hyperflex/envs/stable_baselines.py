@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array, ByName, Flags
 from hyperflex.errors import InvalidInput, MissingPackage
 
 
@@ -50,7 +50,7 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
         def step_async(self, actions: npt.NDArray[np.generic]) -> None:
             self._actions = actions
 
-        def step_wait(self) -> tuple[Array, Array, Flags, list[dict[str, Any]]]:
+        def step_wait(self) -> tuple[Array, Array, Flags, list[ByName]]:
             seen, rewards, terminated, truncated, info = envs.step(self._actions)
             ended, infos = terminated | truncated, _each(info, envs.num_envs)
             final = _each(info.get("final_info", {}), envs.num_envs)
@@ -81,7 +81,7 @@ def _refuse(_: object, name: str, *__: object, **___: object) -> None:
     )
 
 
-def _each(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
+def _each(info: ByName, count: int) -> list[ByName]:
     """Convert Gymnasium's information to one dict per member."""
     plain = {name: value for name, value in info.items() if name[0] != "_" and not name.startswith("final_")}
     return [{name: value[m] for name, value in plain.items()} for m in range(count)]

@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array, ByName, Flags, Indices
 from hyperflex.envs.vector import RopeEnv, RopeVectorEnv
 from hyperflex.envs.worlds import FreeWorld
 
@@ -19,7 +18,7 @@ class SwingVectorEnv(RopeVectorEnv):
         super().__init__(num_envs, **arguments)
         self._amplitude = np.zeros(self.num_envs)
 
-    def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:
+    def _start(self, which: Indices, places: Array) -> None:
         self._amplitude[which] = self._amplitudes(places)[which]
 
     def _amplitudes(self, places: Array) -> Array:
@@ -31,7 +30,7 @@ class SwingVectorEnv(RopeVectorEnv):
         self._amplitude = self._amplitudes(places)
         return self._amplitude, np.zeros(self.num_envs, dtype=np.bool_)
 
-    def _values(self) -> dict[str, Any]:
+    def _values(self) -> ByName:
         return {"amplitude": self._amplitude}
 
 

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from hyperflex import checks
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array, ByName, Flags, Indices
 from hyperflex.envs.actuators import ACTUATORS, QUARTER
 from hyperflex.envs.worlds import World
 from hyperflex.errors import InvalidInput
@@ -104,7 +104,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         If an argument cannot be used.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: ByName = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
     n_links: ClassVar[int] = 20
     extra: ClassVar[int] = 0  # numbers that the environment adds to an observation
     world_class: ClassVar[type[World]]
@@ -151,8 +151,8 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         self.steps, self._ended = np.zeros(self.num_envs, dtype=np.int64), np.zeros(self.num_envs, dtype=np.bool_)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+        self, *, seed: int | Sequence[int | None] | None = None, options: ByName | None = None
+    ) -> tuple[Array, ByName]:
         """Start episodes. Member i samples from `seed` + i; without a seed it continues its random sequence.
 
         Parameters
@@ -178,7 +178,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         self._begin(mask)
         return self._observe(), self._info(mask)
 
-    def step(self, actions: npt.NDArray[np.generic]) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: npt.NDArray[np.generic]) -> tuple[Array, Array, Flags, Flags, ByName]:
         """Simulate an interval with actions (M, ...); return observations, rewards, terminated, truncated and info."""
         if not self.generators:
             raise InvalidInput("the environment has not begun", fix="Call reset() first")
@@ -255,7 +255,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         return np.empty((self.num_envs, 0))
 
     @abstractmethod
-    def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:
+    def _start(self, which: Indices, places: Array) -> None:
         """Initialise the reference quantities of the rewards of a new episode."""
 
     @abstractmethod
@@ -263,12 +263,12 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         """Return rewards (M,), and whether episodes have reached their goal (M,)."""
 
     @abstractmethod
-    def _values(self) -> dict[str, Any]:
+    def _values(self) -> ByName:
         """Return the values of the information, (M,) each."""
 
-    def _info(self, which: Flags) -> dict[str, Any]:
+    def _info(self, which: Flags) -> ByName:
         """Return the information in Gymnasium's form: each value with a mask (M,) of its members."""
-        info: dict[str, Any] = {}
+        info: ByName = {}
         for name, value in {**self._values(), "failed": self.world.failed}.items():
             info |= {name: np.array(value), f"_{name}": which.copy()}
         return info
@@ -280,7 +280,7 @@ class RopeEnv(gymnasium.Env[Array, Any], ABC):
     The arguments are those of :class:`EnvOptions`. Raises InvalidInput if one cannot be used.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: ByName = {"render_modes": []}  # noqa: RUF012
     vector_class: ClassVar[type[RopeVectorEnv]]
 
     def __init__(self, **arguments: Any) -> None:
@@ -288,19 +288,19 @@ class RopeEnv(gymnasium.Env[Array, Any], ABC):
         self.action_space = self.members.single_action_space
         self.observation_space = self.members.single_observation_space
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: ByName | None = None) -> tuple[Array, ByName]:
         """Start an episode; see :meth:`gymnasium.Env.reset`. There are no `options`."""
         super().reset(seed=seed)
         self.members.generators = [self.np_random]
         seen, info = self.members.reset()
         return seen[0], _first(info)
 
-    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Array, float, bool, bool, ByName]:
         """Simulate an interval with an `action`; see :meth:`gymnasium.Env.step`."""
         seen, rewards, terminated, _, info = self.members.step(np.asarray(action)[None])
         return seen[0], float(rewards[0]), bool(terminated[0]), False, _first(info)
 
 
-def _first(info: Mapping[str, Any]) -> dict[str, Any]:
+def _first(info: Mapping[str, Any]) -> ByName:
     """Return the information of the first member alone."""
     return {name: value[0].item() for name, value in info.items() if not name.startswith("_")}

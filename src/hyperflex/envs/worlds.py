@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Indices
 from hyperflex.core import status
 from hyperflex.errors import SimulationError
 from hyperflex.model import Arm, Peg, Rope, unit_along
@@ -36,9 +35,7 @@ class World(ABC):
         self.arm_angle, self.arm_rate = np.zeros(count), np.zeros(count)
         self.failed = np.ones(count, dtype=np.bool_)
 
-    def begin(
-        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
-    ) -> None:
+    def begin(self, which: Indices, ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float) -> None:
         """Restart some members (K,): their ropes and pegs (K,), at rest at angles `q0` (K, n), rad.
 
         Their arms begin at `angle`, rad.
@@ -63,9 +60,7 @@ class FreeWorld(World):
         self._stepper = BatchStepper(rope, members=count, arm=arm, tol=tol)
         self._show(self._stepper.start())
 
-    def begin(
-        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
-    ) -> None:
+    def begin(self, which: Indices, ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float) -> None:
         """Restart some members."""
         super().begin(which, ropes, pegs, q0, angle)
         self._show(self._stepper.restart(self._state, which, ropes, q0, arm_angle=angle))
@@ -87,9 +82,7 @@ class PegWorld(World):
         super().__init__(rope, arm, count, tol)
         self._members: dict[int, tuple[Stepper, State]] = {}
 
-    def begin(
-        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
-    ) -> None:
+    def begin(self, which: Indices, ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float) -> None:
         """Restart some members."""
         super().begin(which, ropes, pegs, q0, angle)
         for m, rope, peg, q in zip(which.tolist(), ropes, pegs, q0, strict=True):

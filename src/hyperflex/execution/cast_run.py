@@ -7,10 +7,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import files
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.exchange import write_mcap
 from hyperflex.execution.learning import CastLog
@@ -262,7 +261,7 @@ class CastRun:
         problem, t = self.plan.problem, recording.t
         return (self.rope or problem.rope).joints(recording.data, problem.arm.tip(self.log.angle(t)))
 
-    def _watched(self, t: Array) -> npt.NDArray[np.bool_]:
+    def _watched(self, t: Array) -> Flags:
         """Whether times (K,), s, are those in which the rope is watched: (K,) bool."""
         criteria = self.plan.problem.criteria
         begin = self._stop + criteria.settle

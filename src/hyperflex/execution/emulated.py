@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.errors import InvalidInput
 from hyperflex.execution.cast_run import observed_turns
 from hyperflex.hardware import Emulator, MotorModel, emulated_device
@@ -46,7 +46,7 @@ def emulator_of(plan: CastPlan, address: str, model: MotorModel | None = None, *
         raise InvalidInput("the motor is not emulated", got=address, allowed="emulator:MAKE")
     make, device = found
     rope, pegs = plan.setup().rope, (plan.target, *plan.problem.obstacles)
-    given: dict[str, Any] = {"rope": rope, "arm": plan.problem.arm, "obstacles": pegs}
+    given: ByName = {"rope": rope, "arm": plan.problem.arm, "obstacles": pegs}
     return make, Emulator(device, model or motor_model(make), **given | {"duration": 120.0} | changes)
 
 

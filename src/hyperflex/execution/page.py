@@ -10,6 +10,7 @@ from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from typing import Any
 
+from hyperflex.checks import ByName
 from hyperflex.execution.stream import FIELDS, MotionStream
 from hyperflex.interfaces import RopeState
 from hyperflex.local_page import LocalServer, send
@@ -76,10 +77,10 @@ class RunPage(LocalServer):
         else:
             request.send_error(HTTPStatus.NOT_FOUND)
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> ByName:
         """Return what the page shows: phase, arm, goal and drive, their past, and the rope if it is seen."""
         problem, peg = self.plan.problem, self.plan.target
-        shown: dict[str, Any] = {
+        shown: ByName = {
             "motor": self.motor,
             "phase": self.phase,
             "over": self.over,

@@ -5,12 +5,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hyperflex import checks, files
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, MotorLimits, Rope
 from hyperflex.motion import Motion, move_arm
@@ -71,7 +70,7 @@ def motor_catalogue() -> Mapping[str, MotorData]:
     >>> round(motor_catalogue()["XL430-W250"].speed, 2)
     6.39
     """
-    tables: dict[str, Any] = files.read_toml(Path(__file__).with_name("catalogue.toml"))
+    tables: ByName = files.read_toml(Path(__file__).with_name("catalogue.toml"))
     return {
         name: MotorData(name, speed=table.pop("speed_rpm") * math.tau / 60.0, **table) for name, table in tables.items()
     }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.control import PhasePortrait, Spiral, phase_portrait, spiral
 from hyperflex.dynamics import bias, mass_matrix, partial_linearization, torque_from_input
 from hyperflex.model import Arm, Rope
@@ -293,7 +293,7 @@ def replay(reading: Reading) -> tuple[float, float]:
     rope = cable(reading.friction)
     motion = arm_swings(T_MOVE, T_REST["success"], path=reading.path)
     t = _sample_times(motion.switches(0.0, REPLAY_SPAN))
-    options: dict[str, Any] = {"arm": REPLAY_ARM, "duration": REPLAY_SPAN, "t_eval": t, "tol": TOL}
+    options: ByName = {"arm": REPLAY_ARM, "duration": REPLAY_SPAN, "t_eval": t, "tol": TOL}
     led = simulate(rope, motion, **options)
     u, torque, errors = motion.acceleration(t), np.empty_like(t), []
     for k, (q, qd, angle, rate) in enumerate(zip(led.q, led.qd, led.arm_angle, led.arm_rate, strict=True)):

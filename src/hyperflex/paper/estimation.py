@@ -9,12 +9,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array, ByName, Flags
 from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker
 from hyperflex.model import divided
 from hyperflex.paper.casting import cable
@@ -51,7 +51,7 @@ FEW = 0.7  # part of the markers; if fewer are found in their windows, the whole
 _RUN_RATE = 600.0  # samples a second of the simulated swing
 TRACKERS = ("paper", "filter", "constant velocity", "nearest blob")
 TITLES = dict(zip(TRACKERS, ("the paper's estimator", "RopeTracker", "constant velocity", "nearest blob"), strict=True))
-_STYLE: dict[str, Any] = {
+_STYLE: ByName = {
     name: {"color": colour, "marker": marker, "ms": 3.5, "label": TITLES[name]}
     for name, colour, marker in zip(TRACKERS, (BLUE, GREEN, RED, GREY), "os^v", strict=True)
 }

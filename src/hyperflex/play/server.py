@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from hyperflex import checks
+from hyperflex.checks import ByName
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.local_page import HOST, OPEN, LocalServer, send, send_head
 from hyperflex.play.controls import CONTROLS
@@ -107,7 +108,7 @@ class PlayServer(LocalServer):
             with runner.news:
                 runner.watchers -= 1
 
-    def _obey(self, message: bytes) -> dict[str, Any]:
+    def _obey(self, message: bytes) -> ByName:
         """Execute the command of a message; return the answer."""
         try:
             return self._do(checks.mapping("the message", json.loads(message)))
@@ -117,7 +118,7 @@ class PlayServer(LocalServer):
             traceback.print_exc()
             return {"error": f"This is a bug in hyperflex: {error}"}
 
-    def _do(self, command: Any) -> dict[str, Any]:
+    def _do(self, command: Any) -> ByName:
         """Execute a command: ``button``, values to ``set``, a file to ``open`` or ``save``, or ``files`` to list."""
         runner = self.runner
         match command:

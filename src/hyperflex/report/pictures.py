@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex import checks, files
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Obstacle, Peg, Wall
 from hyperflex.report.scene import PLAIN, Overlay, last_sweep, shapes, span, view, wall_ends
@@ -197,7 +197,7 @@ def _film(run: Trajectory, times: Array, width: int, title: str) -> "Callable[[i
         axis.add_collection(trail)
         (arm,) = axis.plot([], [], color="white", lw=3.5)
         dots = axis.scatter([0.0, 0.0], [0.0, 0.0], s=30.0, color="white", zorder=5)
-        place: dict[str, Any] = {"va": "top", "x": 14.0 / width}
+        place: ByName = {"va": "top", "x": 14.0 / width}
         figure.text(y=1.0 - 12.0 / height, s=title, fontsize=10.0, color="white", **place)
         text = figure.text(y=1.0 - 33.0 / height, s="", fontsize=8.5, color=PALE, **place)
     moving = (trail, ropes, dots, arm, text)
@@ -231,7 +231,7 @@ def _gif(frames: "Iterator[Image.Image]", colours: "Image.Image", frame_rate: in
     palette = colours.quantize(96)
     indexed = (each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames)
     buffer, duration = io.BytesIO(), 1000 // frame_rate
-    options: dict[str, Any] = {"save_all": True, "append_images": indexed, "loop": 0, "optimize": False}
+    options: ByName = {"save_all": True, "append_images": indexed, "loop": 0, "optimize": False}
     next(indexed).save(buffer, format="GIF", duration=duration, **options)
     return buffer.getvalue()
 

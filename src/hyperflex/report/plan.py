@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.planning import BOUNCE_TIME, RATE, CastPlan, InsertPlan, TipOptions, WhipPlan
 from hyperflex.report.curves import time_course
 from hyperflex.report.folder import Progress, silent, whole_folder
@@ -162,7 +162,7 @@ class PlanReport(ABC, Generic[PlanT]):
                 shown[name] = Picture(png(figure), captions[name], chart=name != self.strobe)
         return shown
 
-    def film(self) -> dict[str, Any]:
+    def film(self) -> ByName:
         """Return arguments of :func:`hyperflex.report.player_html`."""
         return {"title": f"planned {self.noun}, simulated", "speed": self.film_speed, "overlay": self.overlay()}
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks, files
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.model import Obstacle, Peg
 from hyperflex.report.curves import arm_plot, energy_plot, speed_plot
 from hyperflex.report.page import render
@@ -108,7 +108,7 @@ def _frame_times(run: Trajectory, first: float, last: float, rate: float | None)
     return np.linspace(first, last, max(round((last - first) * rate), 1) + 1)
 
 
-def _places(points: Array) -> dict[str, Any]:
+def _places(points: Array) -> ByName:
     """Return positions (k, m, 2), m, as whole numbers of steps from a centre; two bytes each where that is precise."""
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     extent = max(float((high - low).max()), 1e-9)
@@ -119,7 +119,7 @@ def _places(points: Array) -> dict[str, Any]:
     return {"places": _packed(steps), "wide": wide, "centre": centre.tolist(), "step": step}
 
 
-def _obstacles(run: Trajectory, avoided: Sequence[Obstacle]) -> list[dict[str, Any]]:
+def _obstacles(run: Trajectory, avoided: Sequence[Obstacle]) -> list[ByName]:
     """Return pegs, walls and grounds; `turns` is the index of a peg that turns among round pegs, None of the others."""
     found, pegs = [], run.setup.round_pegs
     for each in run.setup.pegs:
@@ -128,7 +128,7 @@ def _obstacles(run: Trajectory, avoided: Sequence[Obstacle]) -> list[dict[str, A
     return found
 
 
-def _curves(run: Trajectory, first: float, last: float, plots: Sequence[Plot]) -> dict[str, Any]:
+def _curves(run: Trajectory, first: float, last: float, plots: Sequence[Plot]) -> ByName:
     """Return the curves of arm, tip, energy and further plots at samples between two times, thinned out."""
     kept = np.flatnonzero((run.t >= first) & (run.t <= last))
     kept = kept[:: max(kept.size // 1500, 1)]  # a plot has fewer pixels

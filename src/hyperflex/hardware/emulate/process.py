@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.checks import Array
+from hyperflex.checks import Array, ByName
 from hyperflex.child import START, Child, Records, run_in_real_time, serve
 from hyperflex.errors import DriveError
 from hyperflex.hardware.emulate.faults import FaultyWire, WireFaults
@@ -190,7 +190,7 @@ class Emulator:
 def emulate(
     link: Connection,
     make: Callable[[Plant], Device],
-    plant: dict[str, Any],
+    plant: ByName,
     baud: int,
     sample: float,
     states: Records,
