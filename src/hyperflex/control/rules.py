@@ -216,7 +216,7 @@ class PumpingRule(LookaheadRule):
 
     Notes
     -----
-    Where the model predicts the amplitude within the horizon, the soonest arrival wins; else the greatest amplitude.
+    If the model predicts the amplitude within the horizon, the earliest arrival is chosen; else the greatest amplitude.
     Without a plan this is greedy: a fixed horizon trades power against time, half turn by half turn. Not from the
     paper, which leaves more efficient casting to future work.
     """
@@ -338,7 +338,7 @@ def optimize_pumping(
     -----
     The arrival time jumps by half a swing where a swing just fails, so it is not minimized directly. Instead the
     greatest amplitude before a deadline is maximized by differential evolution, and the deadline is bisected. A local
-    search cannot prove that there is nothing better. Costs some thousands of rollouts a deadline.
+    search cannot prove that there is nothing better. Costs thousands of rollouts per deadline.
     """
     from scipy.optimize import differential_evolution
 

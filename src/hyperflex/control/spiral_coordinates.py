@@ -114,7 +114,7 @@ def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
     """Cut the tip's path into stretches of arm motion and of rest.
 
     `intervals` (m, 2) are start and end of each arm motion, s, in order and without overlap; else InvalidInput is
-    raised. What lies outside the time of `tip` is left out; a motion that is cut off by its end has no end point.
+    raised. Times outside those of `tip` are omitted; a motion that is cut off by its end has no end point.
     """
     spans = checks.array("intervals", intervals, (-1, 2), unit="s")
     if (np.diff(spans.ravel()) < 0.0).any():

@@ -1,4 +1,4 @@
-"""Postures by vibration: what a fast vibration of the base holds against gravity, and how stiffly.
+"""Postures that a fast vibration of the base holds against gravity, and their stiffness.
 
 The first joint moves by A cos(w t) along a line. For fast vibrations the mean angles of a rope without friction move in
 the potential V + v^2/4 g^T M^-1 g, with v = A w and g the coupling of the base's acceleration to the angles
@@ -73,7 +73,7 @@ class VibrationPosture:
 
     @property
     def tilt(self) -> float:
-        """Direction from the first joint to the tip, rad, as the angle of a link: 0 hangs, pi stands upright."""
+        """Direction from the first joint to the tip, rad, as the angle of a link: 0 hangs, pi is upright."""
         return tilt_of(self.rope, self.q, "chain")
 
     @cached_property
@@ -239,7 +239,7 @@ class Averaged:
 
     @property
     def top(self) -> float:
-        """Velocity, m/s, at which gravity hardly bends the rope away from the line of the vibration."""
+        """Velocity, m/s, at which gravity barely bends the rope away from the line of the vibration."""
         return 10.0 * swing_rate(self.rope) * self.rope.total_length
 
     def from_top(self, v: float) -> Array:

@@ -16,7 +16,7 @@ from hyperflex.model import Arm, MotorLimits, Rope, swing_rate
 
 
 class MotorDemand(NamedTuple):
-    """What an arm's motor must reach: rad/s, rad/s^2, N m, and least and greatest angle, rad."""
+    """Requirements on an arm's motor: rad/s, rad/s^2, N m, and least and greatest angle, rad."""
 
     speed: float
     acceleration: float
@@ -80,7 +80,7 @@ def plan_vibration(
     rope : Rope
         As for :func:`vibration_posture`.
     tilt : float
-        Required angle, rad, as that of a link: 0 hangs, pi stands upright.
+        Required angle, rad, as that of a link: 0 hangs, pi is upright.
     limits : MotorLimits, optional
         Of the arm's motor.
     arm : Arm, optional
@@ -205,7 +205,7 @@ class _Family:
         return model.posture(q, v)
 
     def margin(self, held: VibrationPosture | None) -> float:
-        """Return the logarithm of what a posture has over what is required; -inf if it is not held."""
+        """Return the logarithm of the ratio of a posture's value to the required one; -inf if it is not held."""
         if held is None or not held.stable:
             return -math.inf
         squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(self.rope, held.q), held.hessian))

@@ -1,4 +1,4 @@
-"""Actions of an environment and what the arms do then: an acceleration, or half turns that start on a command."""
+"""Actions of an environment and the resulting motion of the arms: an acceleration, or half turns on a command."""
 
 import math
 from abc import ABC, abstractmethod

@@ -37,7 +37,7 @@ class RulePolicy:
         self._made, self._start = 0, 0.0
 
     def __call__(self, seen: Array) -> Any:
-        """Return the action for what is `seen`."""
+        """Return the action for an observation `seen`."""
         members, world, begins = self._members, self._members.world, False
         if not self._timing.remaining[0]:
             now = members.dt * float(members.steps[0])
@@ -123,7 +123,7 @@ class PlannedCast:
                 break
 
     def __call__(self, seen: Array) -> Any:
-        """Return the action for what is `seen`."""
+        """Return the action for an observation `seen`."""
         return self._action(self._members, self._motion)
 
     def _action(self, members: Any, motion: Motion | None) -> Any:
@@ -149,7 +149,7 @@ class PlannedCast:
 
 
 def members_of(env: Any) -> Any:
-    """Return the members of an environment that may be wrapped; refuse what is none of this package."""
+    """Return the members of an environment that may be wrapped; refuse environments of other packages."""
     if not isinstance(env.unwrapped, RopeEnv):
         raise InvalidInput("this is no environment of hyperflex", got=env, allowed="hyperflex/Swing-v0, Cast-v0")
     return env.unwrapped.members

@@ -12,7 +12,7 @@ from hyperflex.files.writing import PathLike, write_text
 
 
 def plain(value: Any) -> Any:
-    """Turn arrays, paths and mappings into what JSON knows; what it has no number for (NaN, infinity) becomes None."""
+    """Turn arrays, paths and mappings into what JSON knows; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

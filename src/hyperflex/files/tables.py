@@ -243,7 +243,7 @@ def read_lines(path: PathLike) -> list[str]:
 
 
 def table_of(path: PathLike, lines: list[str]) -> Table:
-    """Return the table that lines of a file hold; arguments and errors as of :func:`read_table`."""
+    """Return the table that lines of a file hold; arguments and errors as for :func:`read_table`."""
     rows, comments, numbers = [], [], []
     separator = next(iter(_SEPARATOR.findall(lines[0])), None)
     for k, line in enumerate(lines[1:] if separator else lines, 2 if separator else 1):
@@ -371,7 +371,7 @@ def _header(
 
 
 def _is_title(line: str, below: str) -> bool:
-    """Whether a line may stand above the header: it has one cell, or none of the marks, and that below has more."""
+    """Whether a line may precede the header: it has one cell, or none of the marks, and the next line has more."""
     first, second = ([cell for cell in each.split(mark_of(each)) if cell.strip()] for each in (line, below))
     return mark_of(line) == " " != mark_of(below) or len(first) == 1 < len(second)
 

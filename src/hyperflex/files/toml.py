@@ -56,7 +56,7 @@ def toml_words(advice: str) -> str:
 
 
 def write_toml(path: PathLike, content: Mapping[str, Any]) -> None:
-    """Write nested tables to a TOML file, wholly or not at all; see :func:`dumps_toml` for what they may hold."""
+    """Write nested tables to a TOML file, wholly or not at all; see :func:`dumps_toml` for their contents."""
     write_text(path, dumps_toml(content))
 
 

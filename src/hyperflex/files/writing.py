@@ -73,7 +73,7 @@ def remove_left_behind(folder: Path, pattern: str) -> None:
 def atomic(path: PathLike, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
     """Open `path` for writing text (UTF-8, line feeds) or bytes, so that it changes wholly or not at all.
 
-    What is written appears at `path` when the block ends without an exception. FileProblem as for :func:`atomic_path`.
+    The file appears at `path` when the block ends without an exception. FileProblem as for :func:`atomic_path`.
 
     Examples
     --------

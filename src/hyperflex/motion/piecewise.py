@@ -24,9 +24,9 @@ MEET = 1e-9  # rad, m or s: greatest difference of two values that are meant to 
 class Motion:
     """Commanded motion: arm angle (rad), pivot position (m) and motor torque (N m) as functions of time.
 
-    Build one with :func:`hold_arm`, :func:`move_arm`, :func:`arm_swings`, :func:`sampled_motion`,
-    :func:`moving_pivot` or :func:`torque_profile`; join two with :meth:`then`. Before its first break a motion stands
-    still, and so it does after its last one unless it repeats.
+    Build one with :func:`hold_arm`, :func:`move_arm`, :func:`arm_swings`, :func:`sampled_motion`, :func:`moving_pivot`
+    or :func:`torque_profile`; join two with :meth:`then`. A motion is at rest before its first break, and after its
+    last one unless it repeats.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Motion:
 
     @property
     def end(self) -> float:
-        """Last break, s: then the motion stands still or repeats."""
+        """Last break, s: afterwards the motion is at rest or repeats."""
         return float(self.breaks[-1])
 
     @property
@@ -237,7 +237,7 @@ class Motion:
 
 
 def _standing(coef: Array, at: float) -> Array:
-    """A piece (1, channels, powers) that stands still where `coef` (1, channels, powers) is after a time `at`."""
+    """A constant piece (1, channels, powers) with the value of `coef` (1, channels, powers) after a time `at`."""
     still = np.zeros_like(coef)
     still[:, :TORQUE, 0] = _advanced(coef, at)[:, :TORQUE, 0]
     return still
@@ -274,8 +274,8 @@ def lagged(motion: Motion, lag: float) -> Motion:
     Returns
     -------
     Motion
-        Value, rate and acceleration are exact where pieces meet; between them it is right to some 1e-4 of what fades
-        (1e-6 rad for a lag of 10 ms at 24 rad/s^2).
+        Value, rate and acceleration are exact where pieces meet; between them it is accurate to about 1e-4 of the
+        decaying part (1e-6 rad for a lag of 10 ms at 24 rad/s^2).
 
     Raises
     ------

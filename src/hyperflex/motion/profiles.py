@@ -335,8 +335,8 @@ def vibrate_arm(amplitude: float, frequency: float, mean: float = 0.0) -> Motion
 def _sinusoid(spec: dict[str, Any], unit: str, channels: dict[int, float], mean: float) -> Motion:
     """Return the vibration that `spec` describes, in channels in proportion, as quintics through its derivatives.
 
-    A piece of a twelfth of a period is right to 5e-7 of the amplitude, its acceleration to 4e-5 of its own. Each sixth
-    counts as a switch: longer steps of a rope that hangs still would not see the work.
+    A piece of a twelfth of a period is accurate to 5e-7 of the amplitude, its acceleration to 4e-5 of its amplitude.
+    Each sixth counts as a switch: longer steps of a rope that hangs still would not see the work.
     """
     from scipy.interpolate import BPoly, PPoly
 
@@ -468,7 +468,7 @@ TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
 
 
 class Kind(NamedTuple):
-    """A kind of motion, as of the table of a file."""
+    """A kind of motion in the table of a file."""
 
     maker: Callable[..., Motion]
     varies: tuple[str, ...] = ()  # the parameters that may vary; of a list each number

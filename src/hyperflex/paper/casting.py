@@ -44,7 +44,7 @@ _DASH: dict[Outcome, Any] = {"success": "-", "failure": (0, (4.0, 1.6))}
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read what the paper leaves open.
+    """One reading of an ambiguity of the paper.
 
     The arm turns through the bottom or over the top; friction is that of relative joints with its reaction, or eq. (4)
     as it is printed.
@@ -138,7 +138,7 @@ class Cast:
 
     @property
     def levels(self) -> Array:
-        """Median of r in each `WINDOW`, m: whip spikes of some milliseconds do not count."""
+        """Median of r in each `WINDOW`, m: whip spikes of a few milliseconds do not count."""
         edges = np.arange(0.0, self.t[-1] + 0.5 * WINDOW, WINDOW)
         return np.array([np.median(self.spiral.r[(self.t >= a) & (self.t < b)]) for a, b in pairwise(edges)])
 
@@ -272,7 +272,7 @@ def _draw_portrait(axis: Any, portrait: PhasePortrait, colour: str) -> None:
 
 
 def _note_cut(figure: "Figure", name: str, measure: Measure) -> None:
-    """Say at the foot of a figure what its axes leave out."""
+    """State at the foot of a figure the data outside its axes."""
     greatest = max(float(np.abs(measure(each)).max()) for each in casts())
     text = f"{name} is cut off at {TOP:g} m: the tip cracks like a whip, and it spikes to {greatest:.1f} m"
     figure.supxlabel(f"Note: {text}; the CSV file is not cut off.", x=0.01, ha="left", fontsize=8.0, color=INK)
@@ -364,9 +364,9 @@ def steady_step_phase(reading: Reading) -> Claim:
     """C4: r rises step-wise, at the same phase of the arm's half cycle each time.
 
     Measured: the concentration (mean resultant length) of the phases at which dr/dt is greatest, one for each half
-    cycle that begins before r has reached 90 % of its greatest value. Where the tip cracks like a whip r shows a spike
-    of some milliseconds; that value is therefore taken from the running median of r over one half cycle, while the
-    rise itself is taken from r as it is.
+    cycle that begins before r has reached 90 % of its greatest value. When the tip cracks like a whip, r has a spike of
+    a few milliseconds; that value is therefore taken from the running median of r over one half cycle, while the rise
+    itself is taken from r as it is.
     """
     subject = cast(reading, "success")
     rises = rise_phases(subject)

@@ -1,8 +1,8 @@
 """Online estimation by a camera (paper section III D): rendered swings, those who follow them, Fig. 8, claim C8.
 
-The cable of section IV swings freely from 1.2 m beside its rest, a rope of 100 links, and a camera sees ten markers of
-it 7.5 times a second; whoever follows it has 50 links or none. It is first seen in the middle of the swing, so that
-rates are not known. Pictures are rendered, 5 mm a pixel; each marker is 1.5 mm off by chance in each frame.
+The cable of section IV swings freely from 1.2 m off its rest position, a rope of 100 links, and a camera sees ten
+markers of it 7.5 times a second; whoever follows it has 50 links or none. It is first seen in the middle of the swing,
+so that rates are not known. Pictures are rendered, 5 mm a pixel; each marker is 1.5 mm off by chance in each frame.
 """
 
 import time
@@ -89,7 +89,7 @@ DRAWN = SWINGS[6]  # where two frames lose markers at first, as the paper's did
 
 
 class NoisyMotion(RopeMotion):
-    """The motion of a run whose markers are a little off, anew in each frame."""
+    """The motion of a run with independent small errors of the markers in each frame."""
 
     def __init__(self, run: Trajectory, arc_lengths: Array, seed: int) -> None:
         super().__init__(run.t, run.q, run.qd, run.setup.rope.length)
@@ -152,7 +152,7 @@ def seen(swing: FreeSwing) -> Seen:
 
 
 class Step(NamedTuple):
-    """What a tracker makes of a frame with K markers; NaN: not known."""
+    """Result of a tracker for a frame with K markers; NaN: not known."""
 
     places: Array  # (K, 2) m, of the markers found
     expected: Array  # (K, 2) m, where they were expected; NaN in the first frame
@@ -164,7 +164,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """What one of the TRACKERS made of a swing of T frames; fields are those of a :class:`Step`, of all frames."""
+    """Result of one of the TRACKERS for a swing of T frames; fields are those of a :class:`Step`, of all frames."""
 
     seen: Seen
     places: Array
@@ -181,7 +181,7 @@ class Followed:
 
     @property
     def captured(self) -> Flags:
-        """Which visible markers were found, and are what they were taken for (T, K)."""
+        """Visible markers that were found with the right identity (T, K)."""
         truth = self.seen.truth
         apart = np.linalg.norm(truth.places[:, None, :, :2] - self.places[:, :, None], axis=3)
         right = np.nan_to_num(apart).argmin(axis=2) == np.arange(truth.visible.shape[1])

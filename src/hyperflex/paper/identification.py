@@ -1,11 +1,11 @@
 """The identification experiment (paper section III): its twin, Tables I and II, Figs. 3, 5, 6, claims C6 and C7.
 
 The paper does not describe its identification rope. Length, mass and number of links are inferred from its figures, J
-and eta are what it found. Its errors are read so: E of (7) is the sum of squares over samples and links, and a noise of
+and eta are its results. Its errors are read so: E of (7) is the sum of squares over samples and links, and a noise of
 0.01 rad makes it 0.04 rad^2 for 81 samples of 5 links, as in Fig. 6; Tables I and II, whose unit is lost, then hold
 sqrt(E / 81) in 0.01 rad, for 2.23 there is 0.0403 rad^2. With this reading a swing of 0.15 rad gives all errors of both
-tables within 15 %, so that is what the paper's swing is taken for. In a wide one of 1 rad, simulated too, J can be
-told from zero.
+tables within 15 %, so the paper's swing is assumed to be this one. In a wide swing of 1 rad, simulated too, J differs
+significantly from zero.
 """
 
 from collections.abc import Sequence
@@ -95,14 +95,14 @@ def true_rope(links: int = LINKS) -> Rope:
 
 
 def guess() -> Rope:
-    """Return what the revision starts from: the cylinder's inertia, and the paper's 1.26e-3 N m s/rad."""
+    """Return the start of the revision: the cylinder's inertia, and the paper's 1.26e-3 N m s/rad."""
     rope = _cylinder(1.26e-3, "guess")
     return rope.replace(inertia=cylinder_inertia(rope))
 
 
 @cache
 def record(swing: Swing, seed: int = SEED) -> Recording:
-    """Simulate a swing and look at it as the paper's camera would: 81 samples at 7.5 frames a second.
+    """Simulate a swing as seen by the paper's camera: 81 samples at 7.5 frames a second.
 
     The noise is normal, and scaled so that its root mean square in this recording is 0.01 rad exactly: E of the true
     motion is 0.0405 rad^2. The angles are those of 5 links; of a finer chain those of the straight lines between every

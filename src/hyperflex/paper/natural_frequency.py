@@ -60,7 +60,7 @@ def natural_frequency_inertia(rope: Rope, period: float) -> float:
 
 
 def natural_period(rope: Rope) -> float:
-    """Return the longest period of small swings of a rope that hangs from a fixed point, s; friction is left out.
+    """Return the longest period of small swings of a rope that hangs from a fixed point, s; friction is neglected.
 
     Parameters
     ----------

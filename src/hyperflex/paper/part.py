@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Case(Protocol):
-    """What a claim is measured in: a reading of the cast, or a swing."""
+    """The subject of a claim: a reading of the cast, or a swing."""
 
     @property
     def title(self) -> str:

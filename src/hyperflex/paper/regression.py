@@ -47,7 +47,8 @@ class Regression:
         Raises
         ------
         InvalidInput
-            If there are fewer equations than unknowns, two unknowns act alike in these data, or nothing known acts.
+            If there are fewer equations than unknowns, two unknowns have the same effect in these data, or no known
+            term has an effect.
         """
         used = np.isfinite(self.known) & np.isfinite(self.columns).all(axis=2)
         matrix, right = self.columns[used], self.known[used]
@@ -78,7 +79,7 @@ class Regression:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """What :meth:`Regression.solve` found.
+    """The result of :meth:`Regression.solve`.
 
     Attributes
     ----------
@@ -226,7 +227,7 @@ def _inverse_dynamics(
 
 
 def _unit(rope: Rope, name: str, link: int) -> Array:
-    """Return what a unit of a link's property adds to the values (6, n) of LUMPED; a tip mass is that of link n."""
+    """Return the contribution of a unit of a link's property to LUMPED's values (6, n); a tip mass is that of link n."""
     result = np.zeros((len(LUMPED), rope.n_links))
     if name in ("mass", "tip_mass"):
         place = np.arange(rope.n_links)
@@ -238,7 +239,7 @@ def _unit(rope: Rope, name: str, link: int) -> Array:
 
 
 def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int]]]:
-    """Return label, property and links of each unknown; what is unknown twice is refused."""
+    """Return label, property and links of each unknown; a property that is unknown twice is refused."""
     n, result = rope.n_links, list[tuple[str, str, list[int]]]()
     for given in [names] if isinstance(names, str) else checks.sequence("names", names, "names of unknowns"):
         label = parse_label(given)

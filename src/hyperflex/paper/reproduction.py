@@ -32,7 +32,7 @@ TEXTS = ("claims.md", "report.html")  # what is written when all is done
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What :func:`reproduce` wrote and found."""
+    """The files and results of :func:`reproduce`."""
 
     files: tuple[Path, ...]
     claims: tuple[Claim, ...]
@@ -55,7 +55,7 @@ def reproduce(
         estimation, "fig9" to "fig12" on casting, "fig13" on timing control, or "all". The claims of each of the four
         parts that has one of them are measured too.
     directory, progress
-        Folder to write to, see :func:`hyperflex.report.folder.whole_folder`; called with what is being done.
+        Folder to write to, see :func:`hyperflex.report.folder.whole_folder`; called with the present task.
     written : callable, optional
         Called with each file when it has been written: those of a figure when it is done, the claims and the page in
         the end.

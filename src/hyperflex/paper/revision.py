@@ -38,7 +38,7 @@ MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """What :func:`estimate_initial_state` found.
+    """The result of :func:`estimate_initial_state`.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class IterativeRevision:
-    """What :func:`iterative_revision` found.
+    """The result of :func:`iterative_revision`.
 
     Attributes
     ----------

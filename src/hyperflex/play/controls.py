@@ -58,7 +58,7 @@ class Settings:
     speed: float = _set(1.0, "View", "speed", "× real time", 0.02, 2.0, 0.01)
 
     def changed(self, values: Mapping[str, object]) -> "Settings":
-        """Return settings with some values changed; InvalidInput names one that is unknown or out of its range."""
+        """Return settings with changed values; InvalidInput names one that is unknown or out of its range."""
         checks.keys("the settings", values, CONTROLS)
         found = {}
         for name, given in values.items():
@@ -76,7 +76,7 @@ class Settings:
         return replace(self, **shown, friction=_friction(rope), arm_length=arm.length)
 
     def rope(self, like: Rope) -> Rope:
-        """Return a rope with what is set, and all else as of another, which is scaled along, in mass, or cut anew."""
+        """Return another rope scaled in length or mass, or divided again, according to the settings."""
         made = like if self.links == like.n_links else with_links(like, int(self.links))
         long, heavy = self.length / made.total_length, self.mass / made.total_mass if made.total_mass else 1.0
         if long != 1.0 or heavy != 1.0:

@@ -15,7 +15,7 @@ OPENED, SAVED = (".nc", ".csv", ".toml"), (".nc", ".html", ".toml", ".csv")
 
 
 class Opened(NamedTuple):
-    """A set-up to begin with: of a file of its own, or of a plan, whose `rope` is the one before it was cut."""
+    """An initial set-up: from its own file, or from a plan, whose `rope` is the original, undivided one."""
 
     setup: Setup
     rope: Rope

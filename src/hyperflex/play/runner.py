@@ -30,7 +30,7 @@ class Runner:
     news : threading.Condition
         Its lock guards session and runner; it is notified of each new frame and each change of :meth:`scene`.
     frame : bytes
-        The newest frame, as of :meth:`Session.frame`.
+        The newest frame, from :meth:`Session.frame`.
     number, version : int
         Count frames, and changes of :meth:`scene`.
     watchers : int

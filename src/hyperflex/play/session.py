@@ -233,7 +233,7 @@ class Session:
         }
 
     def cancel(self) -> None:
-        """End what is being simulated, in whatever thread, and all that is begun later."""
+        """End the present simulation in any thread, and all later ones."""
         self._work.cancel()
 
     def recorded(self) -> Recorded:

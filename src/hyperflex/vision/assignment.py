@@ -275,7 +275,7 @@ class ClutterMap:
         return np.asarray(known & (self._counts[nearest, 0] >= self.STILL))
 
     def learn(self, seen: Blobs, markers: Flags, gates: Sequence[Gate] | None = None) -> None:
-        """Learn from a frame's blobs, of which some were `markers` (M,); searched in `gates`, or as a whole (None)."""
+        """Learn from a frame's blobs, some of them `markers` (M,); searched in `gates`, or as a whole (None)."""
         self._frame += 1
         nearest, known = self._known(seen.places)
         missed = np.ones(len(self._places), bool)

@@ -63,7 +63,7 @@ class BarDetector:
     Raises
     ------
     InvalidInput
-        If colours are too much alike, seen from the wall's.
+        If colours are too similar relative to that of the wall.
 
     Notes
     -----
@@ -184,7 +184,7 @@ def track_bars(
     preview: PathLike | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> BarTrack:
-    """Track the links of a pendulum, each a bar of its own colour, through a video.
+    """Track the links of a pendulum, bars of different colours, through a video.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def track_bars(
     pivot : (2,) array_like
         First joint, px.
     preview : path-like, optional
-        MP4 file that shows what was seen.
+        MP4 file that shows the detections.
     progress : callable, optional
         Called with the number of frames done.
 

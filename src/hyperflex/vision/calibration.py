@@ -249,7 +249,7 @@ class Calibration:
     images : int
         Pictures read.
     notes : tuple of str
-        What was dropped, and what a better calibration needs.
+        Dropped pictures, and requirements of a better calibration.
     """
 
     camera: Camera
@@ -308,12 +308,12 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     InvalidInput
         With fewer than four views of the board; for a mirrored picture, another board than declared, markers of another
         size in their squares; for views that are all parallel, or do not determine the focal length; if nothing fits. A
-        wrong size of squares and markers alike cannot be detected: it affects the scale only.
+        wrong size of both squares and markers cannot be detected: it affects the scale only.
 
     Notes
     -----
-    OpenCV's calibrateCamera (Zhang 2000): fx, fy, cx, cy, k1, k2, p1, p2, and k3 if it lowers BIC. Cost: some tens of
-    milliseconds a picture.
+    OpenCV's calibrateCamera (Zhang 2000): fx, fy, cx, cy, k1, k2, p1, p2, and k3 if it lowers BIC. Cost: tens of
+    milliseconds per picture.
     """
     views, size, count = _collect(images, board, progress)
     legacy = 2 * sum(view.legacy for view in views) > len(views)
@@ -394,7 +394,7 @@ def _explain(images: Sequence[Image], board: Board) -> None:
 def _spread_out(views: list[BoardView], most: int = 30) -> list[BoardView]:
     """Return the views that differ most in how the board lies in the picture (farthest point first).
 
-    More than `most` hardly improve the fit.
+    More than `most` barely improve the fit.
     """
     if len(views) <= most:
         return views

@@ -49,7 +49,7 @@ class PlaneView(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is unusual: y not upwards, x to the left."""
+        """Unusual directions: y not upwards, x to the left."""
         found = []
         if abs(self.roll) > SIDEWAYS:
             found.append(
@@ -65,12 +65,12 @@ class PlaneView(NamedTuple):
 
     @property
     def x_words(self) -> str:
-        """Where x points, in a word."""
+        """Direction of x in one word."""
         return _direction(self.x_direction)
 
     @property
     def y_words(self) -> str:
-        """Where y points, in a word."""
+        """Direction of y in one word."""
         return _direction(self.y_direction)
 
 
@@ -324,7 +324,7 @@ class Camera:
 
     @property
     def plane_view(self) -> PlaneView:
-        """Where x and y of the swing plane point in the picture, and how it is tilted."""
+        """Directions of x and y of the swing plane in the picture, and its tilt."""
         slopes = self._slopes_at_origin
         x, y = (np.degrees(np.arctan2(-slopes[1], slopes[0])) + 0.0).tolist()  # no -0
         tilt = math.degrees(math.acos(min(1.0, abs(float(self.axes[0][2, 2])))))

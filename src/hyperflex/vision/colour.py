@@ -83,7 +83,7 @@ class MarkerColour:
         Raises
         ------
         InvalidInput
-            If the place is not in the picture, or its surface does not stand out against its surroundings.
+            If the point is not in the picture, or its surface does not differ from its surroundings.
         """
         colour, inside, around = surface(image, place)
         if inside.mean() > 0.05 or not around.any():

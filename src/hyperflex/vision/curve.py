@@ -13,7 +13,7 @@ from hyperflex.vision.video import Image
 
 
 class CurveView(NamedTuple):
-    """Where a rope is expected in a picture: K pieces of it, each crossed by M lines, and its free end.
+    """Expected position of a rope in a picture: K pieces, each crossed by M lines, and its free end.
 
     Attributes
     ----------
@@ -55,13 +55,13 @@ class CurveView(NamedTuple):
 
 
 class CurveOffsets(NamedTuple):
-    """Where a rope is seen, relative to a :class:`CurveView`.
+    """Observed position of a rope, relative to a :class:`CurveView`.
 
     Attributes
     ----------
     offsets, variances : (K,) float64
         Along the middle line of each piece, px and px^2; NaN: not seen. Variances are `CurveDetector.CORRELATED` times
-        those of single errors: so many, of neighbours and of frames, are alike.
+        those of single errors, the number of correlated errors of neighbours and frames.
     end, end_variance : float
         Of the free end along its direction; NaN: not seen.
     """
@@ -87,7 +87,7 @@ def view_curve(
     covariance : (2 K + 2, 2 K + 2) float64
         Of the middle of each piece and of the free end, px^2.
     spacing : float
-        Pieces over which errors that the covariance omits are alike.
+        Number of pieces over which errors that the covariance omits are correlated.
     links : int
         Of the rope that is expected.
     row_slope : (2,) array_like
@@ -165,7 +165,7 @@ class CurveDetector:
         self.blur = blur
 
     def find(self, image: Image, look: RopeLook, view: CurveView) -> CurveOffsets:
-        """Return what is seen of the rope in a frame (height, width, 3)."""
+        """Return the observations of the rope in a frame (height, width, 3)."""
         prior = view.covariance + self.DOUBT**2 * view.likeness
         reach = np.minimum(self.GATE * np.sqrt(np.diag(prior)), self.WIDEST)
         inner = reach + half_sweep(view.sweeps) + 0.5 * look.width + 3.0 * self.blur
@@ -249,10 +249,10 @@ def marginals(offsets: Array, ratios: Array, variances: Array, prior: Array, hid
 
     Notes
     -----
-    The first piece that is seen is expected where `prior` says, and each next one relative to the one before it: what
-    is common to all pieces counts once. The likelihood of a candidate is a Gaussian of its own variance, so that the
-    wider the expectation, the less the best of many offsets tells. Sums and products along a chain of pieces
-    (forward-backward, Rabiner 1989, Proceedings of the IEEE 77(2), 257).
+    The first visible piece is expected at `prior`, and each next one relative to the one before it: a common offset of
+    all pieces counts once. The likelihood of a candidate is a Gaussian with its own variance, so the best of many
+    offsets has less weight if the expectation is wide. Sums and products along a chain of pieces (forward-backward,
+    Rabiner 1989, Proceedings of the IEEE 77(2), 257).
     """
     count, each = offsets.shape
     places, wide = np.nan_to_num(offsets), np.nan_to_num(variances, nan=1.0)

@@ -17,7 +17,7 @@ Box = tuple[int, int, int, int]  # px: left, top, right, bottom
 
 
 class Gate(NamedTuple):
-    """Where a marker is expected.
+    """Expected position of a marker.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class MarkerDetector:
         return float(np.sqrt((self.colour.area or 80.0) / np.pi))
 
     def resize(self, ratio: float) -> None:
-        """Change the area of a marker by a ratio: others of its colour may have been taken for some."""
+        """Change the area of a marker by a ratio, because other objects may have been taken for markers."""
         if self.colour.area is not None:
             self.colour = replace(self.colour, area=self.colour.area * ratio)
 
@@ -180,7 +180,7 @@ class MarkerDetector:
             self.colour = self.colour.adapted(median, 0.1)
 
     def _blobs(self, table: Array) -> Blobs:
-        """Return blobs as markers, with what is known of each; those of two areas as two."""
+        """Return blobs as markers, with the properties of each; those of two areas as two."""
         places, area, noise = table[:, [blobs.MEAN_U, blobs.MEAN_V]], table[:, blobs.AREA], table[:, -1]
         moments = table[:, [blobs.COV_UU, blobs.COV_UV, blobs.COV_UV, blobs.COV_VV]].reshape(-1, 2, 2)
         values, vectors = np.linalg.eigh(moments)

@@ -1,4 +1,4 @@
-"""Tone curves of cameras: how much light the levels of a picture stand for. Blur mixes light, not levels."""
+"""Tone curves of cameras: the light represented by the levels of a picture. Blur mixes light, not levels."""
 
 import numpy as np
 

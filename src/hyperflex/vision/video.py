@@ -199,7 +199,7 @@ class VideoReader:
             self.notes.append(f"the file breaks off: {_reason(error)}")
 
     def _rotate(self, frame: Any) -> None:
-        """Note how frames are to be turned, and how large they are then."""
+        """Record the rotation of frames and their size after it."""
         turn = round(float(frame.rotation) / 90.0) * 90
         if abs(frame.rotation - turn) > 1.0:
             self.notes.append(f"the file asks for a rotation by {frame.rotation} degrees; only quarter turns are done")
@@ -323,7 +323,7 @@ class LiveCamera:
     image_size : (int, int), optional
         Requested width and height, px; the attribute `image_size` has the actual ones.
     timeout : float
-        How long to wait for a stream to open or to go on, s. Cameras wait as long as their driver does.
+        Longest wait for a stream to open or to continue, s. Cameras wait as long as their driver does.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""A synthetic camera: pictures of a simulated rope, with the truth beside them, for tests and examples."""
+"""A synthetic camera: pictures of a simulated rope with their ground truth, for tests and examples."""

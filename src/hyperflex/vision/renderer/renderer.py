@@ -84,8 +84,8 @@ class Scene:
     rope_texture : float
         Relative standard deviation of the brightness of pieces of the rope, each twice as long as the rope is wide.
     shine : float
-        Brightness of a highlight along the rope, levels, as of a wire: on the side of the light, which comes from the
-        upper left, and less where the rope points to it.
+        Brightness of a highlight along the rope, levels, like that of a wire: on the side of the light, which comes
+        from the upper left, and weaker where the rope points towards it.
     shadow : (float, float, float)
         Of the rope on the wall: how far to the right and up, m, and the share of the light that is missing in it.
     bars : tuple of Bar
@@ -430,7 +430,7 @@ class Renderer:
         return [rope, highlight] if scene.shine else [rope]
 
     def _layers(self, stamp: float) -> list[_Layer]:
-        """Return what is drawn of the rope, from the back to the front."""
+        """Return the drawn shapes of the rope, from back to front."""
         scene = self.scene
         if scene.is_black(stamp):
             return []
@@ -464,7 +464,7 @@ class Renderer:
     def _capsules(
         self, stamp: float, layers: list[_Layer], fronts: tuple[Occluder, ...], shift: ArrayLike
     ) -> tuple[Capsules, RowTimes]:
-        """Return what is drawn in pixels at some instants about a frame, and when its rows are exposed."""
+        """Return the shapes in pixels at several instants about a frame, and the exposure times of its rows."""
         camera = self.camera
         start = stamp - camera.delay - 0.5 * camera.exposure
         span = camera.exposure + camera.readout
