@@ -227,7 +227,7 @@ def _inverse_dynamics(
 
 
 def _unit(rope: Rope, name: str, link: int) -> Array:
-    """Return the contribution of a unit of a link's property to LUMPED's values (6, n); a tip mass is that of link n."""
+    """Return what a unit of a link's property adds to LUMPED's values (6, n); a tip mass is that of link n."""
     result = np.zeros((len(LUMPED), rope.n_links))
     if name in ("mass", "tip_mass"):
         place = np.arange(rope.n_links)
