@@ -54,7 +54,6 @@ from hyperflex.identification.uncertainty.covariance import (
     ratios,
 )
 from hyperflex.identification.uncertainty.model_error import with_model_error, with_prediction_error
-from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.profile import all_intervals
 from hyperflex.interruption import deferred, interruptible, stoppable
 from hyperflex.model import Rope
@@ -373,8 +372,8 @@ class _Case:
         trial = Trial(list(free), basis, basis, found.settings | delay, first, ended)
         with stoppable() as stop:
             if trial.complete and not (self.faulty and search.is_bad(found.windows, found.fit)):  # nothing to test
-                how: dict[str, Any] = {"angles": self.recording.kind == "angles", "budget": self.budget}
-                tests, scores = score_tests(basis, self.options.gravity_std, **how)
+                angles = self.recording.kind == "angles"
+                tests, scores = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
                 trial = replace(trial, tests=tests, scores=scores)
                 trial = replace(trial, tests=_with_drift(trial))
         return replace(trial, ended=ended or stop.status)
@@ -408,7 +407,7 @@ class _Case:
         most = WORSE * information.variance
 
         def is_bad(fitted: Fitted, about: Information) -> bool:
-            return about.whiteness < CHANCE and search.is_bad(fitted.windows, fitted.fit)
+            return not about.white and search.is_bad(fitted.windows, fitted.fit)
 
         with stoppable() as stop:
             while ended is None and found.fit.converged and not is_bad(found, information):

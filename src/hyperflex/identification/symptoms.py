@@ -111,7 +111,7 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     fit, sensor = basis.fit, basis.plant.sensor
     if not fit.converged:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"ended": fit.status or ""})
-    white, points = basis.information.whiteness >= CHANCE, not isinstance(sensor, Angles)
+    white, points = basis.information.white, not isinstance(sensor, Angles)
     rms, spread, noise = _of_points(_sizes(basis)) if white and points else _sizes(basis)
     seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
     if isinstance(sensor, Markers) and sensor.arc_lengths[0] == 0.0:
@@ -372,7 +372,7 @@ def _limits(
         yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})
     if settings.get("starts", 1) > 1 and settings["starts_agree"] <= 1:
         yield Finding(Kind.LONE_START, Severity.LIMIT, {"starts": settings["starts"]})
-    if information.whiteness < CHANCE:
+    if not information.white:
         yield Finding(Kind.COLOURED, Severity.LIMIT, {"samples": information.correlation})
     if not information.agrees:
         yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)

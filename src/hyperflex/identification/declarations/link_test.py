@@ -12,7 +12,6 @@ from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.fit import Window, averaged, fit
 from hyperflex.identification.model import Plant
 from hyperflex.identification.uncertainty.covariance import REFIT, Basis
-from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
@@ -50,7 +49,7 @@ def _link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTes
     plant, x, some = basis.plant, basis.fit.x, basis.part
     n, parameters, loss, states = plant.parameters.guess.n_links, plant.parameters.all, some.fit.loss, some.fit.states
     own = any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
-    if plant.constants is not None or (basis.information.whiteness >= CHANCE if n <= FEW_LINKS else own):
+    if plant.constants is not None or (basis.information.white if n <= FEW_LINKS else own):
         return ()
     try:
         finer = plant.cut(x, PIECES)
@@ -100,7 +99,7 @@ def _probability(basis: Basis, pairs: list[tuple[Array, Array]]) -> float:
         variance = max(variance, scatter)
     from scipy.special import softmax
 
-    white = basis.information.whiteness >= CHANCE
+    white = basis.information.white
     std = max(float(np.sqrt(variance + UNSURE**2 * (not white))), 1e-12)
     # of the pattern's amplitude if the rope has finer links, has just these, or the model omits something else
     means, stds = np.array([1.0, 0.0, 0.0]), np.array([std, std, ELSE])

@@ -21,8 +21,7 @@ from hyperflex.identification.declarations.held import (
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Window, linearise
 from hyperflex.identification.model import Parameter, Plant, extended, scale_words
-from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, quantile, ratio_spread, ratios
-from hyperflex.identification.uncertainty.noise import CHANCE
+from hyperflex.identification.uncertainty.covariance import Basis, ratio_spread, ratios, widening
 from hyperflex.model import RESISTANCES
 
 
@@ -306,7 +305,7 @@ def hidden_tests(
     """
     budget, every, freed, seen, now = budget or Budget(), {each.name: each for each in tests}, list[str](), tests, basis
     for _ in range(TESTING.hiding):
-        hiding = _hiding(seen, coloured=now.information.whiteness < CHANCE)
+        hiding = _hiding(seen, coloured=not now.information.white)
         richer = now.refit(hiding, covariance=True) if hiding else None
         if richer is None:
             break
@@ -436,14 +435,14 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     )
     gain = 1.0 - after.fit.cost / before.fit.cost if before.fit.cost > 0.0 else 0.0
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
-    noise, sure = before.information, before.information.whiteness >= CHANCE
+    noise, sure = before.information, before.information.white
     if not sure and (excess_gain > TESTING.sure or gain > TESTING.suspect):  # it may be all that colours the residuals
         mended = (basis.refit(test.name, covariance=True) or after).information
-        sure = mended.whiteness >= CHANCE
+        sure = mended.white
         if sure:  # then what it leaves is the noise
             share = mended.variance * mended.correlation / max(noise.variance * noise.correlation, 1e-300)
             std, excess_gain = std * np.sqrt(share), 1.0 - (1.0 - excess_gain) * min(share, 1.0)
-    std = std * np.sqrt(quantile(LEVEL, noise.freedom) / quantile(LEVEL, np.inf))  # of few values little is known
+    std = std * widening(noise.freedom)  # of few values little is known
     step = np.abs(later / size - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):  # what was held has no deviation: inf if it moves
         beyond = np.where(step > TESTING.tiny, np.abs(later - size) / std, 0.0)

@@ -24,6 +24,7 @@ from hyperflex.identification.model import (
     rope_derivatives,
 )
 from hyperflex.identification.uncertainty.noise import (
+    CHANCE,
     Piece,
     autocorrelation,
     channel_correlation,
@@ -78,6 +79,11 @@ class Information:
     model: Array | float = 0.0
     scaled: Array | float = 0.0
     estimated: bool = True
+
+    @property
+    def white(self) -> bool:
+        """Whether residuals may be white noise."""
+        return self.whiteness >= CHANCE
 
     @property
     def total(self) -> Array:
@@ -438,10 +444,10 @@ class Basis:
         models = window_models(self.plant, self.windows, self.fit, mean, budget)
         return [each.piece(self.information.root) for each in models]
 
-    def intervals(self, level: float = LEVEL) -> dict[str, Interval]:
+    def intervals(self) -> dict[str, Interval]:
         """Return intervals of all free parameters by label, from their standard deviations, within bounds."""
         information = self.information
         stds = information.deviations(np.ones(information.x.size))
         freedom = freedom_with(information.freedom, stds, information.declared.model_spread(np.eye(information.x.size)))
         each = zip(self.plant.parameters.all, information.x, stds, freedom, strict=True)
-        return {p.label: interval(float(x), std, more, p.least, level, p.value) for p, x, std, more in each}
+        return {p.label: interval(float(x), std, more, p.least, value=p.value) for p, x, std, more in each}

@@ -10,7 +10,6 @@ from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.model import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import PROPERTIES
 
 SHOWN = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits of a law, which cannot be negative
@@ -33,7 +32,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     :func:`_scale_error`. `scatter` (P, P) is the covariance that disagreeing windows show.
     """
     information, x = basis.information, basis.fit.x
-    model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
+    model, white = np.zeros((x.size, x.size)), information.white
     counted = False
     resists = np.array([each.name in LAWS for each in basis.plant.parameters.all])
     known = np.where(resists, np.inf, np.diag(information.covariance))
@@ -150,7 +149,7 @@ def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str, boo
     And whether its standard deviation includes that. (0, "", True) where no resistance is free or none was tested. Of
     white residuals the other one takes energy as well: a spring in the noise says nothing.
     """
-    white = basis.information.whiteness >= CHANCE
+    white = basis.information.white
     sizes, names = _law_errors(basis, [each for each in tests if _damps(base(each.name)) or not white])
     parts = sizes / np.where(sizes > 0.0, basis.fit.x, 1.0)
     worst = int(np.argmax(parts))

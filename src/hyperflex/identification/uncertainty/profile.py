@@ -391,7 +391,6 @@ class _ProfileSearch:
 def all_intervals(
     basis: Basis,
     how: How,
-    level: float = LEVEL,
     *,
     remarks: list[Finding] | None = None,
     budget: Budget | None = None,
@@ -405,7 +404,7 @@ def all_intervals(
     and ``phase="profile"``. Ctrl-C raises Interrupted; in its ``partial``, and out of time, what was not profiled yet
     has intervals from the covariance.
     """
-    result = basis.intervals(level)
+    result = basis.intervals()
     if how == "covariance":
         return result
     with stoppable() as stop:
@@ -418,7 +417,7 @@ def all_intervals(
             at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
             heard = None if report is None else with_entries(report, at)
             along = Coordinate(basis, label)
-            found = profiled(along, level, begun=begun, budget=budget, report=heard)
+            found = profiled(along, LEVEL, begun=begun, budget=budget, report=heard)
             if found.kind == "profile":
                 result[label] = _with_model_error(along, found)
             if remarks is not None and found.gain > WALK.better:
