@@ -11,11 +11,11 @@ import numpy as np
 from hyperflex import extras
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, most_bytes, not_damaged, regular_file
-from hyperflex.recording.content import Content, Selection, content_of_markers, unused
+from hyperflex.recording.content import Content, content_of_markers, unused
 from hyperflex.recording.declare import frames
 
 
-def read(path: PathLike, selection: Selection) -> Content:
+def read(path: PathLike) -> Content:
     """Return the markers of a C3D file; those that were not seen, with a negative residual, are gaps."""
     c3d = extras.load("c3d", "c3d", "C3D files")
     file = regular_file(path, "C3D file", most_bytes(path))

@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, Table, cells_of, filled, mark_of, read_lines
-from hyperflex.recording.content import Content, Selection, content_of_markers, unused
+from hyperflex.recording.content import Content, content_of_markers, unused
 from hyperflex.recording.declare import UNITS, frames, unit_name, unit_of
 
 _AXES = ("x", "y", "z")
@@ -19,7 +19,7 @@ _RIGID_BODY = 11  # cells of one in a frame of Motive 1.1: number, place, quater
 _MARKER = 5  # cells of one: place, number, name
 
 
-def read_motive(path: PathLike, selection: Selection) -> Content:
+def read_motive(path: PathLike) -> Content:
     """Return the markers, and the centres of rigid bodies, of a CSV file of OptiTrack Motive 1.2 or later."""
     lines = read_lines(path)
     meta = cells_of(lines[0])
@@ -41,7 +41,7 @@ def read_motive(path: PathLike, selection: Selection) -> Content:
     return _content(path, lines, top + 1, labels, time, declared=declared)
 
 
-def read_motive_frames(path: PathLike, selection: Selection) -> Content:
+def read_motive_frames(path: PathLike) -> Content:
     """Return the markers of a CSV file of OptiTrack Motive 1.1: a line a frame, with those markers that it shows."""
     places: dict[str, dict[int, list[float]]] = {}
     times: list[float] = []
@@ -76,7 +76,7 @@ def _spread(rows: dict[int, list[float]], count: int) -> Any:
     return values
 
 
-def read_vicon(path: PathLike, selection: Selection) -> Content:
+def read_vicon(path: PathLike) -> Content:
     """Return the block Trajectories of a CSV file of Vicon Nexus."""
     lines = read_lines(path)
     blocks = {cells_of(line)[0]: k for k, line in enumerate(lines[:-3]) if _begins_block(lines[k : k + 4])}
@@ -102,7 +102,7 @@ def _begins_block(lines: Sequence[str]) -> bool:
     return bool(re.fullmatch(r"[A-Z][^,;\t]*[,;\t]*", lines[0])) and cells_of(lines[3])[:2] == ["Frame", "Sub Frame"]
 
 
-def read_qualisys(path: PathLike, selection: Selection) -> Content:
+def read_qualisys(path: PathLike) -> Content:
     """Return the markers of a TSV file of Qualisys Track Manager; those at 0, 0, 0 are gaps."""
     lines, top = read_lines(path), 0
     about: dict[str, list[str]] = {}
@@ -130,7 +130,7 @@ def read_qualisys(path: PathLike, selection: Selection) -> Content:
     return _content(path, lines, top, labels, time, declared=declared, usual={"unit": "mm"}, zero_is_gap=True)
 
 
-def read_trc(path: PathLike, selection: Selection) -> Content:
+def read_trc(path: PathLike) -> Content:
     """Return the markers of a TRC file of OpenSim, with tabs or commas."""
     lines = read_lines(path)
     if len(lines) < 6:

@@ -53,7 +53,7 @@ class Format:
     fits : callable
         Whether a file that begins in this way is of it.
     read : callable
-        Returns the content of a file for what the caller asks for.
+        Returns the content of a file; with `options` for what the caller asks for.
     usual : mapping
         What its numbers mean unless the caller says otherwise.
     options : tuple of str
@@ -62,7 +62,7 @@ class Format:
 
     name: str
     fits: Callable[[Head], object]
-    read: Callable[[PathLike, Selection], Content]
+    read: Callable[..., Content]
     usual: Mapping[str, Any] = field(default_factory=dict)
     options: tuple[str, ...] = ()
 
@@ -152,5 +152,5 @@ def content_of(path: PathLike, kind: Format, selection: Selection) -> Content:
             others = ", ".join(each.name for each in FORMATS if option in each.options)
             what = f"{option} is not for files such as {path}: {kind.name}"
             raise InvalidInput(what, got=given, allowed=f"{option} of {others}", fix="Omit it")
-    content = kind.read(path, selection)
+    content = kind.read(path, selection) if kind.options else kind.read(path)
     return replace(content, usual={**kind.usual, **content.usual}, source=str(path))

@@ -24,7 +24,7 @@ _WORDS = "node_names", "track_names"
 _BLOCK = "values_block_0"  # of a table that pandas wrote
 
 
-def read_netcdf_recording(path: PathLike, selection: Selection) -> Content:
+def read_netcdf_recording(path: PathLike) -> Content:
     """Return the content of a file of :meth:`Recording.to_netcdf`, with what its attributes declare."""
     file = read_netcdf(path)
     attributes, found = file.attributes, file.variables
@@ -76,7 +76,7 @@ def read_netcdf_recording(path: PathLike, selection: Selection) -> Content:
     )
 
 
-def read_sleap(path: PathLike, selection: Selection) -> Content:
+def read_sleap(path: PathLike) -> Content:
     """Return the nodes of a SLEAP analysis file, px with y down; of several tracks as track_node."""
     with open_hdf5(path) as file:
         tracks = _numbers(path, file["tracks"])
@@ -100,7 +100,7 @@ def read_sleap(path: PathLike, selection: Selection) -> Content:
     return content_of_markers(t, markers, str(path), likelihoods=likelihood, declared=declared, usual=usual)
 
 
-def read_deeplabcut(path: PathLike, selection: Selection) -> Content:
+def read_deeplabcut(path: PathLike) -> Content:
     """Return the body parts of an H5 file of DeepLabCut, px with y down; of several individuals as individual_part."""
     with open_hdf5(path) as file:
         table = next(group["table"] for group in file.values() if "table" in group)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.files import PathLike, read_bytes, read_lines
-from hyperflex.recording.content import Content, Selection, content_of_markers, unused
+from hyperflex.recording.content import Content, content_of_markers, unused
 from hyperflex.recording.declare import unit_of
 
 _TIMECODE = re.compile(r"(\d+):(\d\d):(\d\d):(\d\d\d?)", re.ASCII)  # h:mm:ss and hundredths or thousandths of a second
@@ -20,7 +20,7 @@ _TRACKER = "org.opensourcephysics.cabrillo.tracker."
 Track = dict[float, tuple[float, float]]  # places by time
 
 
-def read_kinovea(path: PathLike, selection: Selection) -> Content:
+def read_kinovea(path: PathLike) -> Content:
     """Return the trajectories of a text file of Kinovea, which are below each other.
 
     A name that returns continues its trajectory. Trajectories without a name are numbered.
@@ -62,7 +62,7 @@ def _row(path: PathLike, number: int, cells: Sequence[str]) -> tuple[float, floa
     return time, *place
 
 
-def read_kva(path: PathLike, selection: Selection) -> Content:
+def read_kva(path: PathLike) -> Content:
     """Return the trajectories of an annotation file of Kinovea, in the unit of its calibration, y up."""
     root = _xml(path, "Kinovea file")
     per_frame = _float(path, root.findtext("AverageTimeStampsPerFrame"), "AverageTimeStampsPerFrame")
@@ -113,7 +113,7 @@ def _content(path: PathLike, tracks: Mapping[str, Track], **more: Any) -> Conten
     return content_of_markers(np.array(times), markers, str(path), **more)
 
 
-def read_trk(path: PathLike, selection: Selection) -> Content:
+def read_trk(path: PathLike) -> Content:
     """Return the point masses of a .trk file of Tracker in the coordinates of its axes and calibration.
 
     The file holds places in the image, px; origin, angle and scale of the axes may differ from frame to frame. Times
