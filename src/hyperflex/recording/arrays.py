@@ -62,7 +62,7 @@ def content_of_arrays(path: PathLike, arrays: Mapping[str, Any], selection: Sele
         if name != times[0] and (t.size in each.shape if each.ndim <= 2 else _places(each.shape, t.size)):
             channels[name] = each if each.shape[0] == t.size else each.T
     assumed = {"time": times[0]} if assume else {}
-    return content_of_channels(t, channels, str(path), advice=f"Name them: {_EXAMPLE}", assumed=assumed)
+    return content_of_channels(t, channels, advice=f"Name them: {_EXAMPLE}", assumed=assumed)
 
 
 def _places(shape: tuple[int, ...], samples: int) -> bool:
@@ -91,7 +91,6 @@ def _multiarm(path: PathLike, arrays: Mapping[str, Any]) -> Content:
     return content_of_channels(
         t,
         dict(zip(angles + rates, joined, strict=True)),
-        str(path),
         angles=angles,
         rates=dict(zip(angles, rates, strict=True)),
         declared={"time_unit": "s", "unit": "rad"},

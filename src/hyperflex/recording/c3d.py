@@ -40,7 +40,6 @@ def read(path: PathLike) -> Content:
     return content_of_markers(
         t,
         markers,
-        str(path),
         declared=frames(rate, about["UNITS"]),
         usual={"up": up} if up in ("x", "y", "z") else {},
     )

@@ -66,7 +66,7 @@ def read_motive_frames(path: PathLike) -> Content:
             ) from None
         times.append(time)
     markers = {name: _spread(rows, len(times)) for name, rows in places.items()}
-    return content_of_markers(np.array(times), markers, str(path), declared={"time_unit": "s"}, usual={"unit": "m"})
+    return content_of_markers(np.array(times), markers, declared={"time_unit": "s"}, usual={"unit": "m"})
 
 
 def _spread(rows: dict[int, list[float]], count: int) -> Any:
@@ -207,7 +207,7 @@ def _content(
         return values
 
     t = np.arange(float(len(rows))) if time < 0 else table.times(names[time])
-    return Content(t, names, take, points=points, units=by_name, source=str(path), **more)
+    return Content(t, names, take, points=points, units=by_name, **more)
 
 
 def _named(labels: Sequence[tuple[str, str]]) -> tuple[list[str], dict[str, tuple[str, ...]]]:

@@ -85,7 +85,6 @@ class Content(FileNotes):
 def content_of_markers(
     t: Array,
     markers: Mapping[str, Array],
-    source: str,
     *,
     noises: Mapping[str, Array] = MappingProxyType({}),
     likelihoods: Mapping[str, Array] = MappingProxyType({}),
@@ -99,7 +98,6 @@ def content_of_markers(
     return content_of_channels(
         t,
         channels,
-        source,
         points=points,
         ordered=more.pop("ordered", len(points) == 1),
         likelihood=likelihood_of(points, channels),
@@ -108,14 +106,14 @@ def content_of_markers(
     )
 
 
-def content_of_channels(t: Array, channels: Mapping[str, Array], source: str, **more: Any) -> Content:
+def content_of_channels(t: Array, channels: Mapping[str, Array], **more: Any) -> Content:
     """Return the content of a file of channels, each (T,), or (T, K) for several under one name."""
     widths = {name: each.size // t.size for name, each in channels.items() if each.size > t.size}
 
     def take(names: Sequence[str]) -> Array:
         return np.hstack([channels[name].reshape(t.size, -1) for name in names])
 
-    return Content(t, list(channels), take, widths=widths, source=source, **more)
+    return Content(t, list(channels), take, widths=widths, **more)
 
 
 def unused(name: str, taken: Container[str]) -> str:

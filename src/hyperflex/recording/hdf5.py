@@ -62,7 +62,6 @@ def read_netcdf_recording(path: PathLike) -> Content:
     return content_of_channels(
         t,
         channels,
-        str(path),
         points={str(k // 2): tuple(names[k : k + 2]) for k in range(0, len(names), 2)} if kind == "markers" else {},
         ordered=True,
         angles=names if kind == "angles" else [],
@@ -97,7 +96,7 @@ def read_sleap(path: PathLike) -> Content:
     t = np.arange(float(frames))
     usual = {"unit": "px", "y_axis": "down"} if axes == 2 else {}
     declared = {"time_unit": "frame"}
-    return content_of_markers(t, markers, str(path), likelihoods=likelihood, declared=declared, usual=usual)
+    return content_of_markers(t, markers, likelihoods=likelihood, declared=declared, usual=usual)
 
 
 def read_deeplabcut(path: PathLike) -> Content:
@@ -115,7 +114,6 @@ def read_deeplabcut(path: PathLike) -> Content:
     return content_of_channels(
         t,
         dict(zip(names, values.T, strict=True)),
-        str(path),
         points=points,
         likelihood=likelihood_of(points, names),
         declared={"time_unit": "frame"},

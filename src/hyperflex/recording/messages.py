@@ -200,7 +200,6 @@ def _joints(path: PathLike, messages: Iterator[Message], selection: Selection) -
     return content_of_channels(
         t,
         channels,
-        str(path),
         angles=order,
         rates=beside.get("rates", {}),
         noise=beside.get("std", {}),
@@ -232,9 +231,7 @@ def _poses(
         noise = dict(zip(markers, np.array(std).reshape(len(times), -1, 2).swapaxes(0, 1), strict=True))
     declared = {"time_unit": "s", "unit": "m"}
     usual = {"y_axis": "up"}
-    return content_of_markers(
-        t, markers, str(path), noises=noise, ordered=True, declared=declared, usual=usual, facts=facts
-    )
+    return content_of_markers(t, markers, noises=noise, ordered=True, declared=declared, usual=usual, facts=facts)
 
 
 def _seconds(times: Sequence[float]) -> tuple[Array, dict[str, float]]:

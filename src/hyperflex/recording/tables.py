@@ -96,7 +96,6 @@ def read(path: PathLike, selection: Selection, *, sparse: bool = False) -> Conte
         sparse=sparse,
         declared=declared,
         advice=_NO_ANGLES if any("/s" in unit for unit in units.values()) else "",
-        source=str(path),
     )
 
 

@@ -110,7 +110,7 @@ def _content(path: PathLike, tracks: Mapping[str, Track], **more: Any) -> Conten
         values = np.full((len(times), 2), np.nan)
         values[[at[time] for time in track]] = list(track.values())
         markers[name] = values
-    return content_of_markers(np.array(times), markers, str(path), **more)
+    return content_of_markers(np.array(times), markers, **more)
 
 
 def read_trk(path: PathLike) -> Content:
