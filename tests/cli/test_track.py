@@ -18,7 +18,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.cli import output
 from hyperflex.estimate import VideoTrack
-from hyperflex.files.netcdf import read_netcdf
+from hyperflex.files import read_netcdf
 from hyperflex.vision import VideoReader, VideoWriter
 from tests.estimate.filmed import ARCS, COUNT, facing, film_swing
 from tests.estimate.runs import free_swing, rope

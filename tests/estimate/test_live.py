@@ -36,7 +36,7 @@ from hyperflex.estimate import (
 )
 from hyperflex.estimate.live.page import PicturePage
 from hyperflex.estimate.live.state_source import Packet, StampClock
-from hyperflex.files.netcdf import read_netcdf
+from hyperflex.files import read_netcdf
 from hyperflex.vision import (
     Camera,
     FoundRope,

@@ -19,7 +19,7 @@ from hyperflex.estimate import (
     VideoTrack,
     track_video,
 )
-from hyperflex.files.netcdf import read_netcdf
+from hyperflex.files import read_netcdf
 from hyperflex.vision import (
     Camera,
     MarkerColour,

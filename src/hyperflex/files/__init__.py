@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.files.hdf5 import check_size, most_bytes, open_hdf5
+    from hyperflex.files.hdf5 import (
+        NetCDF,
+        Variable,
+        check_size,
+        most_bytes,
+        open_hdf5,
+        read_netcdf,
+        write_netcdf,
+    )
     from hyperflex.files.json import dumps_json, plain, write_json
-    from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
     from hyperflex.files.reading import LARGEST, not_damaged, read_bytes, read_text, regular_file
     from hyperflex.files.tables import (
         Table,
