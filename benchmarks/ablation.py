@@ -174,7 +174,7 @@ def main() -> None:
     options = parser.parse_args()
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "ablation.jsonl"
     known = lines.read(log)
-    lines.told(known, planned=True)
+    lines.warn_of_others(known, planned=True)
     for rope, number, *about_it in targets(options):
         for name in options.only.split(","):
             marks = {"rope": rope, "target": number, "seed": options.seed, "limit": options.seconds, "variant": name}

@@ -91,7 +91,7 @@ COLUMNS = (
     "Next to it is the weight of the rope that hangs beyond the target times e^(mu theta), the capstan equation.",
     "Planned: the planner reports success. Checked: wound and held in the finer, independent run.",
 )
-BLOCK, JUDGES = 12, 2  # targets that are planned before they are checked, and checks at a time
+BLOCK, CHECKS = 12, 2  # targets that are planned before they are checked, and checks at a time
 LONGEST = 300.0  # s of processor time for a check; a cast whose check takes longer counts as failed
 
 
@@ -155,7 +155,7 @@ def main() -> None:
     log = None if options.out == "-" else Path(options.out) / "casting.jsonl"
     known = read(log, kind, time_budget)
     rows = [known[number] for number in numbers if number in known]
-    lines.told(rows, planned=True)
+    lines.warn_of_others(rows, planned=True)
     missing = [n for n in numbers if n not in known]
     alone = options.outside or options.ours or options.rope not in TIP
     for found in done(options.rope, missing, time_budget, ours_alone=alone, seed=options.seed, plans=options.plans):
@@ -229,8 +229,8 @@ def done(
             if plans is not None and plan.success:
                 plans.mkdir(parents=True, exist_ok=True)
                 plan.to_toml(plans / f"{rope}-{seed}-{number}.toml")
-        with ThreadPoolExecutor(JUDGES) as judge:
-            for one in as_completed([judge.submit(entry, *each) for each in planned]):
+        with ThreadPoolExecutor(CHECKS) as pool:
+            for one in as_completed([pool.submit(entry, *each) for each in planned]):
                 yield one.result()
 
 
@@ -257,10 +257,10 @@ def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool, first: float
         "kernels": SOURCE_HASH,
         "planner": lines.planner(),
     }
-    return told | {way: judged(rope, peg, motion) for way, motion in ways.items()}
+    return told | {way: checked(rope, peg, motion) for way, motion in ways.items()}
 
 
-def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
+def checked(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
     """Result of a motion in a finer run, and the load that the wound rope holds."""
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
@@ -323,7 +323,7 @@ def line(row: dict[str, Any]) -> str:
     ours = row["ours"]
     return (
         f"{row['number']:4d} ({row['x']:+.2f}, {row['y']:+.2f}) r {row['radius']:.3f} planned {row['planned']!s:5} in "
-        f"{row['seconds']:.0f} s, judged {ours['success']!s:5} {ours.get('turns')} {ours['reason'] or row['reason']}"
+        f"{row['seconds']:.0f} s, checked {ours['success']!s:5} {ours.get('turns')} {ours['reason'] or row['reason']}"
     )
 
 
@@ -337,7 +337,7 @@ def text(rows: list[dict[str, Any]], rope: str) -> str:
     first = [row["first"] for row in rows if row.get("first") is not None]
     if first:
         lines[-1] += f" Median time of the first successful plan: {np.median(first):.1f} s ({len(first)} plans)."
-    lines += [f"Goal: {GOAL[rope]:.0%} wound and held. {told(rows)}.", ""]
+    lines += [f"Goal: {GOAL[rope]:.0%} wound and held. {agreement(rows)}.", ""]
     bends = [row["ours"]["bend"] for row in rows if row["ours"].get("bend") is not None and row["ours"]["success"]]
     if bends:
         folded = sum(bend > math.pi for bend in bends)
@@ -372,7 +372,7 @@ def bore(ours: dict[str, Any]) -> str:
     return "" if "hold" not in ours else f"{'' if ours['let go'] else '>= '}{ours['hold']}"
 
 
-def told(rows: list[dict[str, Any]]) -> str:
+def agreement(rows: list[dict[str, Any]]) -> str:
     """How often the planner's result and the independent check agree."""
     agree = sum(row["planned"] == row["ours"]["success"] for row in rows)
     return f"The planner's result and the independent check agree on {agree} of {len(rows)}"

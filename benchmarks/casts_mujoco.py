@@ -194,7 +194,7 @@ def main() -> None:
     options = parser.parse_args()
     log = None if options.out == "-" else Path(options.out) / "casts-mujoco.jsonl"
     about, rows, paths = machine.describe(), lines.read(log), dict(plans(options.folders))
-    lines.told(rows)
+    lines.warn_of_others(rows)
     todo = sorted(paths.keys() - {row["name"] for row in rows})
     random.Random(0).shuffle(todo)
     for row in done([(paths[name], name, options.step) for name in todo], options.workers):

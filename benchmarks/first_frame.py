@@ -240,7 +240,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS, help="file of rows; the page is written next to it")
     options = parser.parse_args()
     before = log.read(options.out)
-    log.told(before)
+    log.warn_of_others(before)
     indices = range(options.first, options.first + options.count)
     marks = [("rope", index) for index in indices] + [("MuJoCo", index) for index in range(options.others)]
     marks += [(ABSENT[index % 3].value, index) for index in range(options.others)]

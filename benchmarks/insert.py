@@ -75,14 +75,14 @@ def draw(seed: int) -> list[dict[str, float]]:
     return found
 
 
-def judge(plan: InsertPlan, rope: hf.Rope, slot: Slot, motion: hf.Motion) -> InsertOutcome | None:
+def check(plan: InsertPlan, rope: hf.Rope, slot: Slot, motion: hf.Motion) -> InsertOutcome | None:
     """Simulate a motion near a slot with a rope of more links."""
     assert plan.outcome is not None
     finer = replace(plan.problem, rope=rope)
     return verify_insert(finer, slot, motion, plan.outcome.t, tighter=TIGHTER)
 
 
-def stands(seen: InsertOutcome | None) -> bool:
+def entered(seen: InsertOutcome | None) -> bool:
     """Whether the tip reached its depth without a contact."""
     return seen is not None and not seen.message
 
@@ -102,11 +102,11 @@ def measure(index: int, slot: Slot) -> dict[str, Any]:
         "inside": seen.time_inside,
         "t": seen.t,
     }
-    row["judged"] = stands(judge(plan, finer_rope(CABLE, FINER), slot, plan.motion))
+    row["judged"] = entered(check(plan, finer_rope(CABLE, FINER), slot, plan.motion))
     stated = plan.success_probability
     row["stated"] = stated.estimate if stated is not None and stated.samples else None
     drawn = insert_scenarios(plan.problem, slot, plan.moves, usual_uncertainty(), SCENARIOS, [FRESH])
-    row["observed"] = float(np.mean([stands(judge(plan, *each)) for each in drawn]))
+    row["observed"] = float(np.mean([entered(check(plan, *each)) for each in drawn]))
     return row
 
 

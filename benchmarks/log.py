@@ -66,7 +66,7 @@ def append(path: Path, row: Row) -> None:
 def go_on(path: Path, marks: Sequence[Any], measure: Callable[[int, Any], Row]) -> list[Row]:
     """Measure the rows that a file lacks, by number and mark; print and keep each row, and return all rows."""
     rows = read(path)
-    told(rows)
+    warn_of_others(rows)
     for index in range(len(rows), len(marks)):
         rows.append(measure(index, marks[index]))
         print(json.dumps(rows[-1]), flush=True)
@@ -87,11 +87,11 @@ def made(rows: Iterable[Row], by: str = "kernels") -> str:
     return f"Rows by {by}: {', '.join(f'{name} {count}' for name, count in counted.most_common())}."
 
 
-def told(rows: Iterable[Row], planned: bool = False) -> None:
+def warn_of_others(rows: Iterable[Row], planned: bool = False) -> None:
     """Warn how many reused rows were made with other kernels, or another planner, than the present ones."""
     rows = list(rows)
     for by, present in (("kernels", SOURCE_HASH), *((("planner", planner()),) if planned else ())):
         others = [row.get(by) for row in rows if row.get(by) != present]
         if others:
             names = ", ".join(sorted({str(each) for each in others}))
-            sys.stderr.write(f"{len(others)} of {len(rows)} rows used again come from other {by}: {names}\n")
+            sys.stderr.write(f"{len(others)} of {len(rows)} reused rows were made with other {by}: {names}\n")

@@ -68,7 +68,7 @@ def main() -> None:
         for number in range(FIRST, FIRST + COUNTED)
     }
     known = read(log, options.rope, options.time_budget)
-    lines.told(known.values(), planned=True)
+    lines.warn_of_others(known.values(), planned=True)
     asked = wanted(kinds, options.count)
     for number in asked:
         if number not in known:

@@ -69,7 +69,7 @@ def main() -> None:
         fine, closed = len(rows) < options.fine, len(rows) < options.closed
         rows.append({plan: Case(options, log, number, plan).row(fine, closed) for plan in PLANS})
         print(line(number, rows[-1]), flush=True)
-    lines.told(log.used, planned=True)
+    lines.warn_of_others(log.used, planned=True)
     text = page(rows, vars(options)) + f"\n{machine.sentence(about)} {lines.made(log.used + log.made, 'planner')}\n"
     print(text)
     if log.path is not None:
@@ -201,7 +201,7 @@ class Case:
 
     def open(self, throw: Moves, count: int) -> dict[str, Any]:
         """Simulate a throw as planned."""
-        return self.judged([(throw, world) for world in self.worlds(count)])
+        return self.checked([(throw, world) for world in self.worlds(count)])
 
     def closed(self, throw: Moves, count: int) -> dict[str, Any]:
         """Follow a throw on the true state of each draw; an aborted throw is a failure."""
@@ -219,13 +219,13 @@ class Case:
         with ThreadPoolExecutor(self.options.threads or os.cpu_count()) as pool:
             found = list(pool.map(one, range(count)))
         words = [word for _, _, decided in found for word in decided]
-        row = self.judged([(each, world) for (each, _, _), world in zip(found, worlds, strict=True)])
+        row = self.checked([(each, world) for (each, _, _), world in zip(found, worlds, strict=True)])
         for name in ("won", "held"):
             row[name] = [int(won and not gone) for won, (_, gone, _) in zip(row[name], found, strict=True)]
         row |= {word: words.count(word) for word in ("kept", "changed", "aborted", "failed")}
         return row | {"seconds": round(time.perf_counter() - begin, 1)}
 
-    def judged(self, pairs: list[tuple[Moves, Scenario]]) -> dict[str, Any]:
+    def checked(self, pairs: list[tuple[Moves, Scenario]]) -> dict[str, Any]:
         """The draws that succeed, and those in which the rope is also held."""
         motions = [world.motion(moves, self.known) for moves, world in pairs]
         ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]

@@ -289,7 +289,7 @@ def main() -> None:
     rows, paths = lines.read(log), dict(planar.plans(options.folders))
     names = sorted(paths)
     random.Random(0).shuffle(names)
-    lines.told(rows)
+    lines.warn_of_others(rows)
     made = {(row["part"], row["name"], row["tilt"]) for row in rows}
     work: dict[str, Any] = {"cost": (cost, TILTS[:1]), "strike": (strike, (SMALL, TILTS[0])), "casts": (cast, TILTS)}
     work["start"] = functools.partial(strike, lead=math.inf), (SMALL,)

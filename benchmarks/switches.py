@@ -83,7 +83,7 @@ def draw(seed: int) -> list[dict[str, float]]:
     return found
 
 
-def judge(plan: WhipPlan) -> str:
+def check(plan: WhipPlan) -> str:
     """The reason why a plan does not strike its switch with a finer rope, or an empty text."""
     assert plan.outcome is not None
     assert plan.motion is not None
@@ -113,7 +113,7 @@ def measure(index: int, mark: dict[str, float]) -> dict[str, Any]:
         seen = plan.outcome
         assert seen.run is not None
         gap = obstacle_clearance(seen.run, [wall], seen.t).value
-        row |= {"gap": gap, "speed": seen.speed, "t": seen.t, "judged": judge(plan)}
+        row |= {"gap": gap, "speed": seen.speed, "t": seen.t, "judged": check(plan)}
     return row
 
 

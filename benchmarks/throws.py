@@ -148,7 +148,7 @@ def main() -> int:
         return 0
     notes = None if options.out == "-" else Path(options.out).with_suffix(".jsonl")
     rows = done(notes, kind)
-    log.told(rows)
+    log.warn_of_others(rows)
     finished = {row["index"] for row in rows}
     for index in range(options.count):
         if index in finished:

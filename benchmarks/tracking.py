@@ -93,14 +93,14 @@ def consistency(seed: int) -> Iterator[Row]:
                 "moved": moved,
                 "right": right,
                 "seed": seed,
-                **judged(found, FLOOR if right else FINE_FLOOR),
+                **statistics(found, FLOOR if right else FINE_FLOOR),
             }
             if right and seed < 20:
                 row["bound"] = bounds(truth, moved, DENSITY)
             yield row
 
 
-def judged(found: Tracked, floor_part: float) -> Row:
+def statistics(found: Tracked, floor_part: float) -> Row:
     """Mean NEES over dimension, coverage of the 90 % regions, rms, and whiteness of the innovations."""
     row: Row = {}
     late = [k for k, t in enumerate(found.t) if t >= SINCE]

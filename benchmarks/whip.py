@@ -393,7 +393,7 @@ def main() -> None:
         return
     notes = Path(options.out).with_suffix(".jsonl")
     rows = log.read(notes)
-    log.told(rows)
+    log.warn_of_others(rows)
     finished = {(row["kind"], row["index"]) for row in rows}
 
     def add(kind: str, index: int, row: dict[str, Any]) -> None:

@@ -28,9 +28,9 @@ def test_half_a_line_is_cut_off_before_the_next(tmp_path, tail, kept):
 
 def test_rows_of_other_kernels_or_another_planner_are_reported(capsys):
     rows = [{"kernels": SOURCE_HASH, "planner": log.planner()}, {"kernels": SOURCE_HASH}]
-    log.told(rows)
+    log.warn_of_others(rows)
     assert capsys.readouterr().err == ""
-    log.told(rows, planned=True)
-    assert capsys.readouterr().err == "1 of 2 rows used again come from other planner: None\n"
-    log.told([*rows, {"kernels": "0ld"}])
-    assert capsys.readouterr().err == "1 of 3 rows used again come from other kernels: 0ld\n"
+    log.warn_of_others(rows, planned=True)
+    assert capsys.readouterr().err == "1 of 2 reused rows were made with other planner: None\n"
+    log.warn_of_others([*rows, {"kernels": "0ld"}])
+    assert capsys.readouterr().err == "1 of 3 reused rows were made with other kernels: 0ld\n"
