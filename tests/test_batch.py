@@ -73,7 +73,7 @@ def test_a_dry_neighbour_changes_nothing():
     ropes[7] = ropes[7].replace(dry_friction=1e-4)
     t = np.linspace(0.25, 1.0, 4)
 
-    def run(threads):  # at this tolerance steps end on rounding, which dry friction judges otherwise
+    def run(threads):  # at this tolerance steps end on rounding, on which dry friction decides differently
         return hf.simulate_batch(
             ropes, motions, arm=ARM, duration=1.0, t_eval=t, tol=1e-12, keep=("q",), threads=threads
         ).q

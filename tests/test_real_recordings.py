@@ -192,7 +192,7 @@ def test_a_little_more_data_hardly_moves_standard_deviations(data_dir):
     )
     for name, std in short.ratio_std.items():
         known = std > 0.0  # p/p1 of the first link is 1
-        # 1 % more data: less than a factor 2 was asked for; the noise itself is known to a tenth
+        # 1 % more data: less than a factor 2 was required; the noise itself is known to a tenth
         np.testing.assert_allclose(long.ratio_std[name][known], std[known], rtol=0.3)
     np.testing.assert_allclose(long.std["gravity_angle"], short.std["gravity_angle"], rtol=0.3)
     assert (short.ratio_std["J/p1"] < 0.01 * short.ratios["J/p1"].max()).all()  # a fifth of the value when it ran away
@@ -235,5 +235,5 @@ def test_a_pendulum_on_a_motor(data_dir: Path, name: str, until: float, mass: fl
     assert found.ratios["J/p1"][0] == pytest.approx(own, rel=0.005)
     assert abs(found.ratios["J/p1"][0] - 0.5) < 1.96 * found.ratio_std["J/p1"][0] < 0.02
     assert float(found.values["gravity_angle"]) == pytest.approx(zero, abs=2e-3)
-    # of the mass the torque tells little: with the friction of the drive it changes by a fifth
+    # the torque determines the mass poorly: with the friction of the drive it changes by a fifth
     assert 0.03 < found.std["mass"][0] / found.rope.mass[0] < 0.5

@@ -149,7 +149,7 @@ def test_a_printed_friction_is_revised_as_printed():
 
 
 def test_what_would_become_negative_stops_at_zero_and_the_rest_adapts():
-    # Links without inertia of their own, and noise that asks for less than none: one recording of two or so.
+    # Links without inertia of their own, and noise that gives a negative one: about one recording in two.
     none = ROPE.replace(inertia=np.zeros(3))
     data = swing(none).data
     for seed in range(8):

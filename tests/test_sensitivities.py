@@ -62,7 +62,7 @@ def moved(maker: Callable[..., hf.Motion], values: dict[str, Any], name: str) ->
     return lambda x: setup(motion=maker(**{**values, name: values[name] + x}))
 
 
-# What is varied, the set-ups that differ in it, and a spacing; a switch moves by some tens of spacings, and must stay
+# The varied quantity, its set-ups, and a spacing; a switch moves by some tens of spacings, and must stay
 # far from outputs and neighbours.
 WAYS: list[tuple[str, Varied, float]] = [
     *((f"{name}[{link}]", started(name, link), 1e-3) for name in ("q0", "qd0") for link in (0, N - 1)),

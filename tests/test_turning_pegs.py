@@ -30,7 +30,7 @@ def test_a_run_shows_the_round_pegs_and_survives_its_file(tmp_path):
         np.testing.assert_array_equal(getattr(again.state, name), getattr(run.state, name))
         assert again.dataset[name].dims == ("time", "peg")
     assert set(again.setup.pegs) == set(run.setup.pegs)
-    # From the file, too, the run goes on to the last bit.
+    # From the file, too, the run continues to the last bit.
     onwards = [fallen(duration=0.1, state=one.state, q0=None) for one in (run, again)]
     np.testing.assert_array_equal(onwards[0].peg_rate, onwards[1].peg_rate)
     np.testing.assert_array_equal(onwards[0].peg_angle[0], run.peg_angle[-1])

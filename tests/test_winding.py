@@ -175,7 +175,7 @@ def test_a_link_that_rolls_does_not_slip():
     rolling = replace(run, q=angle[:, None], base=axis * normal - place[:, None] * along)
     np.testing.assert_allclose(rope_slip(rolling, peg), 0.0, rtol=0, atol=1e-12)
     slid = replace(run, q=angle[:, None], base=axis * normal - 0.5 * along)
-    # The same place of the rod stays on the peg while the contact goes round it: it slides by as much.
+    # The same point of the rod stays on the peg while the contact moves round it: it slides by as much.
     np.testing.assert_allclose(np.abs(rope_slip(slid, peg)), axis * (angle - angle[0]), rtol=0, atol=1e-12)
 
 

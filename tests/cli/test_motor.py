@@ -107,7 +107,7 @@ def test_a_quarter_turn_by_hand_shows_the_direction(hyperflex_json, tmp_path, mo
         return
     assert DriveZero.from_toml(tmp_path / "zero.toml") == DriveZero(4.0 - direction * 0.1, direction, how[3])
     link.state["angle"] = 4.0
-    hyperflex_json(*how, "--direction", -direction)  # nobody is asked
+    hyperflex_json(*how, "--direction", -direction)  # no question is asked
     assert DriveZero.from_toml(tmp_path / "zero.toml").direction == -direction
 
 

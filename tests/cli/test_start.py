@@ -94,7 +94,7 @@ def test_init_asks_on_a_terminal_for_what_is_not_given(hyperflex, hyperflex_json
     assert (code, rope.total_length, rope.total_mass) == (0, pytest.approx(1.25), pytest.approx(0.5))
     assert asked == ["Length of the rope, m", *asked[1:]]
     assert not any("Mass" in each for each in asked)
-    assert hyperflex_json("init", tmp_path / "a.toml")[1]["length"] == 2.0  # nobody is asked who wants JSON
+    assert hyperflex_json("init", tmp_path / "a.toml")[1]["length"] == 2.0  # JSON output asks no questions
 
 
 def test_doctor_tells_what_is_there(hyperflex_json):

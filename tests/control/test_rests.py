@@ -41,7 +41,7 @@ def test_the_best_constant_rest_is_the_best_of_all(plan: PumpingPlan) -> None:
 
 def test_free_rests_are_sooner_and_arrive_when_they_say(plan):
     assert plan.arrival_time < plan.constant_arrival_time - 0.04  # LEAST_GAIN
-    # What follows the plan's rests are usual ones, after it has arrived.
+    # After the arrival the plan's rests are followed by default ones.
     assert arrives(plan.rests) == pytest.approx(plan.arrival_time, abs=5e-3)
     assert plan.rollouts > 60
     assert (plan.rests >= 0.0).all()

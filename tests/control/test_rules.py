@@ -105,12 +105,12 @@ def test_a_plan_is_followed_where_nothing_disturbs(recheck_time):
     rule = PumpingRule(MODEL, wanted, rests=plan, arrival_time=reached)
     swung = run_closed_loop(TrueState(ROPE, ARM), rule, MODEL, duration=reached, recheck_time=recheck_time)
     t, x = reach(swung.motion, 6.0)
-    assert arrival_time(t, x[None], wanted)[0] < reached + 0.02  # not later than planned, but for planning's tolerance
+    assert arrival_time(t, x[None], wanted)[0] < reached + 0.02  # not later than planned, within planning's tolerance
 
 
 @pytest.mark.parametrize("planned", [True, False])
 def test_looking_again_within_a_rest_does_not_start_it_again(planned, monkeypatch):
-    monkeypatch.setattr(PumpingRule, "_choose", lambda *_: None)  # what was decided stands, so looks must not matter
+    monkeypatch.setattr(PumpingRule, "_choose", lambda *_: None)  # decisions are kept, so samples must not matter
     plan = [0.35, 0.2, 0.4]
     for again in (math.inf, 0.1):
         rule = PumpingRule(MODEL, 0.9, rests=plan if planned else None, depth=2)

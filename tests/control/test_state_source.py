@@ -20,7 +20,7 @@ def camera(**changed) -> SimulatedCamera:
 
 def test_the_truth_is_the_simulation_though_it_is_required_in_pieces():
     source = TrueState(ROPE, ARM, tol=1e-8)
-    # Later half turns are not known when the first states are asked for.
+    # Later half turns are unknown when the first states are requested.
     states = [source.state(t, MOTION if t > 0.9 else hf.arm_strokes([0.0])) for t in (0.4, 0.8, 1.3, 1.31)]
     run = hf.simulate(ROPE, MOTION, arm=ARM, duration=1.5, t_eval=[0.4, 0.8, 1.3, 1.31], tol=1e-8)
     # Steps differ; tol of 1e-8 m is 6e-8 rad of a link, a hundred times that for a second of motion.

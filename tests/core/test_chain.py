@@ -45,7 +45,7 @@ def test_stuck_joints_are_those_of_a_constrained_chain(n, reaction, h):
         stuck = grip == 0.0
         parents = np.append(state.base[2], got.alpha[:-1])
         np.testing.assert_array_equal(got.alpha[stuck], parents[stuck])  # locked to the last bit
-        # A stuck first joint bears the moment of the whole chain: a sum of n forces of the size of m a l.
+        # A stuck first joint carries the moment of the whole chain: a sum of n forces of the size of m a l.
         moment = scale * (np.sum(links.mass) + links.tip_mass) * np.sum(links.length) ** 2
         assert got.torque == pytest.approx(float(want.torque), abs=1e-2 * AGREEMENT * moment)
 

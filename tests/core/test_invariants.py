@@ -184,7 +184,7 @@ def test_other_units_give_the_same_motion(case, h, units):
 def test_one_link_cannot_tell_the_friction_readings_apart(seed, h):
     links, state = random_links(1, seed), random_state(1, seed)
     got, want = (sweep(links._replace(reaction=reaction), state, 0.1, h) for reaction in (0.0, 1.0))
-    # The same arithmetic, in kernels of their own: the compiler may join other products and sums. Where terms of about
+    # The same arithmetic in separate kernels: the compiler may fuse other products and sums. Where terms of about
     # 1 cancel, their rounding is left.
     np.testing.assert_allclose(got.alpha, want.alpha, rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(got.force, want.force, rtol=0, atol=1e-13 * np.abs(want.force).max())

@@ -205,7 +205,7 @@ def test_stuck_joints_move_as_one():
 @pytest.mark.nightly
 def test_the_compiler_makes_packed_instructions(sources):
     kernel = tg.prepare if sources is None else tg.step
-    fresh = numba.jit(**kernel.targetoptions)(kernel.py_func)  # code from the cache cannot be looked at
+    fresh = numba.jit(**kernel.targetoptions)(kernel.py_func)  # code from the cache cannot be inspected
     lanes, reaction = numba.float64[::1], numba.typeof(MUTUAL)
     more = numba.float64[:, :, ::1], numba.float64[::1]
     fresh.compile((reaction, lanes) if sources is None else (reaction, numba.typeof(sources), lanes, *more))

@@ -147,7 +147,7 @@ def test_dropped_frames_and_another_size_are_reported(video, pictures):
     assert found[8].messages == (f"3 frames missing before {pictures[11].time:.3f} s",)
     assert "frames of 320x240 px are skipped" in found[11].messages[0]
     assert [each.tracked is None for each in found[11:14]] == [True] * 3
-    assert all(each.found for each in found)  # the rope's equations go on
+    assert all(each.found for each in found)  # the rope's equations continue
     assert found[13].age == pytest.approx(pictures[16].time - pictures[13].time, abs=1e-9)
     assert "640x480 px again" in found[14].messages[0]
     assert found[-1].seen == 8
@@ -215,7 +215,7 @@ def test_time_continues_if_a_source_restarts_its_stamps(video, pictures):
         times = [each.t for each in found]
         assert np.all(np.diff(times) > 0.0)
         assert times[-1] - times[0] < ended - begin
-        assert times[-1] - times[0] > 2 * 0.5  # no clock stands still
+        assert times[-1] - times[0] > 2 * 0.5  # no clock stops
         if retime:
             assert begin + 2 * 0.5 < times[-1] <= ended
 
@@ -333,7 +333,7 @@ def test_the_log_of_an_interrupted_run_is_kept(video, pictures, tmp_path):
         with WatchLog(path, 20, 8, "a test") as log:
             for each in estimates[:4]:
                 log.note(each)
-            assert list(tmp_path.iterdir()) == []  # nothing stands there until the end
+            assert list(tmp_path.iterdir()) == []  # nothing is there until the end
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

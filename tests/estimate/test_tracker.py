@@ -140,7 +140,7 @@ def test_a_video_becomes_a_rope(video, tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["frames"] == stamps().size
     assert result["seen"] > 0.86  # 7 % are in the blackout
-    assert abs(result["estimated"]["scale"]["value"]) < 5e-3  # it is right, and gravity tells; 12 links for 100
+    assert abs(result["estimated"]["scale"]["value"]) < 5e-3  # it is right, and gravity shows it; 12 links for 100
     recording = hf.read_recording(tmp_path / "markers.nc")
     guess = rope(12).replace(friction=1.3 * rope(12).friction)
     setup = hf.RecordingSetup(arc_lengths=ARCS, origin=(0.0, 0.0))

@@ -19,7 +19,7 @@ from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 
 SECONDS, BYTES = 5.0, 1 << 30
 MANY = os.environ.get("HYPERFLEX_FAULTS")  # examples of each property test, many thousands at night
-# What Python and its libraries say; nobody who gave a wrong value or file should have to read it.
+# Texts of Python and its libraries, which must not appear for a wrong value or file.
 LEAKED = re.compile(
     r"unexpected keyword|positional argument|NoneType|object is not|object has no|has no attribute|unsupported operand"
     r"|not subscriptable|not iterable|could not broadcast|setting an array element|index out of|unhashable|\bErrno\b"
@@ -89,7 +89,7 @@ def apart(call: Callable[[], Any]) -> None:
         except:
             traceback.print_exc()
             raise
-        finally:  # in any case: a forked process must not go on as a second run of the tests
+        finally:  # in any case: a forked process must not continue as a second run of the tests
             os._exit(sys.exc_info()[0] is not None)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 

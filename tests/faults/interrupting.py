@@ -318,9 +318,9 @@ def commands(folder: Path) -> dict[str, list[str]]:
 
 SECONDS = 5.0  # of the processors, from a signal to the end; the kernels look more often than each second
 LONGEST = 8.0  # s of a call in which it is interrupted
-# Take minutes: what they end with undisturbed is not looked at
+# Take minutes: their undisturbed results are not computed
 ENDLESS = {"simulate long", "simulate links", "compare models", "warm"}
-SEARCHES = {"cast", "cast robust", "whip", "insert", "pumping"}  # end by the clock: no two runs are alike
+SEARCHES = {"cast", "cast robust", "whip", "insert", "pumping"}  # end by elapsed time: no two runs are equal
 NO_PLAN = 4  # exit code of a search that finds nothing in its time
 
 

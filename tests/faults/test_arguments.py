@@ -128,7 +128,7 @@ CALLS: dict[str, Callable[[], partial[Any]]] = {
     "mass_matrix": lambda: partial(hf.mass_matrix, rope=ROPE, q=[0.1, 0.2], arm=ARM, arm_angle=0.1),
     "linearize": lambda: partial(hf.linearize, rope=ROPE, arm=ARM, q=[0.1, 0.2], qd=[0.0, 0.0]),
 }
-# Made anew for each example: some can be used up.
+# Made again for each example: iterators can be used up.
 ODD: dict[str, Callable[[], Any]] = {
     "None": lambda: None,
     "empty text": lambda: "",

@@ -70,7 +70,7 @@ def injected(faults: Faults) -> Iterator[None]:
         return _File(opened(path, mode, *given, **named), faults)
 
     def mkdir_counted(path: Any, *given: Any, **named: Any) -> None:
-        if not Path(path).is_dir():  # who asks for one that is there gets no other answer
+        if not Path(path).is_dir():  # a request for an existing one gets no other answer
             faults.step()
         made(path, *given, **named)
 

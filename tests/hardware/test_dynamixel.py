@@ -190,7 +190,7 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_a_later_request():
         link.patience = 0.02
         with pytest.raises(NoReply):
             link.read()
-        device.plant.impose(encoder_turns=1.0)  # what the late reply tells is no longer true
+        device.plant.impose(encoder_turns=1.0)  # the content of the late reply is no longer true
         wire.spoil = lambda reply: [held[0], reply]
         link.patience = 1.0
         for _ in range(31):  # all but the request to which it would be the answer in a second round

@@ -230,7 +230,7 @@ def test_a_late_frame_is_not_taken_for_the_answer_to_a_later_request():
         link.patience = 0.01
         with pytest.raises(NoReply):
             link.read()
-        device.plant.impose(encoder_turns=1.0)  # what the late frame tells is no longer true
+        device.plant.impose(encoder_turns=1.0)  # the content of the late frame is no longer true
         link.patience = 0.3
         wire.spoil = lambda reply: [held.pop(), reply] if held else [reply]
         assert link.read().angle == pytest.approx(math.tau)
@@ -246,7 +246,7 @@ def test_a_frame_is_not_lost_before_one_that_was_requested_later_has_arrived():
         for _ in range(10):
             with pytest.raises(NoReply):
                 link.read()
-        device.plant.impose(encoder_turns=1.0)  # what the late frame tells is no longer true
+        device.plant.impose(encoder_turns=1.0)  # the content of the late frame is no longer true
         link.patience = 0.3
         wire.spoil = lambda reply: [*(held.pop(0) for _ in range(len(held))), reply]
         assert link.read().angle == pytest.approx(math.tau)

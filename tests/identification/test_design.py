@@ -112,7 +112,7 @@ def test_by_default_motions_are_tried_first_and_the_best_is_varied():
     assert len(first) == 7
     assert set(first) < set(names)
     assert found.best is not None
-    motion = next(name for name in names if name in first)  # the best as it was looked at first
+    motion = next(name for name in names if name in first)  # the best one as in the first evaluation
     by_name = {plan.experiment.name: plan.score for plan in found.plans}
     assert by_name[f"{motion}, 120 frames/s"] < by_name[motion] < by_name[f"{motion}, 7.5 frames/s"]
     assert by_name[f"{motion}, 20 s"] < by_name[motion] < by_name[f"{motion}, 5 s"]

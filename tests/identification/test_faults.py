@@ -84,7 +84,7 @@ def test_a_rope_that_was_held_is_named_with_the_time_of_its_release(start, kind,
     (found,) = recording.check()
     assert found.kind is Kind.HELD_STILL
     time = found.values["time"]
-    assert lifted + 1.0 - 0.05 < time < lifted + 1.0 + 0.2  # the last time at which it has hardly moved
+    assert lifted + 1.0 - 0.05 < time < lifted + 1.0 + 0.2  # the last time at which it has barely moved
     assert f"recording.window({time:.6g}, inf)" in str(found)
     assert recording.window(time, np.inf).check() == []
 
@@ -104,7 +104,7 @@ def test_a_rope_that_is_driven_may_rest_before_it_moves():
     rope = hf.Rope(LENGTHS, 0.1, friction=1e-4)
     run = hf.simulate(rope, motion, arm=arm, duration=float(t[-1]), t_eval=t)
     recording = hf.Recording(t, noisy(run.q, 1e-3))
-    assert [each.kind for each in recording.check()] == [Kind.HELD_STILL]  # which tells nothing of a drive
+    assert [each.kind for each in recording.check()] == [Kind.HELD_STILL]  # which does not determine a drive
     setup = hf.RecordingSetup(motion=motion, arm=arm)
     found = hf.identify(recording, rope, ["inertia", "friction"], setup=setup, options=hf.FitOptions(intervals=None))
     assert not found.has(Kind.HELD_STILL)
@@ -177,7 +177,7 @@ def test_a_hook_that_is_knocked_is_not_lost():
         (spoiled(FAST, moved(FAST.data, 1, 0.02)), Kind.JUMP, "The angle of link 1 jumps by 0.0191 rad at t = 4.995 s"),
         (spoiled(MARKERS, moved(MARKERS.data, 4, 0.02)), Kind.JUMP, "The x of marker 2 jumps by"),
         (spoiled(FAST, FAST.data[KEPT], FAST.t[: KEPT.size]), Kind.MISSING_FRAMES, "skips frames at t = 1.48"),
-        # 0.3 s of a swing of 1.5 s, which goes on differently
+        # 0.3 s of a swing of 1.5 s, which continues differently
         (
             spoiled(ANGLES, ANGLES.data[STRETCH], ANGLES.t[: STRETCH.size]),
             Kind.MISSING_FRAMES,

@@ -68,6 +68,8 @@ def test_a_rope_of_fitted_length_can_be_cut():
     factor, std = float(found.values["length:factor"]), float(found.std["length:factor"])
     assert abs(factor - 1.04) < 4.0 * std < 0.004  # held centres of mass leave it 3 % away
     clock = identify(recording, GUESS, free, options=FitOptions(clock_std=0.005, **whole)).std["length:factor"]
-    assert 0.008 < float(clock) / factor <= 0.01  # twice clock_std: with times x a lengths x a^2 move nearly alike
+    assert (
+        0.008 < float(clock) / factor <= 0.01
+    )  # twice clock_std: times x a and lengths x a^2 give nearly the same motion
     assert divided(found.rope, 2).n_links == 6
     np.testing.assert_allclose(found.rope.inertia, true.inertia, rtol=0.01)

@@ -43,7 +43,7 @@ def test_fewer_markers_than_links_find_friction_within_its_interval():
     assert found.unit == "m"
     gap = abs(found.values["friction"][0] - 3e-4) / found.std["friction"][0]
     assert gap < 4.0  # 6e-5 of chance; the seed is fixed
-    assert found.std["friction"][0] < 0.2 * 3e-4  # and it is told: three seconds of four markers
+    assert found.std["friction"][0] < 0.2 * 3e-4  # and it is reported: three seconds of four markers
     for name, truth in (("origin_x", 0.4), ("origin_y", 1.2)):
         assert abs(found.values[name] - truth) < 4.0 * found.std[name]
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.4)  # 46 values a channel: 10 %, four times
@@ -113,7 +113,7 @@ def test_gaps_and_gross_outliers_move_nothing_by_three_deviations():
     one = identify(Recording(t, clean), guess, free, options=FitOptions(train=np.inf))
     other = identify(Recording(t, spoilt), guess, free, options=FitOptions(train=np.inf, loss="cauchy"))
     assert other.success
-    for name in free:  # three of the clean run's deviations: what the task asks
+    for name in free:  # three of the clean run's deviations, as required
         assert (np.abs(other.values[name] - one.values[name]) < 3.0 * one.std[name]).all()
     ruled = identify(Recording(t, spoilt), guess, free, options=FitOptions(train=np.inf))
     off = np.concatenate([np.abs(ruled.values[name] - one.values[name]) / one.std[name] for name in free])

@@ -59,7 +59,7 @@ def test_a_torque_frees_the_masses_of_few_links_and_of_many():
     [
         np.zeros((2, 2)),  # nothing moves
         np.diag([1e6, 0.0]),  # one of the two does not act
-        1e9 * np.ones((2, 2)),  # both act alike
+        1e9 * np.ones((2, 2)),  # both have the same effect
         np.array([[1.0, 1.0 - 1e-12], [1.0 - 1e-12, 1.0]]),  # but for rounding
         np.full((2, 2), np.inf),  # no noise
         np.full((2, 2), np.nan),

@@ -37,7 +37,7 @@ def test_the_papers_recording_with_gaps_and_outliers(seed):
     recording = hf.Recording(t, spoilt(rng, clean, 1.5))
     found = hf.identify(recording, guess, free, options=hf.FitOptions(train=np.inf, loss="cauchy", intervals=None))
     assert found.success
-    assert found.history[-1]["cost"] == found.basis.fit.cost  # of the start that won, not of the one before
+    assert found.history[-1]["cost"] == found.basis.fit.cost  # of the successful start, not of the one before
     for name in ("inertia", "friction"):
         assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.std[name][0]
 
@@ -116,7 +116,7 @@ def test_a_state_that_is_caught_is_started_elsewhere():
     assert found.cost == pytest.approx(good.cost, rel=1e-3)  # the same optimum, as far as a fit goes
 
 
-# ---- states are searched where several shapes look alike
+# ---- states are searched if several shapes look equal
 
 
 SEEN = hf.RecordingSetup(arc_lengths=[0.16], origin=(0.0, 0.0))

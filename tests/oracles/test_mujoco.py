@@ -75,7 +75,7 @@ def test_the_papers_cast_of_fifty_links():
         oracle.put(np.append(angle, y[:50]), np.append(speed, y[50:]))
         # The project's goal is 1e-5 m at 2 s. At tol 1e-8 m a step, some hundred steps stay below 1e-6 m.
         np.testing.assert_allclose(run.joints[k], oracle.joints(), rtol=0, atol=1e-6)
-        # With nothing asked for, what `simulate` promises of tol = 1e-5 m: about ten times that after some seconds.
+        # By default, the error that `simulate` states for tol = 1e-5 m: about ten times that after some seconds.
         np.testing.assert_allclose(plain.joints[k], oracle.joints(), rtol=0, atol=10 * 1e-5)
     # And it is a cast that was compared, not a rope at rest.
     assert np.abs(run.tip[:, 0]).max() > 0.3

@@ -33,7 +33,7 @@ def test_a_wound_rope_slips_where_the_capstan_law_says(mu, turns):
     ratios = limit * np.array([0.8, 0.97, 0.97, 1.03, 1.03])
     run = hf.simulate(capstan(rope, peg, swept, times, ratios))
     way = slipped(run, swept)
-    # Slip is 1 mm in 1 s, sustained. Between 0.5 and 1.5 s the pull stands 3 % below the limit, then 3 % above.
+    # Slip is 1 mm in 1 s, sustained. Between 0.5 and 1.5 s the pull is 3 % below the limit, then 3 % above.
     assert abs(way[150] - way[60]) < 1e-3
     assert way[-1] - way[200] > 1e-3
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]

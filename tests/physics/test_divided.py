@@ -74,7 +74,7 @@ def test_a_slow_swing_of_a_cut_rope_decays_as_that_of_a_hanging_chain() -> None:
 def test_the_hinge_keeps_its_friction_and_the_first_link_bends_as_the_rope_beyond():
     fine = divided(UNEVEN, 5)
     assert (fine.friction[0], fine.stiffness[0]) == (7e-4, 2e-3)
-    # per length that of the second joint, which stands for 0.08 m; pieces of 0.02 m
+    # per length that of the second joint, which represents 0.08 m; pieces of 0.02 m
     np.testing.assert_allclose(fine.friction[1:5], 3e-4 * 0.08 / 0.02, rtol=1e-12)
 
 

@@ -22,7 +22,7 @@ def test_a_rope_whose_joints_stick_holds_a_load_up_to_the_torque_of_its_first_jo
     limit = 4e-3 / 0.8
     held = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(0.98 * limit, 0.0), refine=False)
     assert np.abs(held.q).max() < 1e-6
-    # What the proximal method leaves: 1 % of the torque's impulse over a thousand ropes' inertia, 1e-7 rad/s.
+    # Residual of the proximal method: 1 % of the torque's impulse over a thousand ropes' inertia, 1e-7 rad/s.
     assert np.abs(held.qd[-1]).max() < 1e-6
     assert held.attrs["contact_unsolved"] == 0
     moved = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(1.02 * limit, 0.0), refine=False)

@@ -145,13 +145,13 @@ def test_nothing_creeps_below_the_limit():
     start = -np.pi / 2 + np.linspace(0.1, 0.6, 6)
     cast = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.1), duration=10.0, q0=start)
     bends = np.diff(cast.q, axis=1, prepend=cast.arm_angle[:, None])
-    assert np.abs(bends - bends[0]).max() < 1e-12  # the angles' own rounding; 1e-6 is what is asked for
+    assert np.abs(bends - bends[0]).max() < 1e-12  # rounding of the angles; 1e-6 is required
     two = hf.Rope(length=[0.3, 0.3], mass=[0.05, 0.05], dry_friction=[0.6, 0.0])
     load = hf.simulate(two, duration=10.0, q0=[0.4, 1.5])
     assert np.abs(load.q[:, 1]).max() > 1.0
     assert (load.q[:, 0] == 0.4).all()
     assert (load.qd[:, 0] == 0.0).all()
-    # What holds it is not friction work.
+    # The holding torque does no friction work.
     np.testing.assert_array_equal(load.dissipated_energy, 0.0)
 
 

@@ -31,7 +31,7 @@ def test_modes_tend_to_the_bessel_frequencies_with_the_square_of_the_link_length
     # mode is there already; the fourth, with 80 links on four half waves, still has 4 % of its next term.
     np.testing.assert_allclose(orders[-1], 2.0, rtol=0, atol=0.1)
     assert orders[-1, 0] == pytest.approx(2.0, abs=0.01)
-    # What is left at n = 80, with the order above: 5e-6 of the first, 1.8e-3 of the fourth (measured, rounded up).
+    # Remaining error at n = 80, with the order above: 5e-6 of the first, 1.8e-3 of the fourth (measured, rounded up).
     assert (np.abs(errors[-1]) < [6e-6, 2e-4, 8e-4, 2e-3]).all()
 
 

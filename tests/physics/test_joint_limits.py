@@ -33,7 +33,7 @@ def test_a_rod_that_falls_on_its_limit_stays_there():
     assert run.q[-1, 0] == pytest.approx(0.2, abs=1e-7)
     assert abs(run.qd[-1, 0]) < 1e-8
     assert run.attrs["contact_impacts"] == 1
-    # It comes to the limit after 0.35 s: up to there it is a rod without limits, but for the length of the last step.
+    # It comes to the limit after 0.35 s: until then it is a rod without limits, except for the length of the last step.
     free = hf.simulate(rod.replace(max_bend=np.inf), duration=1.0, q0=[0.75], tol=1e-6)
     np.testing.assert_allclose(run.q[:30], free.q[:30], rtol=0, atol=1e-6)
 

@@ -6,7 +6,7 @@ from scipy.special import ellipk
 
 import hyperflex as hf
 
-# A local error of 1e-12 m a step over some hundred steps of a 1 m pendulum: well inside the 1e-8 asked for.
+# A local error of 1e-12 m a step over some hundred steps of a 1 m pendulum: well below the required 1e-8.
 TOL = 1e-12
 
 

@@ -36,7 +36,7 @@ def through_a_file(run: hf.Trajectory, folder: Path) -> hf.State:
 METHODS: list[dict[str, Any]] = [{"tol": 1e-6}, {"tol": 1e-9}, {"method": "rk4", "step": 1e-3}]
 
 
-STOPS = [STOP, 0.73, 0.7301, 2.4999, np.nextafter(0.73, 0.0), np.nextafter(0.73, 1.0)]  # at a switch and beside it
+STOPS = [STOP, 0.73, 0.7301, 2.4999, np.nextafter(0.73, 0.0), np.nextafter(0.73, 1.0)]  # at a switch and next to it
 
 
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
@@ -80,7 +80,7 @@ def test_a_joined_motion_in_the_middle_of_a_piece_is_the_same_function_of_time()
     first, second = hf.hold_arm(-np.pi / 2), hf.arm_swings().shifted(0.4)
     whole = hf.simulate(cable(), first.then(second, at=0.2), arm=ARM, duration=END, t_eval=LATE, tol=1e-8)
     plain = hf.simulate(cable(), second, arm=ARM, duration=END, t_eval=LATE, tol=1e-8)
-    # The second motion stands still at the same angle until 0.4 s; the runs differ by the step cut at 0.2 s.
+    # The second motion rests at the same angle until 0.4 s; the runs differ by the step cut at 0.2 s.
     np.testing.assert_allclose(whole.q, plain.q, rtol=0, atol=1e-5)
 
 
@@ -143,7 +143,7 @@ def test_an_interrupted_run_continues_from_where_it_stood():
     assert part.status == "interrupted"
     stop_at = [np.inf]
     rest = hf.simulate(cable(), duration=1.0 - part.state.t, t_eval=[1.0], state=part.state, **how)
-    # The control instants are the same but for rounding; so is all else.
+    # The control instants are equal up to rounding; so is everything else.
     np.testing.assert_allclose(rest.q, whole.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(rest.arm_angle, whole.arm_angle, rtol=0, atol=1e-9)
     np.testing.assert_allclose(rest.motor_work, whole.motor_work, rtol=0, atol=1e-10)

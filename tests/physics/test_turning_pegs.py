@@ -131,7 +131,7 @@ def test_tension_on_both_sides_of_a_free_peg(inertia):
 def test_a_peg_too_heavy_to_turn_is_a_fixed_one():
     fixed, heavy = pulled({})[0], pulled({"inertia": 1e6})[0]
     assert fixed.peg_rate is None
-    # The peg turns by 1e-9 rad; the runs take the same steps, and the rope slips on both alike.
+    # The peg turns by 1e-9 rad; the runs take the same steps, and the rope slips equally on both.
     np.testing.assert_allclose(heavy.q, fixed.q, rtol=0, atol=1e-6)
     limit = math.exp(0.2 * math.pi) * WEIGHT * (GRAVITY + 2.0)
     assert pull_of(fixed) == pytest.approx(limit, rel=0.03)  # as the capstan tests have it

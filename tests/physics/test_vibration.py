@@ -18,7 +18,7 @@ def test_errors_of_short_steps_do_not_add_up(stiffness, size, tol):
     rope = hf.Rope.uniform(length=0.3, mass=0.1, n_links=N, stiffness=stiffness, friction=0.0)
     how = {"duration": DURATION, "q0": size * START, "t_eval": np.linspace(0.01, DURATION, 10)}
     truth = hf.simulate(rope, tol=tol / 300, **how)
-    # What nudges of these runs grow to stays below 1. So: tol in each of 5 shares of 20 ms, all errors of one sign.
+    # Perturbations of these runs do not grow. So: tol in each of 5 shares of 20 ms, all errors of one sign.
     bound = tol * DURATION / SHARE
     assert np.linalg.norm(hf.simulate(rope, tol=tol, **how).joints - truth.joints, axis=2).max() < bound
     batch = hf.simulate_batch(rope, tol=tol, keep=["tip"], **how)

@@ -18,7 +18,7 @@ def test_a_rope_comes_to_rest_on_the_floor():
     assert run.joints[..., 1].min() > -0.3 + RADIUS - 2e-4  # the goal for penetration
     lying = np.isclose(run.joints[-1, :, 1], -0.3 + RADIUS, atol=1e-4)
     assert lying.sum() >= 5
-    # At rest the floor bears what the pin at the top does not: the weight less the tension there.
+    # At rest the floor carries the load that the pin at the top does not: the weight less the tension there.
     up = run.contact_force[-20:, :, 1].sum(axis=1).mean()
     assert up + hf.rope_tension(run)[-20:, 0].mean() == pytest.approx(0.06 * 9.81, rel=0.02)
 

@@ -372,7 +372,7 @@ def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():
     best = task.rollout(found[:2], budget)
     assert len(best) == 2
     assert all(each.moves.ends.size > one.moves.ends.size for each, one in zip(best, found, strict=False))
-    for one in (found[0], best[0]):  # without last moves of its own, and with some
+    for one in (found[0], best[0]):  # without its own last moves, and with them
         others = [each for _ in range(3) for each in task.other_ends(one).follow]
         assert len({str(each.parameters.tolist()) for each in others}) == len(others) > 1
         made = one.moves.cut(one.t, task.problem.limits)

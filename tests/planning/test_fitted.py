@@ -12,7 +12,7 @@ from hyperflex.model import divided
 from hyperflex.planning.uncertainty import RopePosterior
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, radius=0.003, friction=1e-3, stiffness=2e-3, tip_mass=0.02)
-COUNT = 1500  # draws: a deviation is told within 1.8 %, a covariance within some 4 % of the product of deviations
+COUNT = 1500  # draws: a deviation is determined within 1.8 %, a covariance within some 4 % of the product of deviations
 
 
 def fitted(covariance: list[list[float]], *labels: str, **factors: float) -> RopePosterior:

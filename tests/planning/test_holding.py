@@ -88,7 +88,7 @@ def test_contact_and_bend_are_those_of_the_run():
     assert not cast.folded
     stop = planned().motion.breaks[-1] + hf.WindCriteria.settle
     watched = winding.measure_winding(run, PEG).contact[run.t >= stop]
-    assert cast.contact_angle == watched.min() < watched[-1]  # what is asked for and what is told are one
+    assert cast.contact_angle == watched.min() < watched[-1]  # the required and the reported value are equal
     away = run.joints[-1] - [PEG.x, PEG.y]
     lies = np.flatnonzero(np.hypot(*away.T) < PEG.radius + 0.0025 + 0.002)
     angle = np.unwrap(np.arctan2(away[lies, 1], away[lies, 0]))

@@ -87,7 +87,7 @@ def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not():
 
 
 def test_a_flight_that_failed_strikes_nothing_from_there_on():
-    angle = np.array([-0.5, -0.4, np.nan, np.nan])  # a rod beside the peg, and angles that nobody knows
+    angle = np.array([-0.5, -0.4, np.nan, np.nan])  # a rod near the peg, and unknown angles
     at, _, least = first_contact(
         angle[None, :, None], np.zeros((1, 4, 2)), np.array([[1.0]]), [hf.Peg(0.0, -0.8, 0.01)], 0.0
     )

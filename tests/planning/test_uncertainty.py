@@ -82,7 +82,7 @@ def test_moves_start_late_but_not_before_the_last_one_has_ended():
 def test_a_lag_makes_the_arm_late():
     asked = THROW.motion(CAST_SETUP.limits)
     done = Scenario(ROPE, PEG, 0.01, np.zeros(MOVES)).executed_motion(asked)
-    t = np.linspace(0.3, 0.6, 7)  # amid the first stroke: late by the lag, but for what its acceleration does
+    t = np.linspace(0.3, 0.6, 7)  # during the first stroke: late by the lag, except for the effect of its acceleration
     behind = (asked.angle(t) - done.angle(t)) / asked.rate(t)
     np.testing.assert_allclose(behind, 0.01, rtol=0.15)
     with pytest.raises(InvalidInput, match="not made of moves"):

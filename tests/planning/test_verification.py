@@ -62,7 +62,7 @@ def standing(arm_angle: float, aside: float = 0.0, **arm: float) -> hf.Trajector
 @pytest.mark.parametrize(
     ("arm_angle", "aside", "arm", "clear", "what"),
     [
-        (np.pi, 0.0, {}, 0.0, "the arm"),  # the arm stands up, and the rope hangs along it, over the shaft
+        (np.pi, 0.0, {}, 0.0, "the arm"),  # the arm is upright, and the rope hangs along it, over the shaft
         (
             np.pi,
             np.arctan(0.5),
@@ -106,7 +106,7 @@ def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path):
     before = replace(near, clearance=-np.inf)
     assert verify_cast(before, PEG, WINDS.motion(near.limits)).success  # it swings in front of the motor
     plan = replace(planned(), problem=before, finer_outcome=late().outcome)
-    assert plan.clearance == seen.clearance  # what was not run to its end tells none
+    assert plan.clearance == seen.clearance  # an incomplete run gives none
     plan.to_toml(tmp_path / "plan.toml")
     assert hf.read_plan(tmp_path / "plan.toml").problem == before
 
@@ -130,7 +130,7 @@ def test_the_torque_of_a_blow_is_reported():
     run = hf.simulate(rope, hf.hold_arm(0.0), arm=hf.Arm(length=0.2, mass=0.1, com=0.1), duration=1.0, qd0=[0.0, 6.0])
     mean, peak = motor_torques(run)
     assert peak > 5.0 * mean > 5.0 * np.abs(run.motor_torque).max() / 2.0
-    assert peak * 5e-4 == pytest.approx(mean * 5e-3, rel=0.2)  # one blow, and little beside
+    assert peak * 5e-4 == pytest.approx(mean * 5e-3, rel=0.2)  # one impact, and little else
 
 
 def test_contact_is_required_and_reported():

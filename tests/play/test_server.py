@@ -325,7 +325,7 @@ def test_a_plan_that_succeeds_can_be_carried_out_while_a_better_one_is_sought(se
         assert runner.session.activity == "cast"
     page.ask(button="cancel")
     assert runner.scene()["planning"] is None
-    assert runner.plan.success  # what stood is kept
+    assert runner.plan.success  # the earlier file is kept
 
 
 def test_the_planning_process_sends_each_plan_that_succeeds(monkeypatch):

@@ -109,7 +109,7 @@ def test_a_peg_is_put_where_it_is_dragged_but_not_into_the_rope():
 def test_the_tension_of_a_single_step_is_not_shown(monkeypatch):
     session = Session(Settings().changed(FREE))
     run_for(session, 0.1)
-    monkeypatch.setattr("hyperflex.play.session.rope_tension", lambda run: np.array([[3e4]]))  # as one beside a peg had
+    monkeypatch.setattr("hyperflex.play.session.rope_tension", lambda run: np.array([[3e4]]))  # like one near a peg
     assert numbers_of(session.advance(DT))["tension"] == pytest.approx(0.125 * 9.81, rel=1e-3)
 
 

@@ -28,7 +28,7 @@ KINDS = ("tip crosses", "phase reached", "angle reached")
 class Timing(NamedTuple):
     """How an event came out."""
 
-    event: str  # its name, "" where none was looked at
+    event: str  # its name, "" without an event
     error: float  # s
     promise: float  # the same in units of what is promised
 

@@ -52,7 +52,7 @@ class Verdict(NamedTuple):
     horizon: float  # s
     checked: bool  # whether Runge and Kutta's errors are among them, too
     energy: float  # greatest error of the energy account over the greatest kinetic energy
-    event: str  # name of the event whose time was looked at, if one was
+    event: str  # name of the event whose time was checked, if any
     late: float  # s, error of that time
     lateness: float  # the same in units of what is promised
     seconds: float  # processor time of the run

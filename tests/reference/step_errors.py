@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.core.integrate.step_size import STEP_SIZE
 from hyperflex.simulation.rollouts import Rollout, lever
 
-TIGHT = 1e-11  # m, so that the comparison is a millionth as wrong as the steps that it judges
+TIGHT = 1e-11  # m, so that the error of the comparison is a millionth of that of the steps
 
 
 class Step(NamedTuple):

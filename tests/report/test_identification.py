@@ -160,7 +160,7 @@ def test_the_errors_of_the_predictable_and_of_all_predicted_samples_are_named_ev
     rms = np.full(2, np.sqrt(np.mean(error**2)))
     doubtful = changed(found, held_out=dataclasses.replace(held, rms=rms, predicted=shown, std=std))
     assert doubtful.held_out.error == pytest.approx(0.1)
-    assert doubtful.held_out.error_of_all == pytest.approx(0.5, rel=0.01)  # half of the samples, but for one
+    assert doubtful.held_out.error_of_all == pytest.approx(0.5, rel=0.01)  # half of the samples, except one
     told = doubtful.summary()["held_out"]
     assert (told["foreseeable_error"], told["rms"][0]) == pytest.approx((0.1, rms[0]))
     assert told["foreseeable_part"] == pytest.approx(0.5, abs=0.03)
@@ -190,7 +190,7 @@ def test_rope_and_figures_stand_before_the_page_is_drawn(tmp_path, swing, monkey
     with pytest.raises(KeyboardInterrupt):
         write_identification(tmp_path / "new" / "out", recording, found)
     left = sorted(path.name for path in (tmp_path / "new" / "out").iterdir())
-    assert left == ["identification.json", "rope.toml"]  # and no page of an earlier fit beside them
+    assert left == ["identification.json", "rope.toml"]  # and no page of an earlier fit with them
 
 
 # ---- tables

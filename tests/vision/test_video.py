@@ -69,7 +69,7 @@ def test_rotation_is_obeyed_as_opencv_does(video, angle, direction):
 
 def test_the_rest_of_a_truncated_video_is_read_and_reported(video):
     content = video.read_bytes()
-    video.write_bytes(content[: int(0.6 * len(content))])  # its index stands in front, so it opens
+    video.write_bytes(content[: int(0.6 * len(content))])  # its index is at the front, so it opens
     frames, reader = read(video)
     assert 10 < len(frames) < 60
     assert any("lists 60 frames" in note for note in reader.notes)
@@ -177,7 +177,7 @@ def test_live_source_gives_the_stamps_of_its_stream(video):
 
 @pytest.mark.parametrize("source", [63, "rtsp://127.0.0.1:9/none"])
 def test_live_source_that_is_not_there(source):
-    # a process of its own: OpenCV asks once in each how much FFmpeg may say
+    # a separate process: OpenCV reads FFmpeg's log level once in each
     program = f"from hyperflex.vision import LiveCamera; LiveCamera({source!r}, timeout=2.0)"
     ended = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
     *trace, last = ended.stderr.splitlines()
