@@ -283,8 +283,8 @@ def page(found: dict[str, Any]) -> str:
         f"free swing of {SECONDS:g} s, {MARKERS} markers at {RATE:g} Hz with {1e3 * NOISE:g} mm of noise at known "
         f"fractions of the rope; friction is fitted, length is measured with a tape ({100 * TAPE:g} %) or also fitted, "
         f"mass is not improved. The motor's rests are {1e3 * TIMING:g} ms off, and it follows with a first-order lag "
-        f"of {1e3 * LAG:g} ms that is not in the plan. Targets that the true rope cannot reach count as missed. Half "
-        "as long links of the true rope represent a model error. All simulated."
+        f"of {1e3 * LAG:g} ms that is not in the plan. Targets that the true rope cannot reach count as missed. "
+        "Links of half the length in the true rope represent a model error. All simulated."
     )
     lines += [*identified_words(found["rows"]), *beyond_words(found["rows"])]
     blows = [row for row in found["rows"] if row["kind"] == "impact" and row["touched"]]
@@ -312,8 +312,8 @@ def identified_words(rows: list[dict[str, Any]]) -> list[str]:
             without, exact = (middle(those, f"miss{name}") for name in (" without lag", " in time"))
             long, stiff = (np.array([row[name] for row in those]) - 1.0 for name in ("length", "friction"))
             lines.append(
-                f"\n{NAMES[kind].capitalize()}: median miss without the lag {without:.1f} mm, without timing errors "
-                f"either {exact:.1f} mm. Length {100 * np.sqrt((long**2).mean()):.3f} % off (root mean square), "
+                f"\n{NAMES[kind].capitalize()}: median miss without the lag {without:.1f} mm, also without timing "
+                f"errors {exact:.1f} mm. Length {100 * np.sqrt((long**2).mean()):.3f} % off (root mean square), "
                 f"friction over mass {100 * stiff.mean():+.1f} % on average, {100 * stiff.std():.1f} % standard "
                 "deviation."
             )

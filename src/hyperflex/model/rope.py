@@ -402,7 +402,7 @@ def unit_across(angle: ArrayLike, axis: int = -1) -> Array:
 
 
 def swing_rate(rope: Rope) -> float:
-    """Return sqrt(g / L), rad/s: about how fast a rope swings."""
+    """Return sqrt(g / L), rad/s: the approximate angular frequency of a swing."""
     return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
 
 
