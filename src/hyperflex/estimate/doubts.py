@@ -22,7 +22,7 @@ LONGER = 0.03  # of the rope's length, from which an estimated one contradicts i
 class DoubtKind(StrEnum):
     """What is wrong, and its text with a number."""
 
-    SHAKE = "the whole picture moves by {:.1f} px from frame to frame: the camera shakes, or stabilises its pictures"
+    SHAKE = "the whole picture moves by {:.1f} px rms: the camera moves, shakes or stabilises its pictures"
     IMPOSSIBLE = (
         "the places move as those of no hanging rope: off by {:.1f} times the detection errors, alike from frame to "
         "frame, as with a swing out of the plane"
