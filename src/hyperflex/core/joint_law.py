@@ -12,6 +12,8 @@ prints it. All functions take numbers or numpy arrays. The law is taken to be li
 step and its tangent use the slopes of ``jacobian``. One that is not needs them at the joint's state.
 """
 
+import math
+
 from hyperflex.core.jit import inlined
 
 
@@ -41,6 +43,18 @@ def spring_energy(joint, angle):  # type: ignore[no-untyped-def]
 def power(joint, reaction_factor, w, up, slip):  # type: ignore[no-untyped-def]
     """Power that friction takes from a link that turns at w and from its parent that turns at `up`, rad/s; W."""
     return -friction(joint, w - up, slip) * (w - reaction_factor * up)
+
+
+@inlined
+def regularized(joint, rate, tolerance):  # type: ignore[no-untyped-def]
+    """Joint with viscous friction in place of dry, alike at a relative rate much above `tolerance`, both rad/s.
+
+    At rest it creeps: under a torque below ``dry`` at `tolerance` at most, times what the torque is of ``dry`` over the
+    root of 1 less its square. An implicit step takes the coefficient at its beginning, and is stable for any step
+    (lagged diffusivity: Vogel and Oman 1996, doi:10.1137/0917016).
+    """
+    viscous, dry, stiffness, rest = joint
+    return viscous + dry / math.sqrt(rate * rate + tolerance * tolerance), 0.0 * dry, stiffness, rest
 
 
 @inlined

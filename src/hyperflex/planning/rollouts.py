@@ -42,6 +42,8 @@ class RolloutModel:
     ----------
     step, tol : float
         Between samples of a free flight, and its tolerance; with 1e-3 the best swings of a search were often errors.
+    stiction : float
+        Stiction tolerance of free flights (:func:`hyperflex.simulate_batch`) over the mean length of links, rad/(s m).
     near : float
         Gap between rope and peg below which a free flight strikes.
     contact_tol, contact_step : float
@@ -72,6 +74,7 @@ class RolloutModel:
 
     step: float = 0.02
     tol: float = 1e-4
+    stiction: float = 1.5
     near: float = 0.02
     contact_tol: float = 1e-3
     contact_step: float = 1e-3
@@ -147,6 +150,7 @@ class RolloutBatch:
         """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n)."""
         t: Array = MODEL.step * np.arange(1.0, math.ceil(span / MODEL.step - 1e-9) + 1.0)
         given: dict[str, Any] = {"time_budget": budget, "threads": budget.threads}
+        given["stiction_tolerance"] = MODEL.stiction * float(self.ropes[0].length.mean())
         run = self.run(arm, t, tol=MODEL.tol, keep=("q", "qd"), **given)
         return t, run.q, run.qd
 

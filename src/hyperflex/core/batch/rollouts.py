@@ -122,6 +122,7 @@ class Terms(NamedTuple):
     best: Array  # (p + 1,) weights of the columns, as in Scheme
     gap: Array  # in the error estimate
     rounding: float  # m, as in Scheme
+    stiction: float  # rad/s, tolerance of regularized dry friction; 0.0: joints stick
 
 
 LENGTH, DRY, LEVER = map(Chain._fields.index, ("length", "dry", "tip_mass"))  # rows of ``links``
@@ -144,6 +145,8 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     for i in range(n):
         at = (i + 1) * ROW * k + j
         lanes[at + ln.LEVER * k] = members.links[m, LEVER, i]
+        if terms.stiction > 0.0:
+            write(lanes, k, at, (ln.OWN, ln.LOSS, ln.DRY), (*read(lanes, k, at, (ln.VISCOUS, ln.DRY)), 0.0))
         write(lanes, k, at, ln.START, (start[i], start[n + i], *sincos(start[i])))
     write(
         path, k, j, (GX, GY, ARM, LIMIT), (whole[GRAVITY_X], whole[GRAVITY_Y], whole[ARM_LENGTH], whole[TORQUE_LIMIT])
@@ -377,6 +380,8 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
             for j in range(k):
                 tip[ln.EXTERNAL * k + j] = path[EXTERNAL * k + j]
                 path[SINCE * k + j] += tip[ln.STEP * k + j]
+            if terms.stiction > 0.0:
+                ln.regularize(MEMBERS, terms.stiction, lanes, base)
             if s < col - 1:
                 ln.euler(MEMBERS, terms.reaction, ln.MORE, lanes, tip, base)
             else:
@@ -467,7 +472,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     reached : (high - low,) out, s
     stop : (1,) int64; once another thread makes it 1, the block ends: members at work keep their codes as they were
     """
-    dry = STICKING if members.links[low:high, DRY].any() else SLIDING
+    dry = STICKING if terms.stiction == 0.0 and members.links[low:high, DRY].any() else SLIDING
     run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, stop)
 
 
@@ -492,7 +497,7 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
         for j in range(k):
             if member[j] < 0 and coming < high:
                 member[j], index[j] = coming, 0
-                sticks[j] = can_stick(chain_of(members, terms, coming))
+                sticks[j] = len(dry) > 0 and can_stick(chain_of(members, terms, coming))
                 enter(members, terms, coming, lanes, tip, path, j, lane[j], energy[j])
                 coming += 1
         if prepare(members, terms, member, lane, index, path, t_out) == 0:

@@ -49,7 +49,9 @@ SUMS = Q_SUM, W_SUM, Q_GAP, W_GAP = tuple(range(42, 46))
 LEVER = 46
 ERRORS = tuple(range(47, 53))
 DRAG = 53  # of the link; in row 0 more than 0.0 where any link of the lane has drag
-ROW = 54
+# of the joint, where dry friction is regularized: VISCOUS is then what stands for both
+OWN, LOSS = 54, 55
+ROW = 56
 UP, AT, DOWN = 0, ROW, 2 * ROW
 
 
@@ -178,6 +180,24 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
             write(row, k, at, (BX, BY, BETA), whole)
     for j in range(k):
         write(lanes, k, j, (FX, FY, S), read(lanes, k, ROW * k + j, (BX, BY, BETA)))
+
+
+@non_allocating
+def regularize(width, tolerance, lanes, base):  # type: ignore[no-untyped-def]
+    """Give each joint the viscous friction that stands for its own (OWN) and dry friction (LOSS) at its present rate.
+
+    `tolerance`, rad/s, as in ``joint_law.regularized``, `base` as in :func:`euler`.
+    """
+    k = len(width)
+    n = lanes.size // (ROW * k) - 2
+    for j in range(k):
+        lanes[W * k + j] = base[3, j]
+    for i in range(1, n + 1):
+        row = lanes[(i - 1) * ROW * k : (i + 1) * ROW * k]
+        for j in range(k):
+            up, at = UP * k + j, AT * k + j
+            joint = row[at + OWN * k], row[at + LOSS * k], 0.0, 0.0
+            row[at + VISCOUS * k], _, _, _ = joint_law.regularized(joint, row[at + W * k] - row[up + W * k], tolerance)
 
 
 @non_allocating

@@ -3,14 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Peg, Rope
+from hyperflex.model import Peg
 from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, strikes_in_plane, verify_members
 from hyperflex.planning.moves import PUMPING, Moves
 from hyperflex.planning.options import SearchOptions
@@ -20,12 +19,11 @@ from hyperflex.planning.rollouts import (
     MODEL,
     RolloutBatch,
     WindingScores,
-    fly_to_strikes,
     free_sides,
     robust_values,
     simulate_contact,
 )
-from hyperflex.planning.swings import DELAY, MIN_SPEED, State, Strike, Swing, SwingSearch
+from hyperflex.planning.swings import MIN_SPEED, State, Strike, Swing, SwingSearch
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
@@ -47,11 +45,6 @@ FINISHES = (
 
 class WindTask(Task):
     """Wind a rope round a target.
-
-    Free flights, and the verification with shorter links, take viscous friction in place of dry friction
-    (:func:`viscous`). Runs in contact do not: there dry friction costs nothing, and holds a wound rope still. A strike
-    that winds is flown with dry friction, too, and goes on from there: of six strikes of two random ropes none wound
-    then.
 
     Parameters
     ----------
@@ -90,11 +83,10 @@ class WindTask(Task):
     ) -> None:
         self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
         self.sides = free_sides(problem, problem.beside(peg))
-        self.model, self._factor = viscous(problem)
         cuts = self._cuts = pieces_in_contact(problem, peg, options.coarse)
         pieces = max(options.pieces, cuts + 1)
         self.contact, self.finer = problem.cut(cuts), problem.cut(pieces)
-        chains = self.model, self.model.cut(pieces)
+        chains = problem, problem.cut(pieces)
         made = list[Swing]()
         for moves, now in seen:
             states = tuple(State(now.t, now.q, now.qd).cut(parts) for parts in (1, pieces))
@@ -184,30 +176,14 @@ class WindTask(Task):
             good, *(each.tolist() for each in (seen.score, seen.turns, seen.slip)), strict=True
         ):
             winds, value = turns >= criteria.turns and slip < criteria.max_slip, min(one.score, value)
-            if winds and self.model is not self.problem:
-                one, winds, other = self._with_dry_friction(one, budget)
-                value = min(value, other)
             if winds and self.scenarios:
                 value = 3.0 * float(np.mean(self._values(one.moves, self.scenarios[:8], budget)))
             found.append(replace(one, score=value, good=winds))
         return found
 
-    def _with_dry_friction(self, one: Strike, budget: Budget) -> tuple[Strike, bool, float]:
-        """Return a strike as the rope itself makes it, whether it winds then, and its score."""
-        motion, until = one.moves.motion(self.problem.limits), one.t + 2.0 * DELAY
-        batch = RolloutBatch.from_start(self.problem, [self.problem.rope], [self.peg], [motion])
-        self.runs += 1
-        real = fly_to_strikes(self.problem, self.peg, batch, budget, until)
-        if not abs(real.t[0] - one.t) <= DELAY:
-            return one, False, one.score
-        state = State(float(real.t[0]), real.q[0].copy(), real.qd[0].copy())
-        wound = self._wind(self.contact, [one.moves], [state.cut(self._cuts)], budget, sweeping=True)
-        winds = bool(wound.turns[0] >= self.problem.criteria.turns)
-        return replace(one, states=(state, *one.states[1:])), winds, float(wound.score[0])
-
     def _values(self, moves: Moves, scenarios: Sequence[Scenario], budget: Budget) -> Array:
         """Return the values of moves in scenarios; see :func:`robust_values`."""
-        ropes = [_viscous(each.rope, self._factor) for each in scenarios]
+        ropes = [each.rope for each in scenarios]
         self.runs += 2 * len(ropes)
         found = scenario_scores(self.problem, moves, scenarios, ropes, self._cuts, budget)
         return robust_values(found, self.problem)
@@ -250,12 +226,11 @@ class WindTask(Task):
 
     def verify(self, one: Candidate, budget: Budget) -> Verified:
         """Verify moves in an ensemble: as planned, with shorter links, and in scenarios."""
-        pieces, problem, model, since = self.options.pieces, self.problem, self.model, 0.0
+        pieces, problem, since = self.options.pieces, self.problem, 0.0
         if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
             since, q, qd = last.states[0]
-            given: dict[str, Any] = {"side": one.moves.side, "q0": tuple(q), "qd0": tuple(qd)}
-            problem, model = replace(problem, **given), replace(model, **given)
-        finer = [model.cut(each) for each in (pieces, pieces - 1) if each > 0]
+            problem = replace(problem, side=one.moves.side, q0=tuple(q), qd0=tuple(qd))
+        finer = [problem.cut(each) for each in (pieces, pieces - 1) if each > 0]
         found = verify_members(problem, finer, self.peg, one, budget, since)
         if found.message or not self.scenarios:
             return found
@@ -276,33 +251,6 @@ def pumped(problem: Problem, moves: Moves, wait: float = 0.0) -> Moves:
     duration = float(limits.fastest_moves([stroke])[0][0])
     rest = max(0.02, PUMPING - duration / problem.period) * problem.period
     return moves.then(float(np.clip(angles[-1] + sense * stroke, *limits.angles)), max(wait, rest))
-
-
-def viscous(problem: Problem) -> tuple[Problem, Array]:
-    """Return a problem whose rope has viscous friction in place of dry friction, and their ratio (n,), s/rad.
-
-    Each joint dissipates as much energy as its dry friction in a pumping swing. Dry friction makes free flights of long
-    chains 10 to 100 times as expensive.
-    """
-    rope, none = problem.rope, np.zeros(0)
-    factor: Array = np.ones(rope.n_links)
-    if not rope.dry_friction.any():
-        return problem, factor
-    moves = pumped(problem, Moves(problem.side or 1, none, none))
-    while moves.stops(problem.limits) < problem.time:
-        moves = pumped(problem, moves)
-    motion = moves.motion(problem.limits)
-    for _ in range(3):  # what is dissipated depends on the rates
-        model = [_viscous(rope, factor)]
-        t, _, qd = RolloutBatch.from_start(problem, model, [], [motion]).fly(problem.arm, problem.time, Budget())
-        rate = np.diff(qd[0], axis=1, prepend=motion.rate(t)[:, None])
-        factor = np.abs(rate).mean(axis=0) / np.maximum((rate**2).mean(axis=0), 1e-9)
-    return replace(problem, rope=_viscous(rope, factor)), factor
-
-
-def _viscous(rope: Rope, factor: Array) -> Rope:
-    friction = rope.friction + factor * rope.dry_friction
-    return rope.replace(friction=friction, dry_friction=np.zeros(rope.n_links))
 
 
 def _alike(one: Candidate, other: Candidate, apart: float = 0.1) -> bool:
