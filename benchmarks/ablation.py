@@ -31,7 +31,6 @@ from hyperflex.planning.feasibility import search_time
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.planner import Candidate
 from hyperflex.planning.rollouts import RolloutBatch, winding_scores
-from hyperflex.planning.tasks.wind import viscous
 
 RESULTS = Path(__file__).parent / "results"
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -73,7 +72,7 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
     """Plan by the cross-entropy method over stroke, step, number of strokes, end and rest of the last move."""
     rng, problem = np.random.default_rng(0), hf.Problem(rope, arm)
     problem = hf.Problem(rope, arm, time=search_time(problem, peg))
-    model, towards = viscous(problem)[0], math.copysign(1.0, peg.x)
+    towards = math.copysign(1.0, peg.x)
     mean, std = np.array([2.8, 0.54, 5.0, 0.0, 0.3]), np.array([0.3, 0.06, 2.0, 1.0, 0.3])
     while not budget.expired:
         x = mean + std * rng.standard_normal((32, 5))
@@ -84,13 +83,13 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
             rests = np.full(count, max(0.0, step * problem.period - problem.limits.fastest_moves([stroke])[0][0]))
             moves.append(Moves(side, np.append(ends, towards * end), np.append(rests, abs(rest) * problem.period)))
         motions = [each.motion(problem.limits) for each in moves]
-        batch = RolloutBatch.from_start(model, [model.rope] * 32, [peg] * 32, motions)
-        found = winding_scores(model, batch, budget)
+        batch = RolloutBatch.from_start(problem, [problem.rope] * 32, [peg] * 32, motions)
+        found = winding_scores(problem, batch, budget)
         best = np.argsort(-found.score)[:8]
         mean, std = 0.3 * mean + 0.7 * x[best].mean(axis=0), 0.3 * std + 0.7 * x[best].std(axis=0)
         for k in best[found.turns[best] >= problem.criteria.turns][:1]:
             one = Candidate(moves[k], float(found.score[k]), 0.0, True)
-            if not verify_members(problem, [model.cut(3)], peg, one, budget).message:
+            if not verify_members(problem, [problem.cut(3)], peg, one, budget).message:
                 return True
     return False
 

@@ -51,6 +51,20 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(width, n, air, reaction
         assert top[ln.LOST, j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))
 
 
+def test_regularized_friction_is_viscous_friction_that_dissipates_alike():
+    """Its torque is the dry friction times the rate over its root of squares with the tolerance."""
+    flat, _ = ln.rows(ln.MEMBERS, 5)
+    state, base, tolerance = random_state(5, 1), np.zeros((9, 16)), 0.3
+    link, own, dry = flat.reshape(7, ln.ROW, 16)[1:6], np.linspace(0.0, 1e-3, 5), np.linspace(1e-3, 0.0, 5)
+    link[:, ln.W], link[:, ln.OWN], link[:, ln.LOSS] = state.w[:, None], own[:, None], dry[:, None]
+    base[3] = state.base[3]
+    ln.regularize(ln.MEMBERS, tolerance, flat, base)
+    rate = np.diff(state.w, prepend=state.base[3])
+    # a vector of rate and tolerance has its sine and cosine; 1e-14: rounding
+    torque = own * rate + dry * np.sin(np.arctan2(rate, tolerance))
+    np.testing.assert_allclose(link[:, ln.VISCOUS] * rate[:, None], np.tile(torque[:, None], 16), rtol=1e-14)
+
+
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="without machine code there is no stack to align")
 @pytest.mark.parametrize("width", [ln.COLUMNS, ln.MEMBERS], ids=["columns", "members"])
 def test_the_stack_of_loops_over_lanes_begins_at_a_cache_line(width):

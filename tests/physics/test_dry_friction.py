@@ -65,6 +65,25 @@ def test_a_rod_swings_to_rest(method):
     assert np.abs(run.energy_error).max() < 1e-9  # J, of 0.1 J
 
 
+def test_regularized_friction_tends_to_stiction():
+    """A rod comes to rest a little later, and then creeps; the energy account closes."""
+    angles, times = half_swings(1.0)
+    errors, held = [], 0.5 * DRY  # N m, a load below the limit
+    for tolerance in (0.04, 0.02, 0.01):
+        given = {"q0": [1.0], "t_eval": times[1:], "duration": 20.0, "tol": 1e-9}
+        swung = hf.simulate_batch(ROD, stiction_tolerance=tolerance, keep=("q", "dissipated_energy"), **given)
+        errors.append(float(np.abs(swung.q[0, :-1, 0] - angles[1:-1]).max()))
+        lost = WEIGHT * (np.cos(swung.q[0, :, 0]) - np.cos(1.0))
+        # at the turns kinetic energy is that of creeping, below 1e-5 J
+        np.testing.assert_allclose(swung.dissipated_energy[0], lost, rtol=0, atol=1e-5)
+        start = float(np.arcsin(held / WEIGHT))
+        crept = hf.simulate_batch(ROD, stiction_tolerance=tolerance, q0=[start], duration=0.1, keep=("qd",), tol=1e-9)
+        # load = dry sin(a) where tan(a) = rate / tolerance
+        assert -crept.qd[0, 0, 0] == pytest.approx(tolerance * np.tan(np.arcsin(held / DRY)), rel=0.02)
+    assert errors[0] < 2e-3
+    assert errors[2] < 0.6 * errors[1] < 0.36 * errors[0]  # of first order in the tolerance at least
+
+
 def test_a_spring_loses_the_same_each_half_swing():
     """Between turns a harmonic oscillation about +-dry/stiffness: each turn is 2 dry/stiffness nearer, on time."""
     stiffness, dry, start = 0.05, 2e-3, 0.5

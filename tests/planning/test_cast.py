@@ -39,7 +39,7 @@ from hyperflex.planning.ensemble import SPARE, margin, repeatable
 from hyperflex.planning.outcome import TOO_LONG, too_long
 from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
 from hyperflex.planning.swings import DELAY, Strike
-from hyperflex.planning.tasks.wind import WindTask, pumped, viscous
+from hyperflex.planning.tasks.wind import WindTask, pumped
 from tests.planning.known import planned
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, radius=0.002, friction=2e-4)
@@ -341,22 +341,6 @@ def test_runs_that_disagree_leave_the_cast_to_chance():
     assert not repeatable(replace(outcome, spare_clearance=8e-3), replace(outcome, spare_clearance=1e-3)).success
 
 
-def test_viscous_friction_takes_the_place_of_dry_friction_and_damps_a_swing_alike():
-    bare = Problem(CORD, ARM)
-    assert viscous(bare)[0] is bare
-    dry = Problem(CORD.replace(dry_friction=np.full(15, 4e-3)), ARM)
-    model, _ = viscous(dry)
-    assert not model.rope.dry_friction.any()
-    assert (model.rope.friction > CORD.friction).all()
-    moves = pumped(bare, pumped(bare, Moves(1, np.zeros(0), np.zeros(0))))
-    runs = [
-        hf.simulate(each.rope, moves.motion(each.limits), arm=ARM, duration=2.5, q0=each.start[0])
-        for each in (dry, model, bare)
-    ]
-    left, modelled, without = (float(run.kinetic_energy[-1] + run.potential_energy[-1]) for run in runs)
-    assert abs(modelled - left) < 0.5 * abs(without - left)  # the model is made to dissipate the same energy
-
-
 def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():
     task = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1))
     budget, found = Budget(threads=1), []
@@ -406,11 +390,15 @@ def test_a_strike_after_the_time_limit_does_not_count():
         assert len(limited.start([found[0].moves], budget)) == count
 
 
-def test_runs_in_contact_keep_dry_friction():
-    """The model of free flights, viscous friction, never holds a wound rope still."""
-    task = WindTask(Problem(CORD.replace(dry_friction=1e-4), ARM), PEG, SearchOptions(threads=1))
-    assert not any(each.rope.dry_friction.any() for each in task.search.chains)
-    assert all(each.rope.dry_friction.any() for each in (task.contact, task.finer))
+def test_swings_of_a_rope_with_dry_friction_are_those_of_exact_stiction():
+    """Viscous friction that dissipates as much energy was off by a tenth of the rope's length and more."""
+    dry = Problem(CORD.replace(dry_friction=2e-3), ARM)
+    moves = pumped(dry, pumped(dry, Moves(1, np.zeros(0), np.zeros(0))))
+    batch = RolloutBatch.from_start(dry, [dry.rope], [], [moves.motion(dry.limits)])
+    t, q, _ = batch.fly(ARM, 1.5, Budget(threads=1))
+    exact = hf.simulate(dry.rope, batch.motions[0], arm=ARM, duration=2.0, q0=batch.q[0], t_eval=t)
+    # Joints that stick creep at 0.12 rad/s times their part of the dry friction: 0.01 rad in 0.1 s
+    np.testing.assert_allclose(q[0], exact.q, rtol=0, atol=0.05)
 
 
 def test_a_reach_map_reads_back_equal(tmp_path):

@@ -64,14 +64,13 @@ def verify_members(
     """Verify moves on the rope as planned, and on the same with shorter links, in one or more ways.
 
     Ways after the first are for a rope that comes off the target after its first touch and winds later: what it does in
-    between depends on little, so that two runs may agree by chance. The rope with shorter links has viscous friction in
-    place of dry friction, which makes runs expensive. The first member to fail ends the other, and the less expensive
-    one begins first. A candidate whose runs take more than three quarters of the remaining time fails. Where the
-    problem begins in the middle of the moves, `since` is the time there, s.
+    between depends on little, so that two runs may agree by chance. The first member to fail ends the other. A
+    candidate whose runs take more than three quarters of the remaining time fails. Where the problem begins in the
+    middle of the moves, `since` is the time there, s.
     """
     motion, share = one.moves.motion(problem.limits, since), budget.share(0.75)
     members = [(problem, DEFAULT_CONTACT_STEP), *((each, 2.0 * DEFAULT_CONTACT_STEP) for each in finer)]
-    order, failed = ([1, 0] if problem.rope.dry_friction.any() else [0, 1]), list[int]()
+    failed = list[int]()
 
     def run(k: int) -> CastOutcome:
         which, step = members[k]
@@ -83,7 +82,7 @@ def verify_members(
         return outcome
 
     with ThreadPoolExecutor(min(2, budget.threads)) as pool:
-        found = dict(zip(order, pool.map(run, order), strict=True))
+        found = dict(enumerate(pool.map(run, range(2))))
     budget.check()
     if failed and failed[0] == 0:
         return Verified(one, found[0], None, found[0].message, -1.0)

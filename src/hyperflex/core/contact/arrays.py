@@ -47,8 +47,9 @@ class Joints(NamedTuple):
 # Rows of Joints.of, by joint. IMPULSE: of friction and limit together, N m s. START: where the proximal method starts
 # from; GOOD: that of the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST,
 # HIGHEST: the relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER:
-# length of the chain beyond the joint, m. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
-IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, FREE, ROWS = *range(10), 11
+# length of the chain beyond the joint, m. DAMPED: dry friction over the rate after the step, N m s^2, of a joint for
+# which no mode is found. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
+IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, DAMPED, FREE, ROWS = *range(11), 12
 
 
 class Motion(NamedTuple):

@@ -17,6 +17,7 @@ from hyperflex.core.contact.arrays import (
     BACK,
     BEFORE,
     BOUND,
+    DAMPED,
     FREE,
     HIGHEST,
     IMPULSE,
@@ -42,6 +43,8 @@ LIMIT_PASSED = 2e-4
 JOINT_CLOSING = 1e-9
 # rad/s, below which a joint with dry friction sticks at first
 JOINT_SLOW = 1e-8
+# rad/s, stiction tolerance where friction is regularized
+CREEP = 1e-3
 # s, over which the present rate is extrapolated to a gap
 SOON = 0.01
 
@@ -87,7 +90,7 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
         bend = relative(motion.q, i, workspace.base[1, 4]) - chain.rest[i]
         rate = relative(motion.w, i, workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
-        of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
+        of[FREE, i], of[FREE + 1, i], of[DAMPED, i] = motion.joint[i, 0], motion.joint[i, 1], 0.0
         of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
         of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
         of[START, i] = RELAXED * h * memory.torque[i]
@@ -152,6 +155,7 @@ def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-unty
         of[IMPULSE, i], new_mode = joint_mode(
             joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i], of[START, i], mass
         )
+        of[IMPULSE, i] -= of[DAMPED, i] * rate
         if new_mode != joints.mode[i]:
             violations += 1
             if change:
@@ -178,6 +182,39 @@ def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
+def damp_joints(joints):  # type: ignore[no-untyped-def]
+    """Regularize dry friction for this step, where no modes are found: joints then have none but those of limits.
+
+    As ``joint_law.regularized``. Returns whether any joint had a mode of friction.
+    """
+    of, found = joints.of, False
+    for i in joints.which:
+        if of[BOUND, i] > 0.0:
+            rate, found = of[BEFORE, i], True
+            of[DAMPED, i], _, _, _ = joint_law.regularized((0.0, of[BOUND, i], 0.0, 0.0), rate, CREEP)
+            of[FREE, i] -= of[DAMPED, i] * rate
+            of[FREE + 1, i] += of[DAMPED, i]
+            of[BOUND, i] = of[START, i] = 0.0
+            if joints.mode[i] < UPPER:
+                joints.mode[i] = OPEN
+    return found
+
+
+@non_allocating
+def guess_joint_modes(chain, joints, h):  # type: ignore[no-untyped-def]
+    """Give joints their dry friction back, with the modes and impulses that the solution with regularized one says."""
+    of = joints.of
+    for i in joints.which:
+        if of[DAMPED, i] > 0.0:
+            rate, bound = of[AFTER, i], h * chain.dry[i]
+            of[FREE, i] += of[DAMPED, i] * of[BEFORE, i]
+            of[FREE + 1, i] -= of[DAMPED, i]
+            of[BOUND, i], of[START, i], of[DAMPED, i] = bound, max(-bound, min(of[IMPULSE, i], bound)), 0.0
+            if joints.mode[i] < UPPER:
+                joints.mode[i] = STICK if abs(rate) <= CREEP else AHEAD if rate > 0.0 else BACK
+
+
+@non_allocating
 def release_joints(joints):  # type: ignore[no-untyped-def]
     """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
     of = joints.of
@@ -193,7 +230,7 @@ def joint_losses(joints):  # type: ignore[no-untyped-def]
         taken = -0.5 * of[IMPULSE, i] * (of[BEFORE, i] + of[AFTER, i])
         if joints.mode[i] >= UPPER:
             limits += taken
-        elif joints.mode[i] != OPEN:
+        else:
             friction += taken
     return friction, limits
 
