@@ -68,20 +68,21 @@ def test_a_rod_swings_to_rest(method):
 def test_regularized_friction_tends_to_stiction():
     """A rod comes to rest a little later, and then creeps; the energy account closes."""
     angles, times = half_swings(1.0)
-    errors, held = [], 0.5 * DRY  # N m, a load below the limit
+    errors = []
     for tolerance in (0.04, 0.02, 0.01):
-        given = {"q0": [1.0], "t_eval": times[1:], "duration": 20.0, "tol": 1e-9}
-        swung = hf.simulate_batch(ROD, stiction_tolerance=tolerance, keep=("q", "dissipated_energy"), **given)
+        how = {"stiction_tolerance": tolerance, "keep": ("q", "qd", "dissipated_energy"), "tol": 1e-9}
+        swung = hf.simulate_batch(ROD, q0=[1.0], t_eval=times[1:], duration=20.0, **how)
         errors.append(float(np.abs(swung.q[0, :-1, 0] - angles[1:-1]).max()))
         lost = WEIGHT * (np.cos(swung.q[0, :, 0]) - np.cos(1.0))
         # at the turns kinetic energy is that of creeping, below 1e-5 J
         np.testing.assert_allclose(swung.dissipated_energy[0], lost, rtol=0, atol=1e-5)
-        start = float(np.arcsin(held / WEIGHT))
-        crept = hf.simulate_batch(ROD, stiction_tolerance=tolerance, q0=[start], duration=0.1, keep=("qd",), tol=1e-9)
-        # load = dry sin(a) where tan(a) = rate / tolerance
-        assert -crept.qd[0, 0, 0] == pytest.approx(tolerance * np.tan(np.arcsin(held / DRY)), rel=0.02)
-    assert errors[0] < 2e-3
-    assert errors[2] < 0.6 * errors[1] < 0.36 * errors[0]  # of first order in the tolerance at least
+        crept = hf.simulate_batch(ROD, q0=[0.5 * DRY / WEIGHT], duration=0.2, **how)
+        # the part of dry friction that holds the rod is sin(a) for tan(a) = rate / tolerance
+        part = WEIGHT * np.sin(crept.q[0, 0, 0]) / DRY
+        # 2 %: in 0.2 s the load falls by a tenth and the rate by 0.7 of itself a second, with a delay of up to 26 ms
+        assert -crept.qd[0, 0, 0] == pytest.approx(tolerance * np.tan(np.arcsin(part)), rel=0.02)
+    assert errors[0] < 1e-3
+    assert errors[2] < 0.4 * errors[1] < 0.16 * errors[0]  # of nearly second order in the tolerance
 
 
 def test_a_spring_loses_the_same_each_half_swing():
