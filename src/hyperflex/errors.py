@@ -1,4 +1,4 @@
-"""Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
+"""Exceptions of hyperflex. Every message states the mistake, the value, the allowed values and the remedy."""
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
@@ -7,14 +7,14 @@ from typing import Any
 
 from hyperflex.status import Status
 
-LISTED = 12  # of many names or numbers, so many are shown in a line
+LISTED = 12  # largest number of names or numbers in a line
 
 
 class HyperflexError(Exception):
-    """Base class of everything that hyperflex raises on purpose."""
+    """Base class of all intended exceptions of hyperflex."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return how pickle restores the error in another process: with its fields, and without its constructor."""
+        """Return the data from which pickle restores the error in another process, without its constructor."""
         return type(self).__new__, (type(self), *self.args), vars(self)
 
 
@@ -47,7 +47,7 @@ class InvalidInput(HyperflexError, ValueError):
 def located(where: str, words: Callable[[str], str] = str) -> Iterator[None]:
     """Begin each InvalidInput of the block with `where`, mostly a file's name, unless it names it already.
 
-    `words` puts what it says into the language of that place.
+    `words` converts its text to the terms of that place.
     """
     try:
         yield
@@ -62,7 +62,7 @@ class FileProblem(HyperflexError, OSError):
 
 
 class MissingPackage(HyperflexError, ImportError):
-    """A package that an extra of hyperflex brings is not installed; the message names the command that installs it."""
+    """A package of an extra of hyperflex is not installed; the message names the command that installs it."""
 
 
 class SimulationError(HyperflexError, RuntimeError):
@@ -88,11 +88,11 @@ class IdentificationError(HyperflexError, RuntimeError):
 
 
 class WorkerLost(HyperflexError, RuntimeError):
-    """Workers of an executor died each time that they ran a part of the work; the message names the part."""
+    """Workers of an executor died each time they ran a part of the work; the message names the part."""
 
 
 class DriveError(HyperflexError, RuntimeError):
-    """A drive cannot be reached, is in fault, or was asked for something that its guards refuse; its torque is off."""
+    """A drive cannot be reached, is in fault, or received a request that its guards refuse; its torque is off."""
 
 
 class EstimatorLost(HyperflexError, RuntimeError):
@@ -113,23 +113,23 @@ class Interrupted(KeyboardInterrupt):
         super().__init__("interrupted")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return how pickle restores it in another process: with the partial result, which is made for that."""
+        """Return the data from which pickle restores it in another process, including the partial result."""
         return type(self), (self.partial,)
 
     @functools.cached_property
     def partial(self) -> Any:
-        """What had been done by then, of the kind that the interrupted function returns; None if there is nothing."""
+        """Partial result, of the type that the interrupted function returns; None if there is none."""
         return self._partial() if callable(self._partial) else self._partial
 
 
 def listed(names: Sequence[str], most: int = LISTED) -> str:
-    """Return names side by side; of many the first ones and the number of the others."""
+    """Return names separated by commas; of many names the first ones and the number of the others."""
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def _bounded(text: str, head: int = 400, tail: int = 180) -> str:
-    """Return a text without its middle where it is long, as with a column's name out of a damaged file."""
+    """Return a text without its middle if it is long, for example a column's name in a damaged file."""
     return text if len(text) <= head + tail else f"{text[:head]} ... {text[-tail:]}"
 
 
@@ -138,6 +138,6 @@ def _short(value: object, limit: int = 120) -> str:
         value = value[:limit]
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # noqa: BLE001 nested too deep, more digits than Python writes, or a faulty class of somebody's
+    except Exception:  # noqa: BLE001 nested too deep, more digits than Python writes, or a faulty class of a user
         text = f"a value of type {type(value).__name__} that cannot be shown"
     return text if len(text) <= limit else text[: limit - 3] + "..."

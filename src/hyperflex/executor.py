@@ -1,6 +1,6 @@
-"""Independent work in chunks on any executor with Python's interface; what a worker that died had is run again.
+"""Independent work in chunks on any executor with Python's interface; chunks of dead workers are run again.
 
-Executors are those of ``concurrent.futures``, and what others make with their interface: Dask, loky, mpi4py.
+Executors are those of ``concurrent.futures`` and others with the same interface: Dask, loky, mpi4py.
 """
 
 import pickle
@@ -14,13 +14,13 @@ from hyperflex.errors import InvalidInput, WorkerLost
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 Chunks = dict[int, list[_T]]
-DEATHS = ("KilledWorker", "CommClosedError", "FutureCancelledError")  # Dask's errors for a worker that is gone
+DEATHS = ("KilledWorker", "CommClosedError", "FutureCancelledError")  # Dask's errors for a lost worker
 
 
 def checked_chunks(executor: object, chunk_size: object, default: int) -> tuple[Executor | None, int]:
-    """Return an executor, or None for this process, and the size of its chunks; refuse what is none.
+    """Return an executor, or None for this process, and the size of its chunks; refuse other objects.
 
-    `default` is the size where none is given.
+    `default` is the size if none is given.
     """
     size = default if chunk_size is None else checks.count("chunk_size", chunk_size)
     return None if executor is None else checks.instance("executor", executor, Executor, "concurrent.futures"), size
@@ -35,29 +35,29 @@ def run_chunks(
 ) -> list[range]:
     """Run `work` for chunks of `size` items, in this process or on an executor.
 
-    A chunk whose worker died is run once more on new processes: all that was under way is lost with a worker of a
-    ProcessPoolExecutor. What is lost again is run alone, so that a chunk that kills its worker is found.
+    A chunk whose worker died is run once more on new processes, because a ProcessPoolExecutor loses all running chunks
+    with a worker. A chunk that is lost again is run alone, which identifies a chunk that kills its worker.
 
     Parameters
     ----------
     work : callable
-        Of a list of items; it and they can be pickled.
+        Function of a list of items; both can be pickled.
     items : sequence
     executor : Executor, optional
-        By default this process does all, one chunk after the other.
+        By default this process runs all chunks, one after the other.
     size : int
     done : callable
-        Called here with the number of a chunk's first item and what `work` returned for it.
+        Called in this process with the number of a chunk's first item and the result of `work`.
 
     Returns
     -------
     list of range
-        The numbers of the items of each chunk that killed its worker each time, thrice.
+        The numbers of the items of each chunk that killed its worker all three times.
 
     Raises
     ------
     InvalidInput
-        If `work` or an item cannot be pickled, where the executor needs that.
+        If `work` or an item cannot be pickled and the executor requires it.
     """
     chunks: Chunks[_T] = {low: list(items[low : low + size]) for low in range(0, len(items), size)}
     if executor is None:
@@ -88,7 +88,7 @@ def refuse_lost(dead: list[range], what: str) -> None:
 def _round(
     work: Callable[[list[_T]], _R], chunks: Chunks[_T], executor: Executor, done: Callable[[int, _R], None]
 ) -> Chunks[_T]:
-    """Run chunks at once; returns those that were lost with their workers."""
+    """Run chunks concurrently; return those that were lost with their workers."""
     futures: dict[int, Any] = {}
     lost: Chunks[_T] = {}
     try:
@@ -123,14 +123,14 @@ def _round(
 
 
 def _not_sent(work: object, chunk: object, error: Exception) -> bool:
-    """Return whether an error is the one with which pickling work and chunk fails."""
+    """Return whether an error is the one that pickling work and chunk raises."""
     try:
         pickle.dumps((work, chunk))
-    except Exception as own:  # noqa: BLE001 whatever an argument raises there
+    except Exception as own:  # noqa: BLE001 any exception of an argument
         return (type(own), str(own)) == (type(error), str(error))
     return False
 
 
 def _processes(like: Executor, workers: int | None) -> ProcessPoolExecutor:
-    """Return new processes, started as those of an executor are."""
+    """Return new processes, started like those of an executor."""
     return ProcessPoolExecutor(workers, mp_context=getattr(like, "_mp_context", None))

@@ -1,4 +1,4 @@
-"""Packages that an extra brings: looked for when they are needed, and refused with the command that installs them."""
+"""Packages of an extra: imported when needed, with the install command in the error if they are missing."""
 
 import importlib
 import importlib.util
@@ -6,20 +6,20 @@ from typing import Any
 
 from hyperflex.errors import MissingPackage
 
-_NAMES = {"cv2": "opencv-python-headless (cv2)"}  # of packages that are installed by another name than imported
+_NAMES = {"cv2": "opencv-python-headless (cv2)"}  # of packages whose install name differs from the import name
 
 
 def require(packages: tuple[str, ...], extra: str, what: str) -> None:
-    """Refuse to go on without packages; none is loaded.
+    """Raise an error if packages are missing; none is loaded.
 
     Parameters
     ----------
     packages : tuple of str
-        As they are imported.
+        Their import names.
     extra : str
-        The extra of hyperflex that brings them.
+        The extra of hyperflex that contains them.
     what : str
-        What needs them, as the beginning of a sentence ("MCAP files").
+        The feature that needs them, as the beginning of a sentence ("MCAP files").
 
     Raises
     ------
@@ -34,6 +34,6 @@ def require(packages: tuple[str, ...], extra: str, what: str) -> None:
 
 
 def load(module: str, extra: str, what: str) -> Any:
-    """Return a module of a package that an extra brings; arguments and errors are those of :func:`require`."""
+    """Return a module of a package of an extra; arguments and errors are those of :func:`require`."""
     require((module.partition(".")[0],), extra, what)
     return importlib.import_module(module)

@@ -3,7 +3,7 @@
 The first signal raises KeyboardInterrupt in the main thread and is remembered. If a library suppresses that exception,
 or if other threads do the work, the next call of :func:`raise_if_cancelled` raises it again, at the latest when the
 public call ends. Code with a partial result to keep runs its work in :func:`stoppable`; the public call then raises
-:class:`~hyperflex.errors.Interrupted` with the partial result. A second signal ends what is made of the partial result.
+:class:`~hyperflex.errors.Interrupted` with the partial result. A second signal ends the work on the partial result.
 """
 
 import functools
@@ -26,7 +26,7 @@ _USUAL: dict[int, object] = {signal.SIGINT: signal.default_int_handler, signal.S
 
 
 def leave_terminal() -> None:
-    """Give this process a session of its own: what is typed at the terminal (Ctrl-C, Ctrl-Z) is its parent's."""
+    """Give this process a separate session, so that keys of the terminal (Ctrl-C, Ctrl-Z) reach only its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(AttributeError, OSError):  # Windows has no sessions
         os.setsid()
@@ -40,10 +40,10 @@ class _State:
     """Signals received in this process."""
 
     number = 0  # of the first signal; 0: none
-    pending = False  # whether it has still to end something
+    pending = False  # whether it is still pending
     count = 0  # of all signals
     deferred = 0  # blocks that defer signals
-    compilers = False  # whether numba's compilers are watched
+    compilers = False  # whether numba's compiler events are received
 
 
 # ``handled``: the count of signals at the last one that this thread has handled
@@ -79,10 +79,11 @@ def raise_if_cancelled() -> None:
 
 
 class handle_signals:
-    """Context in which signals are noticed: Ctrl-C, and further `numbers`.
+    """Context in which signals are handled: Ctrl-C, and further `numbers`.
 
-    A signal that came in the block is raised at its end, if it is still pending, also in place of another error: a
-    library may report the interrupt as one. Signals are the main thread's; those that somebody else handles are theirs.
+    A signal received in the block is raised at its end if it is still pending, also instead of another error, because a
+    library may report the interrupt as one. Signals belong to the main thread; signals with other handlers are left to
+    them.
     """
 
     def __init__(self, *numbers: int) -> None:
@@ -97,7 +98,7 @@ class handle_signals:
         if signal.SIGINT in free:  # nobody notices yet
             _State.number, _State.pending, _State.deferred = 0, False, 0
         self._before = free
-        _State.deferred += 1  # what comes in the meantime is raised by the first look, or at the end
+        _State.deferred += 1  # signals received in the meantime are raised by the first poll, or at the end
         for each in free:
             signal.signal(each, _notice)
         _State.deferred -= 1
@@ -114,7 +115,7 @@ class handle_signals:
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Let a short block come to its end before it is interrupted: one that puts files in place, say."""
+    """Defer interrupts to the end of a short block, for example one that puts files in place."""
     with handle_signals():
         own = threading.current_thread() is threading.main_thread()
         _State.deferred += own
@@ -125,7 +126,7 @@ def deferred() -> Iterator[None]:
 
 
 def defer_while_compiling() -> None:
-    """Let numba's compiler, if it is loaded, come to its end first: its tables, half filled, would fail ever after."""
+    """Defer interrupts to the end of numba's compiler, if it is loaded: its incomplete tables would fail later."""
     if not _State.compilers and (numba := sys.modules.get("numba.core.event")):
         _State.compilers = True
         numba.Listener.register(_Compiling)
@@ -133,13 +134,13 @@ def defer_while_compiling() -> None:
 
 
 class _Compiling:
-    """Listens to numba: signals that come while the main thread compiles are deferred."""
+    """Receives numba's events: signals during a compilation in the main thread are deferred."""
 
     def __init__(self) -> None:
         self._stack: list[Any] = []
 
     def notify(self, event: Any) -> None:
-        """Defer signals from the start of an event, which may hold others, to its end."""
+        """Defer signals from the start of an event, which may contain others, to its end."""
         if threading.current_thread() is not threading.main_thread():
             return
         if event.is_start:
@@ -184,8 +185,8 @@ class Stop:
 def stoppable() -> Iterator[Stop]:
     """Catch the end of a budget and interrupts of the block, also if a library reports an interrupt as another error.
 
-    Code after the block works on the partial result, as long as it needs. The block must not return from its function:
-    an interrupt at its very end would be lost.
+    Code after the block may work on the partial result without a time limit. The block must not return from its
+    function: an interrupt at its end would be lost.
     """
     stop = Stop()
     try:
@@ -194,7 +195,7 @@ def stoppable() -> Iterator[Stop]:
     except (KeyboardInterrupt, Exception) as error:
         if _State.pending or isinstance(error, KeyboardInterrupt):
             stop.status, _thread.handled = Status.INTERRUPTED, _State.count
-            if threading.current_thread() is threading.main_thread():  # other threads end by themselves
+            if threading.current_thread() is threading.main_thread():  # other threads end on their own
                 _State.pending = False
         elif isinstance(error, OutOfTime):
             stop.status = Status.OUT_OF_TIME
@@ -226,6 +227,6 @@ def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Call
 
 
 def _own(stop: KeyboardInterrupt, kind: type | None) -> Any:
-    """Return the partial result of an interrupted call if it is of this kind: a call within may have left another."""
+    """Return the partial result of an interrupted call if it is of this kind: an inner call may have left another."""
     partial = getattr(stop, "partial", None)
     return partial if kind is not None and isinstance(partial, kind) else None

@@ -1,4 +1,4 @@
-"""Memory: what a result will need is compared with what there is, before the work."""
+"""Memory: the need of a result is compared with the available memory before the work."""
 
 import math
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hyperflex.errors import InvalidInput
 
-SMALL = 2.0**26  # bytes that are not asked for
+SMALL = 2.0**26  # bytes that are not checked
 
 _INFO, _CGROUPS, _SIZE = Path("/proc/meminfo"), Path("/sys/fs/cgroup"), Path("/proc/self/statm")
 # limit, use and account of a control group, version 2 and 1
@@ -18,26 +18,26 @@ _GROUPS = (
 
 
 def available() -> float:
-    """Return the memory that can still be had, bytes: the least of the machine's, the container's and the process's."""
+    """Return the available memory, bytes: the least of the machine's, the container's and the process's."""
     return min(_of_machine(), *(_of_container(*names) for names in _GROUPS), _of_process())
 
 
 def check(size: float, what: str, fix: str) -> None:
-    """Refuse, before it is begun, what would need more memory than there is.
+    """Refuse work, before it begins, that would need more memory than is available.
 
     Parameters
     ----------
     size : float
-        Estimate of what is needed at once, bytes.
+        Estimate of the peak memory, bytes.
     what : str
-        What needs it, for the message.
+        The work, for the message.
     fix : str
-        What makes it less.
+        How to reduce it.
 
     Raises
     ------
     InvalidInput
-        There is too little.
+        If the memory is too small.
     """
     if size > SMALL and size > (there := available()):
         raise InvalidInput(
@@ -46,7 +46,7 @@ def check(size: float, what: str, fix: str) -> None:
 
 
 def in_words(size: float) -> str:
-    """Return a size, bytes, as people read it."""
+    """Return a size, bytes, as a readable text."""
     return f"{size / 2**30:.3g} GiB" if size >= 2**30 else f"{size / 2**20:.3g} MiB"
 
 
@@ -59,22 +59,22 @@ def _entry(path: Path, name: str) -> float:
 def _of_machine() -> float:
     with suppress(OSError, ValueError, StopIteration):
         return 1024.0 * _entry(_INFO, "MemAvailable:")
-    with suppress(OSError, ValueError, AttributeError):  # not Linux: all there is, in use or not
+    with suppress(OSError, ValueError, AttributeError):  # not Linux: the total, used or not
         return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
     return math.inf
 
 
 def _of_container(limit: str, used: str, account: str) -> float:
-    with suppress(OSError, ValueError):  # there is no such group, or its limit is the word "max"
+    with suppress(OSError, ValueError):  # no such group, or its limit is the word "max"
         free = float((_CGROUPS / limit).read_text()) - float((_CGROUPS / used).read_text())
-        with suppress(OSError, ValueError, StopIteration):  # files that were read count as used until asked for
+        with suppress(OSError, ValueError, StopIteration):  # cached files count as used until memory is needed
             free += _entry(_CGROUPS / account, "inactive_file")
         return free
     return math.inf
 
 
 def _of_process() -> float:
-    with suppress(ImportError, OSError, ValueError):  # Windows knows no such limit
+    with suppress(ImportError, OSError, ValueError):  # Windows has no such limit
         import resource
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]

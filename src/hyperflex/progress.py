@@ -1,4 +1,4 @@
-"""Progress of long work on standard error: a bar where somebody watches, else a line every ten seconds."""
+"""Progress of long work on standard error: a bar in a terminal or notebook, else a line every ten seconds."""
 
 import math
 import sys
@@ -8,17 +8,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-EVERY = 10.0  # s between two lines where nobody watches
+EVERY = 10.0  # s between two lines without a terminal
 
 
 @contextmanager
 def progress_bar(
     begin: float, end: float, enabled: bool, what: str = "simulating", unit: str = "s"
 ) -> Iterator[Callable[..., None] | None]:
-    """Show on standard error how far work has come from `begin` to `end`, in `unit`, if `enabled`.
+    """Show on standard error the progress of work from `begin` to `end`, in `unit`, if `enabled`.
 
-    Yields the function that sets it, and its words where others than `what` are given. The bar is for a terminal;
-    elsewhere there is a line every EVERY s.
+    Yields the function that sets it, and optionally another text than `what`. A terminal gets a bar, other outputs a
+    line every EVERY s.
     """
     if not enabled:
         yield None
@@ -36,7 +36,7 @@ def progress_bar(
 
 
 def terminal() -> Any:
-    """Return a rich console on standard error where somebody watches it, a terminal or a notebook; else None."""
+    """Return a rich console on standard error if it is a terminal or a notebook; else None."""
     if not sys.stderr.isatty() and "ipykernel" not in sys.modules:
         return None
     from rich.console import Console
@@ -46,15 +46,15 @@ def terminal() -> Any:
 
 @contextmanager
 def lines() -> Iterator[Callable[[str], None]]:
-    """Write every EVERY s to standard error what was said last, and for how long the work has been going on.
+    """Write the last text and the elapsed time of the work to standard error every EVERY s.
 
-    Yields the function that takes the words. Nothing is written for work that is shorter.
+    Yields the function that sets the text. Nothing is written for shorter work.
     """
     newest, over, began = [""], threading.Event(), time.monotonic()
 
     def write() -> None:
         while not over.wait(EVERY):
-            with suppress(OSError, ValueError):  # whoever read it went away
+            with suppress(OSError, ValueError):  # the reader has closed it
                 if newest[0]:
                     sys.stderr.write(f"hyperflex: {newest[0]}; begun {time.monotonic() - began:.0f} s ago\n")
                     sys.stderr.flush()
