@@ -98,7 +98,7 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
         If the run had no such peg.
     """
     _own(run, peg)
-    rope, angles = run.setup.rope, swept(run.joints - np.array([peg.x, peg.y]))
+    rope, angles = run.setup.rope, swept(run.joints - peg.point)
     arc, contact, before, after, tail = np.repeat([0.0, 0.0, np.nan, np.nan, np.nan], run.t.size).reshape(5, -1)
     _, out, gap = closest_points(rope, peg, run.q, run.joints)
     near = np.flatnonzero((gap < TOUCH).any(axis=1))  # samples at which a link touches
@@ -131,7 +131,7 @@ def turns(run: Trajectory, peg: Peg) -> Array:
     run : Trajectory
     peg : Peg
     """
-    return np.asarray(swept(run.joints - np.array([peg.x, peg.y])).sum(axis=1) / (2.0 * np.pi))
+    return np.asarray(swept(run.joints - peg.point).sum(axis=1) / (2.0 * np.pi))
 
 
 def rope_tension(run: Trajectory) -> Array:
@@ -253,7 +253,7 @@ def tug_test(
     quick = LOOSE * loose
     rest = checks.positive("distance", loose + PULL if distance is None else distance, "m") - quick
     end = run.joints[-1, 0]
-    away = end - np.array([peg.x, peg.y])
+    away = end - peg.point
     away /= np.hypot(*away)
     time = np.cumsum([0.0, quick / (QUICK * speed), rest / speed])[quick == 0.0 :]
     path = end + np.array([[0.0], [quick], [quick + rest]])[quick == 0.0 :] * away
@@ -301,7 +301,7 @@ def _own(run: Trajectory, peg: Peg) -> int:
 def closest_points(rope: Rope, peg: Peg, q: Array, joints: Array) -> tuple[Array, Array, Array]:
     """Place of the point of each link closest to a peg's centre (T, n), m; from there to it (T, n, 2), m; gap, m."""
     along = unit_along(q)
-    to_peg = np.array([peg.x, peg.y]) - joints[:, :-1]
+    to_peg = peg.point - joints[:, :-1]
     place = np.clip((to_peg * along).sum(axis=-1), 0.0, rope.length)
     away = place[..., None] * along - to_peg
     return place, away, np.hypot(away[..., 0], away[..., 1]) - peg.radius - rope.radius

@@ -43,7 +43,7 @@ class CameraRope(CameraStateSource):
         """
         arm, seen = checks.instance("arm", self.task.arm, Arm), list(self.spots)
         arcs = np.asarray(self.task.arc_lengths) * rope.total_length / self.task.rope.total_length
-        middle, radius = np.array([peg.x, peg.y]), peg.radius + rope.radius
+        middle, radius = peg.point, peg.radius + rope.radius
         t = np.array([at for at, _ in seen])
         starts = arm.tip(arm_angle(t)) - middle
         found = [

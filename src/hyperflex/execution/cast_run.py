@@ -40,7 +40,7 @@ def observed_turns(rope: Rope, arm: Arm, state: RopeState, arm_angle: float, peg
     if rope.length.max() > math.pi * (peg.radius + rope.radius):
         return math.nan
     joints = rope.joints(state.q, arm.tip(arm_angle))
-    return float(swept(joints - np.array([peg.x, peg.y])).sum() / math.tau)
+    return float(swept(joints - peg.point).sum() / math.tau)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class Prediction:
         touched = np.isfinite(measure_winding(run, plan.target).before)
         touch = float(run.t[touched.argmax()]) if touched.any() else math.inf
         places = run.joints[:, shared]
-        wound = float(swept(places[-1] - np.array([plan.target.x, plan.target.y])).sum())
+        wound = float(swept(places[-1] - plan.target.point).sum())
         return cls(run.t, places, run.motor_torque, touch, 1 if wound > 0.0 else -1)
 
     @property

@@ -254,7 +254,7 @@ def find_strikes(problem: Problem, peg: Peg, batch: RolloutBatch, t: Array, q: A
         hit = moved[which[m]][m], q[m, k], qd[m, k], base[m, k], base_velocity[m, k], int(link[m])
         ratio, left = tail_energy(batch.ropes[m], *hit)
         if which[m]:
-            axis, beyond = hit[0].radius + batch.ropes[m].radius, math.dist((peg.x, peg.y), (hit[0].x, hit[0].y))
+            axis, beyond = hit[0].radius + batch.ropes[m].radius, math.dist(peg.point, hit[0].point)
             turn = 2.0 * np.pi * (peg.radius + batch.ropes[m].radius)
             left = max(2.0 * np.pi * axis * left - beyond, 0.0) / turn
         tail = np.clip(left - MODEL.hanging_tail, 0.0, MODEL.max_tail + problem.criteria.turns - 1.25)
@@ -300,14 +300,14 @@ def tail_energy(
     Angles q (n,), rad, rates qd (n,), rad/s; position and velocity (2,) of the first joint, m and m/s.
     """
     places, speeds = rope.mass_points(q, qd, base, velocity)
-    places = places - np.array([peg.x, peg.y])
+    places = places - peg.point
     mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link)
     momentum = float((mass * (places[:, 0] * speeds[:, 1] - places[:, 1] * speeds[:, 0])).sum())
     inertia, down = float((mass * (places**2).sum(axis=1)).sum()), np.array(rope.gravity)
     centre = (mass[:, None] * places).sum(axis=0)
     lift = float(np.hypot(*down) * np.hypot(*centre) + centre @ down)
     turns = float(rope.length[link:].sum()) / (2.0 * np.pi * (peg.radius + rope.radius))
-    x, y = np.array([peg.x, peg.y]) - rope.joints(q, base)[link]
+    x, y = peg.point - rope.joints(q, base)[link]
     sense = math.copysign(1.0, math.sin(q[link]) * y + math.cos(q[link]) * x)  # of rotation, as wound
     return 0.5 * sense * momentum * abs(momentum) / max(inertia * max(lift, 1e-12), 1e-300), turns
 

@@ -507,7 +507,7 @@ def _kept(run: Trajectory, name: str) -> Array:
     """Return one of the quantities that a batch keeps (T, ...)."""
     pegs = run.setup.round_pegs
     if name == "turns":
-        away = [run.joints - np.array([peg.x, peg.y]) for peg in pegs]
+        away = [run.joints - peg.point for peg in pegs]
         return np.stack([swept(each).sum(axis=1) for each in away], axis=1) / (2.0 * np.pi)
     value = getattr(run, name)
     return np.zeros((run.t.size, len(pegs))) if value is None else np.asarray(value)
