@@ -119,7 +119,7 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     before[near] = -(force[rows, first] * along[rows, inner]).sum(axis=-1)
     after[near] = -(force[rows, last + 1] * along[rows, outer]).sum(axis=-1)
     beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
-    tail[near] = np.hypot(*rope.gravity) * beyond[last + 1]
+    tail[near] = rope.g * beyond[last + 1]
     return Winding(angles.sum(axis=1) / (2.0 * np.pi), arc, contact, before, after, tail)
 
 

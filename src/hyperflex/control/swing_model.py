@@ -112,7 +112,7 @@ def swing_period(rope: Rope) -> float:
     """
     chain, inertia = rope.chain(), np.zeros((rope.n_links, rope.n_links))
     mass_matrix(chain, np.zeros(rope.n_links), inertia)
-    weight = float(first_moment(chain).sum()) * math.hypot(*rope.gravity)
+    weight = float(first_moment(chain).sum()) * rope.g
     if weight == 0.0:
         raise InvalidInput("rope has no weight, so it does not swing", got=rope.gravity, allowed="gravity")
     return 2.0 * math.pi * math.sqrt(float(inertia.sum()) / weight)

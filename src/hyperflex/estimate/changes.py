@@ -79,7 +79,7 @@ class ChangeTests:
         """Return the largest size of a parameter's change, or of a touch's force, that does not count."""
         known = kind(name)
         if known is None:
-            default = WEIGHT_TOLERANCE * rope.total_mass * math.hypot(*rope.gravity)
+            default = WEIGHT_TOLERANCE * rope.total_mass * rope.g
         else:
             default = known.tolerance * (rope.total_mass if name == "tip_mass" else 1.0)
         return self.tolerances.get(name, default)

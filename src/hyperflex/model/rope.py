@@ -251,6 +251,11 @@ class Rope:
         return bool(np.isfinite(self.max_bend).any())
 
     @property
+    def g(self) -> float:
+        """Size of gravity, m/s^2."""
+        return float(np.hypot(*self.gravity))
+
+    @property
     def hanging_angle(self) -> float:
         """Link angle at which the rope hangs along gravity, rad (0 without gravity)."""
         gx, gy = self.gravity

@@ -241,7 +241,7 @@ class _Target:
         hanging = self.axis * (2.0 * math.pi * self.available_turns - self.straight - contact)
         while hanging > 0.0:
             if contact > 0.0:
-                weight = float(np.interp(hanging, *beyond)) * math.hypot(*rope.gravity)
+                weight = float(np.interp(hanging, *beyond)) * rope.g
                 best = max(best, weight * math.exp(min(self.peg.mu * contact, 700.0)))
             contact += 2.0 * math.pi
             hanging -= 2.0 * math.pi * self.axis
@@ -297,7 +297,7 @@ def _gain(problem: Problem, *, fast: bool = False) -> float:
 
 def _pendulum(problem: Problem) -> float:
     """Length of the pendulum with the period of the rope's small swing, m."""
-    return math.hypot(*problem.rope.gravity) * (problem.period / (2.0 * math.pi)) ** 2
+    return problem.rope.g * (problem.period / (2.0 * math.pi)) ** 2
 
 
 def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float = 100.0) -> tuple[str, ...]:

@@ -358,7 +358,7 @@ class _Contact:
         criteria, rope = self.problem.criteria, self.rope
         stop = max(self.motion.end, 0.5)
         end, check = stop + 1.5 + criteria.settle, stop + MODEL.check
-        sweep = MODEL.sweep * math.sqrt(rope.total_length / max(math.hypot(*rope.gravity), 1e-9))
+        sweep = MODEL.sweep * math.sqrt(rope.total_length / max(rope.g, 1e-9))
         usual = min(1.0, criteria.turns / 1.25)  # the limits below suit 1.25 turns, and those of more
         parts = [(min(sweep, check), usual * MODEL.sweep_turns)] if self.sweeping else []
         t, turns, q, qd = np.zeros(0), np.zeros(0), np.zeros((0, rope.n_links)), np.zeros((0, rope.n_links))

@@ -164,7 +164,7 @@ def sideways(
         raise InvalidInput("the run has too few samples before it touches", got=count, allowed="3 or more")
     if tilt is None and lean and max(np.abs(run.q[0] - rope.hanging_angle).max(), np.abs(run.qd[0]).max()) > 1e-6:
         raise InvalidInput("the rope does not begin hanging at rest", got="no tilt", fix="Give tilt along with lean")
-    weight = math.hypot(*rope.gravity) * lean
+    weight = rope.g * lean
     load = np.stack([rope.length, 0.5 * rope.length**2]) * side + np.stack([rope.mass, rope.mass * rope.com]) * weight
     load[:, -1] += weight * rope.tip_mass * np.array([1.0, rope.length[-1]])
     step = np.diff(run.t[:count]).max()

@@ -483,7 +483,7 @@ def balanced(setups: Sequence[Setup], energies: Array, held: Callable[[int], Arr
     """
     kinetic, _, work, dissipated = energies
     ropes = [setup.rope for setup in setups]
-    floor = LEAST_FALL * np.array([[each.total_mass * each.total_length * np.hypot(*each.gravity)] for each in ropes])
+    floor = LEAST_FALL * np.array([[each.total_mass * each.total_length * each.g] for each in ropes])
     gained = energies - energies[..., :1]
     change = gained[0] + gained[1]
     error = np.abs(change - gained[2] + gained[3])

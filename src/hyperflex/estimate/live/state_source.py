@@ -94,7 +94,7 @@ class TrackingTask:
         tracker = self.tracker()
         width, height = self.camera.image_size
         image = np.full((height, width, 3), 128, np.uint8)
-        drop = np.asarray(self.arc_lengths)[:, None] * self.rope.gravity / np.hypot(*self.rope.gravity)
+        drop = np.asarray(self.arc_lengths)[:, None] * self.rope.gravity / self.rope.g
         places = np.pad(drop, ((1, 0), (0, 0))) + tracker.estimator.process.base(0.0)[0]
         pixels = np.round(16.0 * self.camera.project(places)).astype(int)  # 1/16 px
         if self.look is not None:

@@ -197,7 +197,7 @@ class Watch:
             except SimulationError:
                 estimator.restart()
         rope = estimator.process.rope
-        n, rate = rope.n_links, 2.0 * np.hypot(*rope.gravity) / rope.total_length
+        n, rate = rope.n_links, 2.0 * rope.g / rope.total_length
         anywhere = np.repeat([1.0, rate], n) * math.pi**2 / 3.0  # variance of an angle between -pi and pi
         return RopeState(t, np.full(n, rope.hanging_angle), np.zeros(n), np.diag(anywhere)), False
 
