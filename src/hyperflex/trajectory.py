@@ -13,7 +13,7 @@ from hyperflex import checks, extras, files
 from hyperflex.checks import Array, ByName
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
-from hyperflex.model import Setup, unit_across
+from hyperflex.model import Rope, Setup, unit_across
 from hyperflex.status import Status
 
 if TYPE_CHECKING:
@@ -226,10 +226,15 @@ class Trajectory:
         """Whether the run came to its end, or to the event that it was to end at."""
         return self.status is Status.SUCCESS
 
+    @property
+    def rope(self) -> Rope:
+        """The rope as it was simulated, with the links that pegs need."""
+        return self.setup.rope
+
     @cached_property
     def joints(self) -> Array:
         """Joint positions (T, n+1, 2), m; the last one is the tip."""
-        return _read_only(self.setup.rope.joints(self.q, self.base))
+        return _read_only(self.rope.joints(self.q, self.base))
 
     @property
     def tip(self) -> Array:
@@ -239,7 +244,7 @@ class Trajectory:
     @cached_property
     def tip_velocity(self) -> Array:
         """Tip velocity (T, 2), m/s."""
-        speed = self.setup.rope.length * self.qd
+        speed = self.rope.length * self.qd
         return _read_only(self.base_velocity + (speed[:, None] * unit_across(self.q, 1)).sum(axis=2))
 
     @property
@@ -296,7 +301,7 @@ class Trajectory:
         return f"not predictable after {until:.4g} s, where a run with a tenth of the tolerance {fate}"
 
     def _limit(self, allowed: float | None) -> float:
-        default = PARTED * self.setup.rope.total_length
+        default = PARTED * self.rope.total_length
         return checks.positive("allowed", default if allowed is None else allowed, "m")
 
     @cached_property

@@ -98,7 +98,7 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
         If the run had no such peg.
     """
     _own(run, peg)
-    rope, angles = run.setup.rope, swept(run.joints - peg.point)
+    rope, angles = run.rope, swept(run.joints - peg.point)
     arc, contact, before, after, tail = np.repeat([0.0, 0.0, np.nan, np.nan, np.nan], run.t.size).reshape(5, -1)
     _, out, gap = closest_points(rope, peg, run.q, run.joints)
     near = np.flatnonzero((gap < TOUCH).any(axis=1))  # samples at which a link touches
@@ -149,7 +149,7 @@ def rope_tension(run: Trajectory) -> Array:
 
 def _joint_forces(run: Trajectory, rows: Indices) -> Array:
     """Force at samples `rows` (k,) on what is beyond each joint from what is before it (k, n + 1, 2), N, tip last."""
-    rope, drive, q, rate = run.setup.rope, run.setup.drive(), run.q[rows], run.qd[rows]
+    rope, drive, q, rate = run.rope, run.setup.drive(), run.q[rows], run.qd[rows]
     if run.setup.torque_driven:
         base = np.gradient(run.base_velocity, run.t, axis=0)[rows]
     else:
@@ -193,7 +193,7 @@ def rope_slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array
     if begin >= run.t.size:
         raise InvalidInput("since is after the end of the run", got=since, allowed=f"at most {run.t[-1]:g} s")
     turned = 0.0 if run.peg_angle is None else run.peg_angle[begin:, _own(run, peg)]
-    moved = slid(run.setup.rope, peg, run.q[begin:], run.joints[begin:], turned)
+    moved = slid(run.rope, peg, run.q[begin:], run.joints[begin:], turned)
     return np.concatenate([np.full(begin, np.nan), moved])
 
 
@@ -259,9 +259,9 @@ def tug_test(
     path = end + np.array([[0.0], [quick], [quick + rest]])[quick == 0.0 :] * away
     start = State(t=0.0, q=run.q[-1], qd=run.qd[-1], peg_rate=None if run.peg_rate is None else run.peg_rate[-1])
     same = {name: getattr(run.setup, name) for name in ("pegs", "contact_step", "tip_force", "tol")}
-    setup = Setup(run.setup.rope, moving_pivot(time, *path.T), duration=float(time[-1]), **same)
+    setup = Setup(run.rope, moving_pivot(time, *path.T), duration=float(time[-1]), **same)
     pulled = simulate(setup, state=start, time_budget=time_budget)
-    way = slid(pulled.setup.rope, peg, pulled.q, pulled.joints)
+    way = slid(pulled.rope, peg, pulled.q, pulled.joints)
     gone = np.abs(way) > allowed
     slipped = bool(gone.any())
     pull = _pull(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size]
@@ -281,7 +281,7 @@ def _pull(run: Trajectory) -> Array:
 
 def _slack(run: Trajectory, peg: Peg) -> float:
     """Length of the rope from the motor to where it first lies on a peg at the end, less the straight way there, m."""
-    rope = run.setup.rope
+    rope = run.rope
     place, _, gap = (value[0] for value in closest_points(rope, peg, run.q[-1:], run.joints[-1:]))
     if not (gap < TOUCH).any():
         return 0.0

@@ -86,7 +86,7 @@ def write_mcap(
 def _run(run: Trajectory) -> tuple[dict[str, str], list[Channel]]:
     """Return the metadata of a run, and its messages."""
     links = [f"link{k}" for k in range(run.q.shape[1])]
-    notes = {"kind": "angles", "plane": "xz", "columns": json.dumps(links), "name": run.setup.rope.name}
+    notes = {"kind": "angles", "plane": "xz", "columns": json.dumps(links), "name": run.rope.name}
     notes |= {"source": "simulated", "status": run.status, "message": run.message, "setup": run.setup.dumps()}
     angles = np.column_stack([run.arm_angle, run.q])
     rates = np.column_stack([run.arm_rate, run.qd])

@@ -41,7 +41,7 @@ def rope_clearance(run: Trajectory) -> Clearance:
     what interpolation may be off where a blow lies between two samples. So the result may be too small by FINE and
     twice that, but not too large.
     """
-    arm, rope = run.setup.arm, run.setup.rope
+    arm, rope = run.setup.arm, run.rope
     if arm is None:
         return Clearance(np.inf, float(run.t[0]), "the arm")
     speed = _speeds(run, run.arm_rate, np.array(arm.pivot))
@@ -53,7 +53,7 @@ def obstacle_clearance(run: Trajectory, obstacles: Sequence[Obstacle], until: fl
     """Find how near a rope comes to obstacles in a run until a time, s; see :func:`rope_clearance`."""
 
     def gaps(q: Array, base: Array, links: Integers) -> Array:
-        joints = run.setup.rope.joints(q, base)
+        joints = run.rope.joints(q, base)
         return obstacle_gaps(obstacles, joints[:, links], joints[:, links + 1])
 
     speed = _speeds(run, np.zeros(run.t.size), np.zeros(2))
@@ -136,7 +136,7 @@ def _least_clearance(
     (T, w, k), m, of their axes. `speed` (T, n), m/s, is how fast these may change. The first sample at or after
     `until`, s, is the last that counts.
     """
-    rope, rows = run.setup.rope, min(int(np.searchsorted(run.t, until)) + 1, run.t.size)
+    rope, rows = run.rope, min(int(np.searchsorted(run.t, until)) + 1, run.t.size)
 
     def least(t: Array, gap: Array) -> Clearance:
         k, which, _ = np.unravel_index(int(gap.argmin()), gap.shape)
@@ -162,7 +162,7 @@ def _least_clearance(
 
 def _speeds(run: Trajectory, rate: Array, pivot: Array) -> Array:
     """Greatest speed of each link (T, n), m/s, as seen by what turns about a `pivot` at a `rate` (T,), rad/s."""
-    x, y = np.moveaxis(run.setup.rope.joint_velocities(run.q, run.qd, run.base_velocity), -1, 0)
+    x, y = np.moveaxis(run.rope.joint_velocities(run.q, run.qd, run.base_velocity), -1, 0)
     out, rate = run.joints - pivot, rate[:, None]
     speed = np.hypot(x + rate * out[..., 1], y - rate * out[..., 0])
     return np.asarray(np.maximum(speed[:, 1:], speed[:, :-1]))
@@ -178,7 +178,7 @@ def _errors(run: Trajectory, row: int) -> Array:
         return np.zeros(run.q.shape[1])
     dt, q = run.t[row + 1] - run.t[row], run.q[row + 1]
     jump = run.qd[row + 1] - run.qd[row] - 0.5 * dt * (run.qdd[row + 1] + run.qdd[row])
-    joints = np.hypot(*run.setup.rope.joint_velocities(q, jump, np.zeros(2)).T)
+    joints = np.hypot(*run.rope.joint_velocities(q, jump, np.zeros(2)).T)
     return np.asarray(dt * np.maximum(joints[1:], joints[:-1]) / 8.0)
 
 

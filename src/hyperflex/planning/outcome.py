@@ -236,8 +236,8 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     enough, held = turns_kept >= criteria.turns, on and slip < criteria.max_slip
     touched, covered = np.isfinite(wound.before), float(wound.contact[watched].min())
     figures = run_figures(problem, run)
-    above = -(run.tip - peg.point) @ np.array(run.setup.rope.gravity)
-    apart = way_gaps(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
+    above = -(run.tip - peg.point) @ np.array(run.rope.gravity)
+    apart = way_gaps(run.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
     led = tuple(bool(each.all()) for each in (apart < winding.TOUCH).T)
     beside, aside, lean, doubt = _aside(run)
     half_width = criteria.tilt * aside

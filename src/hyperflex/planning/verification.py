@@ -66,7 +66,7 @@ def at_limits(rope: Rope, q: Array, within: float = 0.0) -> Flags:
 
 def folded_flat(run: Trajectory) -> bool:
     """Return whether a joint of a run with joint limits reached one."""
-    return bool(run.attrs.get("limit_passed", 0.0) > 0.0 or at_limits(run.setup.rope, run.q, FOLD).any())
+    return bool(run.attrs.get("limit_passed", 0.0) > 0.0 or at_limits(run.rope, run.q, FOLD).any())
 
 
 def motor_torques(run: Trajectory) -> tuple[float, float]:
@@ -81,7 +81,7 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     arm, motion, touched = run.setup.arm, run.setup.motion, run.contact_force
     sampled, own = np.abs(run.motor_torque), np.zeros(run.t.size)
     if arm is not None and motion is not None:
-        own = arm.shaft_torque(run.setup.rope.gravity, run.arm_angle, run.arm_rate, motion.acceleration(run.t))
+        own = arm.shaft_torque(run.rope.gravity, run.arm_angle, run.arm_rate, motion.acceleration(run.t))
     mean, peak = (
         abs(run.attrs.get(name, 0.0) + own[np.abs(run.t - run.attrs.get(f"{name}_time", 0.0)).argmin()])
         for name in ("torque_mean", "torque_peak")

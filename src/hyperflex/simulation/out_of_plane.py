@@ -66,7 +66,7 @@ class Sideways:
     @cached_property
     def joints(self) -> Array:
         """Distances (T, n + 1) of the joints from the plane, m; the last one is the tip's."""
-        return np.pad(_places(self.run.setup.rope, self.angles), ((0, 0), (1, 0)))
+        return np.pad(_places(self.run.rope, self.angles), ((0, 0), (1, 0)))
 
     @property
     def tip(self) -> Array:
@@ -80,7 +80,7 @@ class Sideways:
         and of their velocities, m/s, times the swing time sqrt(length / g), at most 1 s. The growth is the largest
         singular value of the map from the start's deviations to those at t.
         """
-        rope, t = self.run.setup.rope, self.t
+        rope, t = self.run.rope, self.t
         n = rope.n_links
         swing = 1.0 / max(1.0, swing_rate(rope))
         unit, start = (np.eye(n) - np.eye(n, k=1)) / rope.length, np.zeros((2, 2 * n, n))  # one joint is off the plane

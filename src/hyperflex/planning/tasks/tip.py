@@ -555,8 +555,8 @@ def touches(run: Trajectory, obstacles: Sequence[Obstacle]) -> tuple[Integers, I
     The obstacles are all that the rope may touch in the run. A force shows a touch, or a loss of energy while an
     obstacle is as near as a link moves in that time. A loss alone may be that of a joint that comes to its limit.
     """
-    gaps = obstacle_gaps(obstacles, run.joints[:, :-1], run.joints[:, 1:]).min(axis=2) - run.setup.rope.radius
-    moves = run.setup.rope.joint_velocities(run.q, run.qd, run.base_velocity)[:, 1:]
+    gaps = obstacle_gaps(obstacles, run.joints[:, :-1], run.joints[:, 1:]).min(axis=2) - run.rope.radius
+    moves = run.rope.joint_velocities(run.q, run.qd, run.base_velocity)[:, 1:]
     reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * np.hypot(moves[..., 0], moves[..., 1]).max(axis=1)
     lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
     pushed = np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0

@@ -386,7 +386,7 @@ def simulate_impact(
     if not starts_outside(setup):
         return Impact(t=0.0, message="the rope lies on the peg from the start")
     run = simulate(setup, t_eval=t)
-    rope, (touched, _) = run.setup.rope, touches(run, (peg,))
+    rope, (touched, _) = run.rope, touches(run, (peg,))
     if not touched.size:
         return Impact(message="the rope does not touch the peg")
     along, _, gap = closest_points(rope, peg, run.q, run.joints)
@@ -414,7 +414,7 @@ def collision_impulse(run: Trajectory, k: int, link: int, along: float) -> Array
     From the jump of the generalised momenta, without finite forces and the arm's acceleration: an impulse P at distance
     s along link c changes that of link i by l_i t_i P before c, by s t_c P at c and not beyond, with t_i across link i.
     """
-    rope, q = run.setup.rope, run.q[k]
+    rope, q = run.rope, run.q[k]
     lever = np.where(np.arange(q.size) < link, rope.length, 0.0)
     lever[link] = along
     across = lever[:, None] * unit_across(q)

@@ -65,7 +65,7 @@ class RopeMotion:
     def from_trajectory(cls, trajectory: Trajectory, off_plane: OffPlane | None = None) -> "RopeMotion":
         """Return the motion of a simulated rope, and of its arm's tip; see the class for `off_plane`."""
         run = trajectory
-        return cls(run.t, run.q, run.qd, run.setup.rope.length, run.base, run.base_velocity, off_plane)
+        return cls(run.t, run.q, run.qd, run.rope.length, run.base, run.base_velocity, off_plane)
 
     @property
     def joint_arc_lengths(self) -> Array:
