@@ -6,6 +6,7 @@ what is not sure is left to the fit.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -49,9 +50,8 @@ class FaultLimits:
     rests: float = 0.05
     moves: float = 0.2
     longer: float = 5.0
-    # instants at which a rest is searched at most, and lengths of it that are tried
-    instants: int = 4096
-    lengths: int = 64
+    # instants at which a rest is searched at most
+    instants: int = 1024
 
 
 LIMITS = FaultLimits()
@@ -289,7 +289,7 @@ def held(recording: Recording) -> Iterator[Finding]:
     Friction takes energy, so a rope that nothing drives rests in equilibrium alone, and for good. At the turn of a
     swing it pauses for hardly longer than it takes to move on.
     """
-    from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+    from scipy.ndimage import median_filter
 
     rows = np.isfinite(recording.data).any(axis=1)
     t, data = recording.t[rows], recording.data[rows]
@@ -302,21 +302,16 @@ def held(recording: Recording) -> Iterator[Finding]:
     if np.nanmedian(np.abs(data - filled)) > LIMITS.rests * reach:  # noise alone
         return
     even = np.linspace(t[0], t[-1], min(t.size, LIMITS.instants))
-    places, last = np.column_stack([np.interp(even, t, column) for column in filled.T]), -1
-
-    def ranges(count: int, origin: int) -> Array:
-        """Return the largest range of a channel in `count` instants that begin, or end, at each one (N,)."""
-        high, low = (each(places, count, axis=0, origin=origin) for each in (maximum_filter1d, minimum_filter1d))
-        return np.asarray((high - low).max(axis=1))
-
-    for count in np.unique(np.geomspace(2.0 * LIMITS.longer, even.size, LIMITS.lengths).astype(int)).tolist():
-        short = 1 + int((count - 1) / LIMITS.longer)
-        rests = ranges(count, (count - 1) // 2) <= LIMITS.rests * reach
-        moves = ranges(short, -(short // 2)) >= LIMITS.moves * reach
-        at = np.flatnonzero((rests & moves)[count - 1 :])
-        last = max(last, int(at[-1]) + count - 1 if at.size else -1)
-    if last >= 0:
-        yield Finding(Kind.HELD_STILL, values={"time": float(t[np.searchsorted(t, even[last])])})
+    places = (np.interp(even, t, column) for column in filled.T)
+    away = reduce(np.maximum, (np.abs(np.subtract.outer(each, each)) for each in places))
+    # instants before one since when the rope has been near, and after one until it is far
+    left = np.pad(np.tril(away > LIMITS.rests * reach), ((0, 0), (1, 0)), constant_values=True)
+    rested = np.argmax(left[:, ::-1], axis=1) - np.arange(even.size)[::-1]
+    ahead = np.triu(away >= LIMITS.moves * reach)
+    moving = np.where(ahead.any(axis=1), np.argmax(ahead, axis=1) - np.arange(even.size), even.size)
+    at = np.flatnonzero(rested >= LIMITS.longer * np.maximum(moving, 2))  # one step does not tell how long it took
+    if at.size:
+        yield Finding(Kind.HELD_STILL, values={"time": float(t[np.searchsorted(t, even[at[-1]])])})
 
 
 FAULTS = (lost, wrapped, repeated, uneven_frames, jumps, held)
