@@ -233,10 +233,8 @@ class _Polynomials(NamedTuple):
         size, *along = (np.correlate(column, row, "valid") * known for row in rows)
         left = np.correlate(column**2, np.ones(2 * side), "valid") - np.sum(np.square(along), axis=0)
         variance = np.maximum(left, 0.0) / (2 * side - TERMS - apart)
-        if not np.isfinite(size).any():
-            return cls(side, size, variance, np.inf, np.inf)
-        about = np.abs(np.arange(size.size) - np.nanargmax(np.abs(size))) < side
-        others = np.abs(size[~about])  # than those about the largest
+        largest = np.nanargmax(np.append(np.abs(size), 0.0))
+        others = np.abs(size[np.abs(np.arange(size.size) - largest) >= side])
         if not np.isfinite(others).any():
             return cls(side, size, variance, np.inf, np.inf)
         std = float(np.nanquantile(others, BAND)) / NormalDist().inv_cdf(0.5 + 0.5 * BAND)
