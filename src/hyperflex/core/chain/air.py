@@ -16,8 +16,8 @@ def link_drag(drag, length, across, turn):  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    drag, length : kg/m^2, m across, turn : velocity across the link at its motor-side joint, and its change up to the
-    far joint, m/s
+    drag, length : kg/m^2, m
+    across, turn : velocity across the link at its motor-side joint, and its change up to the far joint, m/s
 
     Returns
     -------

@@ -96,9 +96,11 @@ def side_accelerations(chain, at, x, v, load, out, work):  # type: ignore[no-unt
 
     Parameters
     ----------
-    at : (ROWS, n), of ``planar_loads`` x, v : (n,) angles out of the plane, rad, and rates, rad/s load : (2, n) given
-    forces across the plane, N, and their moments about the links' first joints, N m out : (n,) contains a guess on
-    entry, for which x and v are the values at the end of its h work : (3, n) scratch
+    at : (ROWS, n), of ``planar_loads``
+    x, v : (n,) angles out of the plane, rad, and rates, rad/s
+    load : (2, n) given forces across the plane, N, and their moments about the links' first joints, N m
+    out : (n,) contains a guess on entry, for which x and v are the values at the end of its h
+    work : (3, n) scratch
     """
     n = x.size
     past = twist = a = b = aside = 0.0  # of the link before: angles, and rates of its rho; the velocity of the joint
@@ -154,9 +156,11 @@ def lean(chain, drive, values, load, push, parts, angles, rates):  # type: ignor
 
     Parameters
     ----------
-    chain, drive : Chain, Drive values : (t (T,), q, w, a (T, n)), of the run load, push : as for ``side_accelerations``
-    and ``planar_loads`` parts : steps from sample to sample angles, rates : (T, m, n) out, rad and rad/s; those at the
-    first sample are given
+    chain, drive : Chain, Drive
+    values : (t (T,), q, w, a (T, n)), of the run
+    load, push : as for ``side_accelerations`` and ``planar_loads``
+    parts : steps from sample to sample
+    angles, rates : (T, m, n) out, rad and rad/s; those at the first sample are given
     """
     _, m, n = angles.shape
     at, planar, base = np.empty((ROWS, n)), np.empty((3, n)), np.empty(9)

@@ -390,9 +390,11 @@ def try_step(scene, part, t, h, y, memory, workspace, push, bounce, struck):  # 
 
     Parameters
     ----------
-    scene, part : Scene, Segment of its drive that holds t..t + h memory, workspace : ContactMemory (not changed),
-    ContactWorkspace with the rates of the pegs before the step push : bool, whether contacts may push the rope out of a
-    peg bounce : float, fraction of the restitution in an impact struck : bool, an impact has already occurred at time t
+    scene, part : Scene, Segment of its drive that holds t..t + h
+    memory, workspace : ContactMemory (not changed), ContactWorkspace with the rates of the pegs before the step
+    push : bool, whether contacts may push the rope out of a peg
+    bounce : float, fraction of the restitution in an impact
+    struck : bool, an impact has already occurred at time t
 
     Returns
     -------
@@ -573,9 +575,11 @@ def choose_step(scene, part, bounds, state, workspace, nothing, end, struck, had
 
     Parameters
     ----------
-    scene, part, bounds, state, workspace : as for :func:`try_step` and :func:`run` nothing : ContactMemory, empty end :
-    s, time that no step goes beyond struck : bool, an impact has already occurred at this instant had : J, energy
-    before the step, NaN if unknown
+    scene, part, bounds, state, workspace : as for :func:`try_step` and :func:`run`
+    nothing : ContactMemory, empty
+    end : s, time that no step goes beyond
+    struck : bool, an impact has already occurred at this instant
+    had : J, energy before the step, NaN if unknown
 
     Returns
     -------

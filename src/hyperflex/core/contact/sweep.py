@@ -27,14 +27,16 @@ def link_change(link, joint, frame, touch, beyond):  # type: ignore[no-untyped-d
 
     Parameters
     ----------
-    link : (length, mass * com, mass * com^2, inertia about the centre of mass, mass) joint : (T, kappa), angular
-    impulse T - kappa (change of this rate less change of the parent's), N m s, kg m^2 frame : (8,) motion of the link,
-    see the names above touch : (12,) the contacts of the link beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s,
-    beta)
+    link : (length, mass * com, mass * com^2, inertia about the centre of mass, mass)
+    joint : (T, kappa), angular impulse T - kappa (change of this rate less change of the parent's), N m s, kg m^2
+    frame : (8,) motion of the link, see the names above
+    touch : (12,) the contacts of the link
+    beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta)
 
     Returns
     -------
-    at : tuple, the response at the link's motor-side joint back : (r inv, ex inv, ey inv, k), for the backward pass
+    at : tuple, the response at the link's motor-side joint
+    back : (r inv, ex inv, ey inv, k), for the backward pass
     """
     length, ma, maa, inertia, mass = link
     torque, kappa = joint
@@ -80,12 +82,16 @@ def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  
 
     Parameters
     ----------
-    chain : Chain, with friction that acts on both links of a joint joint : (n, 2) angular impulse of each joint, N m s,
-    and its slope kappa, kg m^2 frame : (n, 8) motion of the links, see the names above touch : (n, 12) contacts, see
-    the names above base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's
-    rate, rad/s tip : (2,) impulse on the tip in addition to gravity, N s change : (n,) out, rad/s place : (2, n) out,
-    change of the velocity of each link's motor-side joint less step times gravity, m/s pull : (2, n) out, forces along
-    which T turns each link, times their levers, N m s work : (12 n,) scratch
+    chain : Chain, with friction that acts on both links of a joint
+    joint : (n, 2) angular impulse of each joint, N m s, and its slope kappa, kg m^2
+    frame : (n, 8) motion of the links, see the names above
+    touch : (n, 12) contacts, see the names above
+    base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's rate, rad/s
+    tip : (2,) impulse on the tip in addition to gravity, N s
+    change : (n,) out, rad/s
+    place : (2, n) out, change of the velocity of each link's motor-side joint less step times gravity, m/s
+    pull : (2, n) out, forces along which T turns each link, times their levers, N m s
+    work : (12 n,) scratch
 
     Returns
     -------

@@ -194,9 +194,9 @@ def begin_search(chain, drive, part, t, tol, step, y, slip, widen, decided, sear
 
     Parameters
     ----------
-    tol, step : error allowed, m, of a step of this length, s; 0.0: the step must end exactly at the event slip, widen :
-    modes (n,), factor on the tolerance of the dry friction decided : modes were determined here, and the
-    StictionWorkspace `tools` contains the constraint torques
+    tol, step : error allowed, m, of a step of this length, s; 0.0: the step must end exactly at the event
+    slip, widen : modes (n,), factor on the tolerance of the dry friction
+    decided : modes were determined here, and the StictionWorkspace `tools` contains the constraint torques
     """
     n, span = slip.size, search.span
     torque = base_state(drive, part, t, search.before)
@@ -366,8 +366,8 @@ def assess_step(search, step):  # type: ignore[no-untyped-def]
 
     Returns
     -------
-    verdict : DONE (accept the step, which contains no event), EVENT (accept it; it ends at one) or AGAIN length : of
-    the next attempt, s
+    verdict : DONE (accept the step, which contains no event), EVENT (accept it; it ends at one) or AGAIN
+    length : of the next attempt, s
 
     Notes
     -----

@@ -210,8 +210,9 @@ def find_event(chain, drive, part, table, terms, progress, step, kept, workspace
 
     Returns
     -------
-    step : float, s event : int, 0: none; 1: a joint changes its mode; 2: the event that ends the run; 3: a joint is at
-    its limit joint : int, the one that changes its mode, else -1
+    step : float, s
+    event : int, 0: none; 1: a joint changes its mode; 2: the event that ends the run; 3: a joint is at its limit
+    joint : int, the one that changes its mode, else -1
     """
     y, slip, clock, until = progress.y, progress.slip, progress.clock, terms.until
     search, tools, out = workspace.search, workspace.stiction, workspace.out

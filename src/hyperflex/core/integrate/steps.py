@@ -210,11 +210,12 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
 
     Parameters
     ----------
-    chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme y, out : (2 n + 2,) state, new
-    state (out) errors : (ERRORS, 2 n + 2) out, error estimates of the result, and of the results of one and two orders
-    less kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`write_increments`); (0, ...) if they are not needed
-    lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping base, work
-    : (base_size(drive), lanes), (6 n,) scratch
+    chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
+    y, out : (2 n + 2,) state, new state (out)
+    errors : (ERRORS, 2 n + 2) out, error estimates of the result, and of the results of one and two orders less
+    kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`write_increments`); (0, ...) if they are not needed
+    lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
+    base, work : (base_size(drive), lanes), (6 n,) scratch
     """
     assign(
         out, y

@@ -619,11 +619,15 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
 
     Parameters
     ----------
-    chain, drive, directions : Chain, Drive, Directions tables : tuple of Scheme, of successive orders steps : (m, 3) or
-    (m, 4 + n), as in ``rollout.Progress.log`` begin : float, s start : (2 n, p) derivatives of angles and rates at
-    `begin`; with stiction as of :func:`with_step_length` t_out : (T,) increasing times, s y_out : (T, 2 n + 2) out,
-    angles and rates; row 0 holds the state at `begin` when called, and t_out[0] is `begin` dy_out : (T, 2 n, p) out,
-    except row 0 halt : (1,) another value than 0, set from another thread, ends it at the next step
+    chain, drive, directions : Chain, Drive, Directions
+    tables : tuple of Scheme, of successive orders
+    steps : (m, 3) or (m, 4 + n), as in ``rollout.Progress.log``
+    begin : float, s
+    start : (2 n, p) derivatives of angles and rates at `begin`; with stiction as of :func:`with_step_length`
+    t_out : (T,) increasing times, s
+    y_out : (T, 2 n + 2) out, angles and rates; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
+    dy_out : (T, 2 n, p) out, except row 0
+    halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
     workspace = new_tangent_workspace(chain, drive, directions.parameters.size)
     sticks = steps.shape[1] > JOINT

@@ -167,12 +167,12 @@ def step(reaction, sources, lanes, links, stretch):  # type: ignore[no-untyped-d
 
     Parameters
     ----------
-    reaction : as in Chain sources : ALL, or STATE if only state, base and tip mass change: then `links` and `stretch`
-    are zero lanes : ((n + 2) ROW K,) DQ and DW of the links are advanced in place. Row 0 contains the changes of the
-    base: DQ, DW of its angle and rate, PX, PY, ALPHA of its accelerations, and RHS, the change of the torque on link 0,
-    N m; the last row contains BX, BY of the tip mass. With drag or motors in inner joints RHS of the links is the
-    change of
-        the air's torques, see ``tangent.air``, and of the motors'
+    reaction : as in Chain
+    sources : ALL, or STATE if only state, base and tip mass change: then `links` and `stretch` are zero
+    lanes : ((n + 2) ROW K,) DQ and DW of the links are advanced in place. Row 0 contains the changes of the base: DQ,
+        DW of its angle and rate, PX, PY, ALPHA of its accelerations, and RHS, the change of the torque on link 0, N m;
+        the last row contains BX, BY of the tip mass. With drag or motors in inner joints RHS of the links is the change
+        of the air's torques, see ``tangent.air``, and of the motors'
     links : (2, n, SEEDS) changes of the links' parameters
     stretch : (2,) relative change of the step's length in every lane
     """
