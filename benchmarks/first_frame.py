@@ -174,6 +174,7 @@ def measure(seed: int, index: int, kind: str, known: bool, toned: bool, pictures
     size = float(np.hypot(*np.diff(each.curve, axis=0).T).sum())
     row: dict[str, Any] = {"kind": kind, "index": index, "seed": seed, "length": known, "kernels": SOURCE_HASH}
     row |= {"tone": True} if toned else {}
+    row |= {} if ((each.curve >= 0.0) & (each.curve <= np.array(SIZE) - 1.0)).all() else {"leaves": True}
     row |= {"look": each.look, "width": round(each.width, 1), "blur": round(each.blur, 1)}
     begin = time.process_time()
     try:
@@ -219,6 +220,9 @@ def page(rows: list[dict[str, Any]]) -> str:
                 name = look + (", by MuJoCo" if kind == "MuJoCo" else "") + (", length known" if known else "")
                 name += ", tone curve" if toned else ""
                 text += f"| {name} | {len(own)} | {right} | {refused} | {wrong} | {figures} | {spent:.1f} |\n"
+    away = [row["result"] for row in rows if row["kind"] == "rope" and row.get("leaves")]
+    text += f"\nIn {len(away)} of the frames with one rope it leaves the view: {away.count(Reason.OUTSIDE)} of them "
+    text += "are refused for this reason.\n"
     text += "\n| to be refused | frames | with this reason | with another | accepted |\n|---|---|---|---|---|\n"
     for kind in ABSENT:
         own = [row["result"] for row in rows if row["kind"] == kind.value]

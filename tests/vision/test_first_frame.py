@@ -18,7 +18,7 @@ from hyperflex.vision import (
     find_rope,
     srgb_tone,
 )
-from hyperflex.vision.first_frame import _check_end
+from hyperflex.vision.first_frame import _check_end, _check_seen
 from hyperflex.vision.look import Cover, rope_along
 from hyperflex.vision.ridges import Mixture, Path, Ridges, _apart, _best_of_cells
 
@@ -105,22 +105,39 @@ def test_a_shadow_beside_the_free_end_is_no_rope(width, shine, shadow):
     assert max(off(find_rope(image, truth[0]).curve, truth)) < 2.0
 
 
-def cover(unlike):
+def cover(rope):
     """Return what is seen of a sharp rope before a plain wall."""
-    return Cover(unlike, 0.0 * unlike, 0.0 * unlike, np.full((unlike.size, 3), -100.0))
+    return Cover(rope, 0.0 * rope, 0.0 * rope, np.full((rope.size, 3), -100.0))
 
 
-@pytest.mark.parametrize("beyond", [[], [0.45] * 20], ids=["nothing was looked at", "it is nearer to the rope"])
+@pytest.mark.parametrize("beyond", [[], [0.0] * 20], ids=["nothing was looked at", "rope and wall look alike"])
 def test_an_end_is_not_clear_if_the_rope_may_go_on_beyond_it(beyond):
-    unlike = np.append(np.zeros(80), beyond)
     with pytest.raises(NoRope) as refused:
-        _check_end(cover(unlike), 80.0, None, np.inf)
+        _check_end(cover(np.append(np.ones(80), beyond)), 80.0, None, np.inf)
     assert refused.value.reason is Reason.END
 
 
 def test_a_curve_that_shows_no_rope_at_all_is_refused():
     with pytest.raises(NoRope) as refused:
-        _check_end(cover(np.full(40, 0.9)), 40.0, None, np.inf)
+        _check_seen(cover(np.full(40, -0.9)), 40)
+    assert refused.value.reason is Reason.HIDDEN
+
+
+@pytest.mark.parametrize("thing", ["another rope", "a disc of its colour at the end"])
+def test_a_click_on_the_free_end_tells_what_is_the_rope(thing):
+    motion = bent()
+    x, y = motion.places([0.0], [1.02 * LENGTH])[0, 0, :2]
+    disc = Occluder((x, y - 0.08), (x, y - 0.09), 0.16, (45.0, 45.0, 45.0))
+    image, truth = shown(motion, occluders=second(bent(-0.5, 0.3)) if thing == "another rope" else (disc,))
+    with pytest.raises(NoRope):
+        find_rope(image, truth[0])
+    assert max(off(find_rope(image, truth[0], tip=truth[-1] + [1.0, -1.0]).curve, truth)) < 2.5
+
+
+def test_a_click_beside_the_rope_is_no_free_end():
+    image, truth = shown(bent())
+    with pytest.raises(NoRope) as refused:
+        find_rope(image, truth[0], tip=truth[-1] + [60.0, 0.0])
     assert refused.value.reason is Reason.HIDDEN
 
 

@@ -123,10 +123,10 @@ class Plain:
             kept.pop("tip", None)  # it was elsewhere
 
         @cache
-        def find(u: float, v: float, size: float | None) -> "FoundRope":
+        def find(u: float, v: float, tip: Pixel, size: float | None) -> "FoundRope":
             from hyperflex.vision import find_rope, srgb_tone
 
-            return find_rope(image, (u, v), length=size, tone=srgb_tone())
+            return find_rope(image, (u, v), tip=tip, length=size, tone=srgb_tone())
 
         def scene(answers: Mapping[str, Answer]) -> PlainScene:
             return PlainScene(
@@ -145,14 +145,11 @@ class Plain:
         questions = [each for each in QUESTIONS if each.name not in replaced]
 
         def prepare(question: Question, answers: Mapping[str, Answer]) -> Question:
-            line = scene(answers).found.curve.round(1).tolist() if question.name in ("tip", "size") else ()
-            return question._replace(default=question.ways[0].word, line=line)
+            return scene(answers).asked(question)
 
         def check(name: str, answers: Mapping[str, Answer]) -> None:
             for each in (name, *known) if name == "pivot" else (name,):
                 scene(answers).check(each)
-            if name == "pivot":  # where no rope hangs from it, another one may be clicked
-                _ = scene(answers).found
 
         origin = {} if lens is None else {"pivot": lens.project([[0.0, 0.0]])[0].tolist()}
         given = kept | self.answers()
@@ -251,9 +248,9 @@ def _read(path: Path, head: Mapping[str, Any]) -> dict[str, Any]:
 class PlainScene:
     """What the first picture and the answers tell: the rope's line and look, camera, rope and tracking task.
 
-    length: m. exposure: s. find: returns the rope that hangs from a pixel u, v, and is so many px long, if that is not
-    None. answers: by the names of QUESTIONS; what needs one that is missing must not be used. at: time of the picture,
-    s, if it is not the first one. known_rope, known_camera: in place of those of the answers.
+    length: m. exposure: s. find: returns the rope that hangs from a pixel u, v, ends at another one, and is so many px
+    long, if these are not None. answers: by the names of QUESTIONS; what needs one that is missing must not be used.
+    at: time of the picture, s, if it is not the first one. known_rope, known_camera: in place of those of the answers.
     """
 
     image: "Image"
@@ -277,21 +274,15 @@ class PlainScene:
         from hyperflex.vision import NoRope
 
         pivot, tip, size = self.answers["pivot"], self.answers.get("tip", "found"), None
+        end = None if isinstance(tip, str) else tuple(tip)
         if not self.by_rope:
             size = float(np.hypot(*np.diff(self.camera.project([[0.0, 0.0], [0.0, -self.length]]), axis=0)[0]))
         try:
-            found = self.find(*pivot, size)
+            return self.find(*pivot, end, size)
         except NoRope:
             if size is None:
                 raise
-            found = self.find(*pivot, None)  # `check` says by how much its length differs
-        if isinstance(tip, str):
-            return found
-        away = np.hypot(*(found.curve - tip).T)
-        if not away.min() <= found.look.width + 10.0 * CLICK_STD:  # NaN, too
-            allowed = f"a pixel of the rope that is seen, which ends at {found.curve[-1].round().tolist()}"
-            raise InvalidInput("--tip is not on the rope", got=tip, allowed=allowed)
-        return replace(found, curve=found.curve[: int(away.argmin()) + 1])
+            return self.find(*pivot, end, None)  # `check` says by how much its length differs
 
     @cached_property
     def camera(self) -> "Camera":
@@ -340,8 +331,20 @@ class PlainScene:
             seen = lens.with_plane(-view.points, view.pixels)
         return seen.with_origin(self.answers["pivot"])
 
+    def asked(self, question: Question) -> Question:
+        """Return a question with its default, and the line that it is about."""
+        line = list[list[float]]()
+        if question.name in ("tip", "size"):
+            try:
+                line = self.found.curve.round(1).tolist()
+            except InvalidInput as error:  # the free end can be clicked
+                return question._replace(cost=f"No line is found: {error}")
+        return question._replace(default=question.ways[0].word, line=line)
+
     def check(self, name: str) -> None:
         """Refuse an answer that cannot be right."""
+        from hyperflex.vision import NoRope, Reason
+
         numbers = self.answers[name] if not isinstance(self.answers[name], str) else []
         pixels = numbers[: {"mass": 0, "size": {5: 4, 8: 8}.get(len(numbers), 0)}.get(name, 2)]
         width, height = self.image.shape[1::-1]
@@ -352,8 +355,12 @@ class PlainScene:
             )
         for each in numbers[len(pixels) :]:
             checks.number(f"--{name}", each, sign="positive")
-        if name == "tip" and numbers:
-            _ = self.found
+        if name == "tip" or (name == "pivot" and "tip" not in self.answers):
+            try:
+                _ = self.found
+            except NoRope as error:
+                if name == "tip" or error.reason is Reason.NOTHING:  # else the free end can be clicked
+                    raise
         sizes = name == ("size" if self.known_camera is None else "tip")
         option = "--size" if self.known_camera is None else "--camera"
         if sizes and not self.length / 10.0 < height / self.camera.pixels_per_metre < 100.0 * self.length:

@@ -11,10 +11,11 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.look import CLICKED, Cover, RopeLook, at_parts, rope_along
-from hyperflex.vision.ridges import BLUR, SHADOW, Mixture, Path, Ridges
+from hyperflex.vision.ridges import BLUR, SHADOW, STEP, Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
+UNSURE = 6.0  # px of rope or wall by which ends are told apart
 
 
 class Reason(StrEnum):
@@ -34,8 +35,8 @@ _FIXES = {
     Reason.TWO: "Take the other rope away, or click the free end",
     Reason.OUTSIDE: "Move the camera back, until the whole rope is in view",
     Reason.BLURRED: "Take a frame in which the rope is slow, or a shorter exposure",
-    Reason.HIDDEN: "Take away what is before the rope, or looks like it behind it",
-    Reason.END: "Take a frame in which the free end is slow and before a plain wall",
+    Reason.HIDDEN: "Take away what is before the rope, or looks like it behind it; click its end, if any, on it",
+    Reason.END: "Click the free end, or take a frame in which it is slow and before a plain wall",
     Reason.LENGTH: "Check the length, the scale of the camera and the pivot; nothing may hide the free end",
 }
 
@@ -86,6 +87,7 @@ def find_rope(
     image: Image,
     pivot: npt.ArrayLike,
     *,
+    tip: npt.ArrayLike | None = None,
     look: RopeLook | None = None,
     length: float | None = None,
     tolerance: float = 0.1,
@@ -100,6 +102,8 @@ def find_rope(
     image : (height, width, 3) uint8
     pivot : (2,) array_like
         Where the rope begins, px.
+    tip : (2,) array_like, optional
+        The free end, px, if it is clicked: the curve ends there, and other ropes may be in the picture.
     look : RopeLook, optional
         If it is known; else a path keeps its own contrast.
     length : float, optional
@@ -120,6 +124,7 @@ def find_rope(
         With its reason: no rope, two, one that leaves the view, is too blurred, or has another length.
     """
     start = checks.array("pivot", pivot, (2,), unit="px")
+    end = None if tip is None else checks.array("tip", tip, (2,), unit="px")
     told = look is not None or length is not None
     length = None if length is None else checks.number("length", length, sign="positive", unit="px")
     longest = np.inf if length is None else (1.0 + tolerance) * length
@@ -133,8 +138,8 @@ def find_rope(
             rope.learn(curve)
         else:
             rope, width = Mixture(image, look.levels, look.width), look.width
-        path = _best(ridges.paths(start, radius, rope, longest))
-        curve, look, seen = rope_along(image, path.seen, width, longest, look.tone)
+        path = _best(ridges.paths(start, radius, rope, longest), end)
+        curve, look, seen = rope_along(image, path.seen, width, longest, look.tone, end)
     except InvalidInput as error:
         if isinstance(error, NoRope):
             raise
@@ -144,49 +149,60 @@ def find_rope(
     late = round(float(np.clip((curve[0] - start) @ ahead, -CLICKED, CLICKED)))  # px: the rope begins beside the click
     curve = np.concatenate([curve[0] - np.arange(late, 0, -1)[:, None] * ahead, curve[max(-late, 0) :]])
     found, apart = FoundRope(curve, look), 2.0 * look.width + 8.0
+    if end is not None:
+        _check_seen(seen, len(seen.rope))
+        return found
     rope.leave_out(path.places, apart)
     _check_alone(rope, path, ridges.paths(start, radius, rope, longest)[0], apart)
     last = np.array(image.shape[1::-1]) - 1.0
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
+    _check_seen(seen, seen.end(longest) + 1)
     _check_end(seen, found.length, length and (1.0 - tolerance) * length, longest)
     if not told:
         _check_beyond(seen)
     return found
 
 
-def _check_end(seen: Cover, size: float, shortest: float | None, longest: float) -> None:
-    """Refuse a rope, `size` px long, that is not seen as one until its end, or whose end may as well be elsewhere."""
-    last = seen.end(longest)
-    off = (seen.unlike > SHADOW)[: last + 1]
+def _check_seen(seen: Cover, size: int) -> None:
+    """Refuse a rope, `size` px long, of which a part is wall."""
+    off, wide = seen.rope[:size] < -0.5, seen.wider[:size] > BLUR
     if off.mean() > 0.1:
-        wide = seen.wider[: last + 1] > BLUR
         reason = Reason.BLURRED if (wide & ~off).sum() > 0.1 * (~off).sum() else Reason.HIDDEN
         raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
+
+
+def _check_end(seen: Cover, size: float, shortest: float | None, longest: float) -> None:
+    """Refuse a rope, `size` px long, whose end may as well be elsewhere."""
+    last = seen.end(longest)
     blurred = seen.wider[last] > BLUR
-    if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + 1.5):
+    if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + UNSURE):
         reason = Reason.BLURRED if blurred else Reason.LENGTH
         raise NoRope(reason, f"{size:.0f} px", f"{shortest:.0f} to {longest:.0f} px")
-    ends = np.flatnonzero(seen.gained >= seen.gained[last] - 1.5)  # some three pixels of wall
+    ends = np.flatnonzero(np.append(seen.gained, seen.gained[-1]) >= seen.gained[last] - UNSURE)  # it may go on
     first, final, near = max(ends[0], shortest or 0.0), min(ends[-1], longest), max(12, round(0.04 * size))
-    beyond = np.append(seen.unlike[last + 1 :], 0.0)[:near].mean()  # where nothing was looked at, the rope may go on
-    if max(final - last, last - first) > near or beyond < SHADOW:
+    if max(final - last, last - first) > near or final == seen.rope.size:
         reason = Reason.BLURRED if blurred else Reason.END
-        got = f"an end {first:.0f} to {final:.0f} px from the pivot, {beyond:.2f} of its contrast beyond"
-        raise NoRope(reason, got, f"4 % of its length to both sides, and {SHADOW} or more")
+        raise NoRope(reason, f"an end {first:.0f} to {final:.0f} px from the pivot", "4 % of its length to both sides")
 
 
 def _check_beyond(seen: Cover) -> None:
-    """Refuse a rope beyond whose end the wall changes: something may hide the rest."""
+    """Refuse a rope beyond whose end is a wall that it is not before elsewhere: a thing may hide the rest."""
+    from scipy.ndimage import uniform_filter1d
+
     at, near = seen.end() + 1, 20  # px
-    before, after = (each.mean(axis=0) for each in (seen.contrast[:at][-near:], seen.contrast[at:][:near]))
-    other = float(np.linalg.norm(after - before) / np.linalg.norm(before))
+    walls = uniform_filter1d(seen.contrast[: max(at - 2 * near, 1)], near, axis=0)
+    off = np.linalg.norm(walls - seen.contrast[at:][:near].mean(axis=0), axis=1).min()
+    other = float(off / np.linalg.norm(walls, axis=1).mean())
     if other > 0.3:
         raise NoRope(Reason.END, f"the wall changes there by {other:.2f} of the rope's contrast", "at most 0.3")
 
 
-def _best(paths: list[Path]) -> Path:
-    """Return the best path, if it may be a rope."""
+def _best(paths: list[Path], tip: Array | None = None) -> Path:
+    """Return the best path, if it may be a rope; of those that pass a free end, if there are any."""
+    if tip is not None:
+        near = [np.hypot(*(each.places - tip).T).min() < CLICKED + STEP for each in paths]
+        paths = paths[near.index(True) if any(near) else 0 :]
     if paths[0].scores[-1] < LEAST_SCORE:
         got = round(float(paths[0].scores[-1]), 1)
         raise NoRope(Reason.NOTHING, got, f"evidence of at least {LEAST_SCORE:g}, in decimal orders over the wall's")

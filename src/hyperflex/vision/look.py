@@ -11,7 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.core.image.profiles import cover, sample_places
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.colour import NOISE
-from hyperflex.vision.ridges import BLUR, Ridges
+from hyperflex.vision.ridges import BLUR, SHADOW, Ridges
 from hyperflex.vision.tone import light_per_level, linear_tone
 from hyperflex.vision.video import Image
 
@@ -23,9 +23,9 @@ class Cover(NamedTuple):
 
     Attributes
     ----------
-    unlike : (K,) float64
-        How far the colour, averaged over the rope's width, however blurred, and nine pixels along it, is from the
-        rope's, as a part of its contrast: 0 on the rope, 1 on the wall, 0.4 where the wall is like the rope.
+    rope : (K,) float64
+        1 where the colour, averaged over the rope's width, however blurred, and nine pixels along it, is the rope's, -1
+        where it is the wall's, or that of a shadow on it, and 0 where neither explains it, or both.
     aside : (K,) float64
         Where its middle is, px.
     wider : (K,) float64
@@ -34,23 +34,19 @@ class Cover(NamedTuple):
         Light of the rope less that of the wall beside it; 0 outside of the picture.
     """
 
-    unlike: Array
+    rope: Array
     aside: Array
     wider: Array
     contrast: Array
 
     @property
     def gained(self) -> Array:
-        """Pixels of rope until there (K,), less those of wall or shadow: most where the rope ends.
-
-        A texture of the rope's own, which it has along most of the curve, does not tell against it.
-        """
-        usual = np.clip(np.quantile(self.unlike, 0.85) + 0.1, 0.35, 0.5)  # a shadow is more unlike
-        return np.cumsum(usual - np.minimum(self.unlike, 1.0))
+        """Pixels of rope until there (K,), less those of wall: most where the rope ends."""
+        return np.cumsum(self.rope)
 
     def end(self, longest: float = np.inf) -> int:
         """Return where a rope ends that can be `longest` px long."""
-        return int(np.argmax(self.gained[: int(min(longest, self.unlike.size))]))
+        return int(np.argmax(self.gained[: int(min(longest, self.rope.size))]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +219,12 @@ def sample(image: Image, places: Array, tone: Array) -> Array:
 
 
 def rope_along(
-    image: Image, path: Array, width: float | None = None, longest: float = np.inf, tone: Array | None = None
+    image: Image,
+    path: Array,
+    width: float | None = None,
+    longest: float = np.inf,
+    tone: Array | None = None,
+    tip: Array | None = None,
 ) -> tuple[Array, RopeLook, Cover]:
     """Measure the rope along a path that is some pixels off.
 
@@ -238,6 +239,8 @@ def rope_along(
         That the rope can be, px.
     tone : (256,) float64, optional
         As of the look.
+    tip : (2,) float64, optional
+        Its free end, px: the path is taken to go straight there from where it is next to it.
 
     Returns
     -------
@@ -253,6 +256,8 @@ def rope_along(
     InvalidInput
         If no rope stands out along the path.
     """
+    if tip is not None:
+        path = np.concatenate([path[: int(np.hypot(*(path - tip).T).argmin()) + 1], [tip]])
     curve, last, extend = equal_steps(path), 0, 0
     for _ in range(8):  # a path that ends too early is followed further
         look = RopeLook.from_curve(image, curve, width, tone)
@@ -265,7 +270,7 @@ def rope_along(
             raise InvalidInput("no rope is seen along the path", got=f"{last} px of {len(curve)}")
         shifted = places_across(curve, np.array([0.0, 1.0]))[: last + 1]
         curve = _smooth(shifted[:, 0] + (shifted[:, 1] - shifted[:, 0]) * seen.aside[: last + 1, None])
-        if extend and abs(last - before) < 3:
+        if tip is not None or (extend and abs(last - before) < 3):
             break
         extend = 20  # px
     return equal_steps(curve), look, seen
@@ -342,10 +347,11 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
     """Return what is seen of a rope across a curve (K, 2), a pixel apart; of some blurs, the likeliest at each place.
 
     A blurred rope is as wide as its streak and as much fainter: so its colour is known, and tells it from others.
+    Rope and wall are told apart with one covariance, of the wall beside the rope and of the rope's own texture.
     """
     from scipy.ndimage import uniform_filter1d
 
-    found, contrasts = [], []
+    found = []
     for wider in (0.0, 4.0, 9.0, 18.0, 2.0 * BLUR + 2.0):
         width = look.width + wider
         across = np.arange(-0.5 * width - 6.0, 0.5 * width + 6.1, 0.5)
@@ -357,21 +363,34 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
         colour = np.einsum("kmc,m->kc", off, expected) / power
         own = np.einsum("kmc,m->kc", contrast, expected**2) / power
         along = np.einsum("kij,kj->ki", metric, own)
-        size = np.maximum((along * own).sum(axis=1), 1e-9)
-        clear = size > 0.3**-2  # else the wall is like the rope
-        weights = np.clip(np.einsum("kmc,kc->km", off, along) / size[:, None], 0.0, 1.0) * clear[:, None]
+        size = np.maximum((along * own).sum(axis=1), 1.0)
+        weights = np.clip(np.einsum("kmc,kc->km", off, along) / size[:, None], 0.0, 1.0)
         aside = (weights @ across) / np.maximum(weights.sum(axis=1), 1.0)
         colour, own, metric = (uniform_filter1d(each, 9, axis=0, mode="nearest") for each in (colour, own, metric))
-        apart, size = (np.einsum("ki,kij,kj->k", each, metric, each) for each in (colour - own, own))
-        unlike = np.where(clear, np.sqrt(apart / np.maximum(size, 1e-9)), 0.4)
-        fit = power * (1.0 - 2.0 * np.minimum(unlike, 1.0))
-        fit = uniform_filter1d(fit, 61, origin=20)  # blur varies slowly, and is none beyond the end
-        found.append((fit, unlike, aside, np.full(len(curve), wider)))
-        contrasts.append(contrast.mean(axis=1))
-    columns = np.array(found)
-    best = columns[:, 0].argmax(axis=0), np.arange(len(curve))
-    unlike, aside, wider = columns[best[0], 1:, best[1]].T
-    return Cover(unlike, aside, wider, np.array(contrasts)[best])
+        fit = uniform_filter1d(
+            power * _likeness(colour, own, metric), 61, origin=20
+        )  # it varies slowly, none beyond the end
+        found.append((fit, aside, np.full(len(curve), wider), colour, own, metric, contrast.mean(axis=1)))
+    best = np.argmax([each[0] for each in found], axis=0), np.arange(len(curve))
+    aside, wider, colour, own, metric, contrast = (np.array(each)[best] for each in list(zip(*found, strict=True))[1:])
+    off, like = (colour - own)[None], _likeness(colour, own, metric)[None] > 0.0
+    like[:, len(curve) // 2 + 1 :] = False  # a path goes astray late
+    texture = _covariance(off, like, look.bgr[None, None], look.tone)
+    metric = np.linalg.inv(np.linalg.inv(metric) + texture)
+    return Cover(_likeness(colour, own, metric), aside, wider, contrast)
+
+
+def _likeness(colour: Array, own: Array, metric: Array) -> Array:
+    """Return how much likelier colours (K, 3), less the wall's, are the rope's, `own` (K, 3), than the wall's (K,).
+
+    From -1 to 1, as :attr:`Cover.rope`. `metric` (K, 3, 3) is the inverse covariance of both. So little of the rope's
+    contrast as a shadow may have is no rope.
+    """
+    part = np.einsum("ki,kij->kj", own, metric)
+    part = (part * colour).sum(axis=1) / np.maximum((part * own).sum(axis=1), 1e-9)
+    shadow = np.clip(part, 0.0, 2.0 * SHADOW - 1.0)[:, None] * own
+    wall, rope = (np.einsum("ki,kij,kj->k", each, metric, each) for each in (colour - shadow, colour - own))
+    return np.asarray((wall - rope) / (wall + rope + 1.0))
 
 
 def _smooth(curve: Array, std: float = 4.0) -> Array:
