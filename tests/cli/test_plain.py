@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.cli.plain import Plain, PlainScene, answers_path
+from hyperflex.cli.plain import QUESTIONS, Plain, PlainScene, answers_path
 from hyperflex.cli.track import _tracked
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.estimate import (
@@ -194,6 +194,28 @@ def test_a_known_rope_and_camera_replace_answers(refused, hanging):
     given = ("track", "phone.mp4", "--rope", "known.toml", "--camera", "camera.toml", "--length")
     assert "--length contradicts --rope: got 1.5. Allowed: 2" in refused(*given, "1.5")
     assert "--size and --camera are both given" in refused(*given, "2.0", "--size", "rope")
+
+
+def test_a_free_end_that_is_not_found_is_asked_for():
+    """A wrong pivot, from which no rope hangs, is refused at once."""
+    curve = np.stack([np.full(401, 320.0), 20.0 + np.arange(401.0)], axis=1)
+
+    def find(u, v, tip, size):
+        if tip is None:
+            raise NoRope(Reason.END if u == 320.0 else Reason.NOTHING, 400, "another")
+        return FoundRope(curve, RopeLook(np.zeros(3), 2.0))
+
+    scene = PlainScene(np.zeros((480, 640, 3), np.uint8), 2.0, 0.004, "down", find, {"pivot": [320.0, 20.0]})
+    scene.check("pivot")
+    asked = scene.asked(QUESTIONS[1])
+    assert "No line is found: it is not clear where the rope ends" in asked.cost
+    assert not asked.default
+    clicked = replace(scene, answers=scene.answers | {"tip": [320.0, 420.0]})
+    clicked.check("tip")
+    assert clicked.asked(QUESTIONS[2]).line == curve.tolist()
+    for name, answers in (("tip", scene.answers | {"tip": "found"}), ("pivot", {"pivot": [100.0, 20.0]})):
+        with pytest.raises(NoRope):
+            replace(scene, answers=answers).check(name)
 
 
 def test_the_time_of_the_answers_is_kept_and_another_one_makes_a_clicked_tip_void(hanging):

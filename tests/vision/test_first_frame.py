@@ -18,7 +18,7 @@ from hyperflex.vision import (
     find_rope,
     srgb_tone,
 )
-from hyperflex.vision.first_frame import _check_end, _check_seen
+from hyperflex.vision.first_frame import _check_beyond, _check_end, _check_seen
 from hyperflex.vision.look import Cover, rope_along
 from hyperflex.vision.ridges import Mixture, Path, Ridges, _apart, _best_of_cells
 
@@ -149,6 +149,16 @@ def test_where_a_wide_thing_begins_the_rope_may_go_on_behind_it():
         find_rope(image, truth[0])
     assert refused.value.reason is Reason.END
     assert off(find_rope(image, truth[0], look=RopeLook(np.full(3, 45.0), 2.6)).curve, truth[:170])[0] < 1.0
+
+
+def test_a_wall_that_the_rope_is_before_elsewhere_hides_no_end():
+    """A thing of half the contrast behind the rope ends 10 px before its end; another one begins there."""
+    seen = cover(np.repeat([1.0, -1.0], [200, 20]))
+    seen.contrast[150:190] = -50.0
+    _check_beyond(seen)
+    seen.contrast[200:] = 0.0
+    with pytest.raises(NoRope, match="the wall changes there by"):
+        _check_beyond(seen)
 
 
 def test_a_dim_rope_is_found_by_its_light():
