@@ -152,9 +152,9 @@ def test_where_a_wide_thing_begins_the_rope_may_go_on_behind_it():
 
 
 def test_a_wall_that_the_rope_is_before_elsewhere_hides_no_end():
-    """A thing of half the contrast behind the rope ends 10 px before its end; another one begins there."""
+    """A thing behind the rope ends where the rope does; another one begins there."""
     seen = cover(np.repeat([1.0, -1.0], [200, 20]))
-    seen.contrast[150:190] = -50.0
+    seen.contrast[150:200] = -50.0
     _check_beyond(seen)
     seen.contrast[200:] = 0.0
     with pytest.raises(NoRope, match="the wall changes there by"):
