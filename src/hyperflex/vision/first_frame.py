@@ -15,7 +15,6 @@ from hyperflex.vision.ridges import BLUR, SHADOW, STEP, Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
-UNSURE = 6.0  # px of rope or wall by which ends are told apart
 
 
 class Reason(StrEnum):
@@ -175,11 +174,11 @@ def _check_seen(seen: Cover, size: int) -> None:
 def _check_end(seen: Cover, size: float, shortest: float | None, longest: float) -> None:
     """Refuse a rope, `size` px long, whose end may as well be elsewhere."""
     last = seen.end(longest)
-    blurred = seen.wider[last] > BLUR
-    if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + UNSURE):
+    blurred, unsure = seen.wider[last] > BLUR, 6.0  # px of rope or wall by which ends are told apart
+    if shortest is not None and (size < shortest or seen.gained.max() > seen.gained[last] + unsure):
         reason = Reason.BLURRED if blurred else Reason.LENGTH
         raise NoRope(reason, f"{size:.0f} px", f"{shortest:.0f} to {longest:.0f} px")
-    ends = np.flatnonzero(np.append(seen.gained, seen.gained[-1]) >= seen.gained[last] - UNSURE)  # it may go on
+    ends = np.flatnonzero(np.append(seen.gained, seen.gained[-1]) >= seen.gained[last] - unsure)  # it may go on
     first, final, near = max(ends[0], shortest or 0.0), min(ends[-1], longest), max(12, round(0.04 * size))
     if max(final - last, last - first) > near or final == seen.rope.size:
         reason = Reason.BLURRED if blurred else Reason.END
