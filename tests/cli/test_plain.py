@@ -446,7 +446,7 @@ def test_the_rope_is_searched_with_its_length_where_the_scale_is_known(size, len
     """2 m at 200 px/m."""
     searched = []
     _ = scene(np.full((480, 640, 3), 128, np.uint8), size, lambda *given: searched.append(given)).found
-    assert searched == [(320.0, 20.0, length)]
+    assert searched == [(320.0, 20.0, None, length)]
 
 
 @pytest.mark.nightly
@@ -481,7 +481,7 @@ def test_friction_of_the_first_joint_is_not_taken_for_a_readout():
 def test_a_rope_that_is_seen_too_short_is_named():
     """0.5 m is seen of 2 m."""
 
-    def find(u, v, length):
+    def find(u, v, tip, length):
         if length is not None:
             raise NoRope(Reason.LENGTH, length, "")
         return SimpleNamespace(curve=np.array([[u, v], [u, v + 50.0]]))
