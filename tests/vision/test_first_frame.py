@@ -119,7 +119,7 @@ def test_an_end_is_not_clear_if_the_rope_may_go_on_beyond_it(beyond):
 
 def test_a_curve_that_shows_no_rope_at_all_is_refused():
     with pytest.raises(NoRope) as refused:
-        _check_seen(cover(np.full(40, -0.9)), 40)
+        _check_seen(cover(np.full(40, -1.0)), 40)
     assert refused.value.reason is Reason.HIDDEN
 
 

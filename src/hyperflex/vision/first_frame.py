@@ -165,7 +165,7 @@ def find_rope(
 
 def _check_seen(seen: Cover, size: int) -> None:
     """Refuse a rope, `size` px long, of which a part is wall."""
-    off, wide = seen.rope[:size] < -0.5, seen.wider[:size] > BLUR
+    off, wide = seen.rope[:size] < -0.9, seen.wider[:size] > BLUR
     if off.mean() > 0.1:
         reason = Reason.BLURRED if (wide & ~off).sum() > 0.1 * (~off).sum() else Reason.HIDDEN
         raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
