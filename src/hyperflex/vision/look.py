@@ -376,7 +376,7 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
     off, like = (colour - own)[None], _likeness(colour, own, metric)[None] > 0.0
     like[:, len(curve) // 2 + 1 :] = False  # a path goes astray late
     texture = _covariance(off, like, look.bgr[None, None], look.tone)
-    metric = np.linalg.inv(np.linalg.inv(metric) + texture)
+    metric = np.asarray(np.linalg.inv(np.linalg.inv(metric) + texture), np.float64)
     return Cover(_likeness(colour, own, metric), aside, wider, contrast)
 
 
