@@ -400,7 +400,10 @@ class MultiStart:
         states: list[Array] = []
         for window in windows:
             self.budget.check()
-            starts = [_known_state(known, window), *window.others]
+            # where samples were merged a window begins less than a step later than one of samples
+            at = min(known, key=lambda t: abs(t - window.t[0]), default=np.inf)
+            near = abs(at - window.t[0]) < window.t[1] - window.t[0]
+            starts = [known[at] if near else window.guess, *window.others]
             if window.others and kept and refine:
                 starts += arrived(self.plant, x, kept[-1], states[-1], window)
             rounds = 30 if refine or window.others else 0
@@ -414,15 +417,6 @@ class MultiStart:
                 "shorter windows (window=...)."
             )
         return kept, states
-
-
-def _known_state(known: dict[float, Array], window: Window) -> Array:
-    """Return the state (2n,) in which a window begins: of those known by time, s, if there is one, else its guess.
-
-    Where samples were merged a window begins less than a step later than one of samples.
-    """
-    at = min(known, key=lambda t: abs(t - window.t[0]), default=np.inf)
-    return known[at] if abs(at - window.t[0]) < window.t[1] - window.t[0] else window.guess
 
 
 def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Loss) -> list[Array]:

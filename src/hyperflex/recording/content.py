@@ -166,7 +166,10 @@ def raw_of(content: Content, selection: Selection) -> Raw:
         names, space = _of_markers(content, selection.markers)
     elif selection.columns is not None:
         names, space = _known(content, "columns", selection.columns, content.names), False
-        kind = cast(Kind, checks.choice("kind", selection.kind or _kind_by_unit(content, names), KINDS))
+        if selection.kind is None and (shown := one_unit(content, names)) is None:
+            raise InvalidInput("columns is given without kind", allowed="kind='angles' or kind='markers'")
+        by_unit = "angles" if selection.kind is None and shown in RADIANS else "markers"
+        kind = cast(Kind, checks.choice("kind", selection.kind or by_unit, KINDS))
     else:
         kind, names, space = _by_default(content, selection.kind)
     declared = dict(content.declared)
@@ -229,13 +232,6 @@ def _of_markers(content: Content, markers: object) -> tuple[list[str], bool]:
         what = f"{content.source} has some of these markers in a plane, others in space"
         raise InvalidInput(what, got=points, fix="Name their columns: columns=[..] and kind='markers'")
     return [name for each in points for name in each], sizes == {3}
-
-
-def _kind_by_unit(content: Content, names: Sequence[str]) -> Kind:
-    unit = one_unit(content, names)
-    if unit is None:
-        raise InvalidInput("columns is given without kind", allowed="kind='angles' or kind='markers'")
-    return "angles" if unit in RADIANS else "markers"
 
 
 def _by_default(content: Content, kind: str | None) -> tuple[Kind, list[str], bool]:
