@@ -109,30 +109,30 @@ def _kernels() -> Finding:
         return Finding("kernels", WRONG, "NUMBA_DISABLE_JIT is set: nothing is compiled, and runs take very long.")
     every, folder = every_kernel(), cache.folder()
     there = cache.compiled(every)
-    if (trouble := _trouble(folder)) is not None:
+    if trouble := unwritable(folder):
         fix = "Without it kernels are compiled in every process: name another in HYPERFLEX_CACHE_DIR."
-        return Finding("kernels", WRONG, f"{folder} {trouble}.", fix)
+        return Finding("kernels", WRONG, f"{folder} cannot be written to ({trouble}).", fix)
     fix = "" if there else "hyperflex warm compiles them in advance."
     return Finding("kernels", "good" if there else "missing", f"{there} of {len(every)} compiled, in {folder}.", fix)
 
 
 def _folders() -> Iterator[Finding]:
     for name, folder in (("this folder", Path.cwd()), ("temporary files", Path(tempfile.gettempdir()))):
-        trouble, free = _trouble(folder), shutil.disk_usage(folder).free
-        if trouble is not None:
-            yield Finding(name, WRONG, f"{folder} {trouble}.", "Work in a folder of your own.")
+        trouble, free = unwritable(folder), shutil.disk_usage(folder).free
+        if trouble:
+            yield Finding(name, WRONG, f"{folder} cannot be written to ({trouble}).", "Work in a folder of your own.")
         else:
             state, fix = (WRONG, "Make room: runs are large.") if free < SPACE else ("good", "")
             yield Finding(name, state, f"{folder}, {free / 1e9:.2g} GB free", fix)
 
 
-def _trouble(folder: Path) -> str | None:
-    """Return why nothing can be written in a folder, or in the first one above it that is there; None if it can."""
+def unwritable(folder: Path) -> str:
+    """Return why nothing can be written in a folder, or in the first one above it that exists; empty if it can."""
     try:
         tempfile.TemporaryFile(dir=next(each for each in (folder, *folder.parents) if each.exists())).close()
     except OSError as error:
-        return f"cannot be written to ({error.strerror})"
-    return None
+        return str(error.strerror)
+    return ""
 
 
 def _camera(number: int) -> Finding:

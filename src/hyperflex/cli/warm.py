@@ -6,7 +6,6 @@ import os
 import pkgutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 from hyperflex import checks
 from hyperflex.cli import output
 from hyperflex.cli.command import Workers
+from hyperflex.cli.doctor import unwritable
 from hyperflex.errors import FileProblem, HyperflexError, MissingPackage
 from hyperflex.progress import progress_bar
 
@@ -46,7 +46,9 @@ def warm(
         return
     kernels = every_kernel()
     before = cache.compiled(kernels)
-    _check_folder(cache.folder())
+    if why := unwritable(cache.folder()):
+        fix = "HYPERFLEX_CACHE_DIR names another folder."
+        raise FileProblem(f"Compiled kernels cannot be kept in {cache.folder()}: {why}. {fix}")
     spent = _compile(kernels, count)
     _remove_old(cache.folder())
     result = {
@@ -94,18 +96,6 @@ def every_kernel() -> list[tuple[str, str]]:
     for each in pkgutil.walk_packages(core.__path__, f"{core.__name__}."):
         importlib.import_module(each.name)
     return KERNELS
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be written to."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise FileProblem(
-            f"Compiled kernels cannot be kept in {folder}: {error.strerror}. HYPERFLEX_CACHE_DIR names another folder."
-        ) from error
 
 
 def _compile(kernels: list[tuple[str, str]], count: int) -> float:

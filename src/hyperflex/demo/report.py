@@ -15,7 +15,6 @@ from hyperflex.checks import Array
 from hyperflex.demo import twin
 from hyperflex.errors import DriveError, MissingPackage
 from hyperflex.execution import CastRun, EmulatedRope, RunOptions, emulator_of, open_drive, run_plan
-from hyperflex.hardware import MotorModel
 from hyperflex.identification import Identification
 from hyperflex.interruption import interruptible
 from hyperflex.model import PROPERTIES, Peg
@@ -201,7 +200,7 @@ def _carried_out(plan: CastPlan, recorded: Problem, progress: Progress) -> tuple
     run, unfair = None, ""
     for _ in range(2):  # once more where this computer was too busy
         with suppress(DriveError, MissingPackage):
-            make, emulator = emulator_of(plan, "emulator:moteus", MotorModel(extrapolates=True), rope=rope)
+            make, emulator = emulator_of(plan, "emulator:moteus", rope=rope)
             with emulator:
                 source = EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
                 connect = partial(open_drive, f"{make}:{emulator.port}", plan.problem.limits)

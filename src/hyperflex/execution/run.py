@@ -331,7 +331,8 @@ def _wait_until_still(
         seen = [*(each for each in seen if each[0] > t - 1.0), (t, state.q)]
         moved = float(np.ptp([q for _, q in seen], axis=0).max())
         watched = still == math.inf or seen[0][0] <= t - 0.9 * min(1.0, options.wait)
-        away = float(np.abs(_turned(state.q - rope.hanging_angle)).max())
+        turned = (state.q - rope.hanging_angle + math.pi) % math.tau - math.pi  # a picture shows no whole turns
+        away = float(np.abs(turned).max())
         if moved <= still and away <= HANGS:
             if watched:
                 return
@@ -340,11 +341,6 @@ def _wait_until_still(
             if away > HANGS and moved <= still:
                 raise InvalidInput("the rope does not hang down", got=away, allowed=f"{HANGS:g} rad", fix="Unwind it")
             raise InvalidInput("the rope still swings", got=moved, allowed=f"up to {still:g} rad in a second", fix=fix)
-
-
-def _turned(angles: Array) -> Array:
-    """Return angles less their whole turns, which a picture does not show, from -pi to pi, rad."""
-    return (angles + math.pi) % math.tau - math.pi
 
 
 def _compare_weight(log: StreamLog, problem: Problem, doubt: Callable[[str], object]) -> None:

@@ -301,7 +301,9 @@ class _Cycle:
             self.missed = max(0, int(late / self.period))
             due += self.missed * self.period
             self.zero += self.missed * self.period * self.waits
-            _wait_until(due)
+            time.sleep(max(0.0, due - time.monotonic() - SPIN))
+            while time.monotonic() < due:
+                pass
             if self.drive.enabled:
                 self.send(due)
                 if due > max(patient(), self.zero + self.paths[-1][1].motion.breaks[-1]):
@@ -346,10 +348,3 @@ class _Cycle:
                 return False
         self.paths = [*(each for each in self.paths if each[0] < at), (at, path)]
         return True
-
-
-def _wait_until(due: float) -> None:
-    if (rest := due - time.monotonic() - SPIN) > 0.0:
-        time.sleep(rest)
-    while time.monotonic() < due:
-        pass

@@ -49,7 +49,11 @@ class Folder:
     def names(self) -> list[str]:
         """Return the files in it, and in its folders, that can be opened."""
         found = (each for pattern in ("[!.]*", "[!.]*/[!.]*") for each in self.path.glob(pattern))
-        shown = (each for each in found if each.suffix in OPENED and each.is_file() and self._inside(each))
+        shown = (
+            each
+            for each in found
+            if each.suffix in OPENED and each.is_file() and each.resolve().is_relative_to(self.path)
+        )
         return sorted(each.relative_to(self.path).as_posix() for each in shown)[:200]  # as many as a person reads
 
     def page(self, name: str, rope: str = "") -> str:
@@ -87,9 +91,6 @@ class Folder:
         else:
             plan.to_csv(path)
         return name
-
-    def _inside(self, path: Path) -> bool:
-        return path.resolve().is_relative_to(self.path)
 
     def _existing(self, name: str, *suffixes: str) -> Path:
         if name not in self.names() or not name.endswith(suffixes):

@@ -48,7 +48,8 @@ class FaultyWire:
 
     def send(self, reply: bytes, now: float) -> None:
         """Take a reply from the device at a time, s."""
-        kind = self._kind()
+        rates = [getattr(self._faults, kind) for kind in KINDS]
+        (kind,) = self._random.choices((*KINDS, "good"), (*rates, 1.0 - sum(rates)))
         self.counts[kind] += 1
         if kind == "garbled":
             k = self._random.randrange(len(reply))
@@ -63,11 +64,3 @@ class FaultyWire:
         come = b"".join(reply for due, reply in self._waiting if due <= now)
         self._waiting = [each for each in self._waiting if each[0] > now]
         return come
-
-    def _kind(self) -> str:
-        draw = self._random.random()
-        for kind in KINDS:
-            draw -= getattr(self._faults, kind)
-            if draw < 0.0:
-                return kind
-        return "good"

@@ -75,7 +75,8 @@ class MoteusDevice:
     def handle(self, data: bytes) -> bytes:
         """Take bytes from the host; return the lines that answer the complete ones."""
         *lines, self._received = (self._received + data).replace(b"\r", b"\n").split(b"\n")
-        return b"".join(_checked(answer) for line in lines if line for answer in self._line(line))
+        answers = (answer for line in lines if line for answer in self._line(line))
+        return b"".join(b"%s *%02X\r\n" % (each, _crc(each + b" ")) for each in answers)
 
     def _line(self, line: bytes) -> list[bytes]:
         content, star, crc = line.rpartition(b"*")
@@ -170,7 +171,3 @@ def _crc(data: bytes) -> int:
         for _ in range(8):
             crc = (crc << 1 ^ 0x97) & 0xFF if crc & 0x80 else crc << 1
     return crc
-
-
-def _checked(line: bytes) -> bytes:
-    return b"%s *%02X\r\n" % (line, _crc(line + b" "))

@@ -71,8 +71,11 @@ def identification_page(
 
     What was interrupted has tables alone, to end soon. Returns the file ``page``.
     """
-    ended = found.ended is Status.INTERRUPTED
-    drawn = [_interrupted(found)] if ended else _drawn(FittedChannels(recording, found))
+    if found.ended is Status.INTERRUPTED:
+        when = f"after {len(found.history)} iterations" if found.history else "during its first iteration"
+        drawn = [Section("How the fit went", text=(f"It was interrupted {when}; figures were not drawn.",))]
+    else:
+        drawn = _drawn(FittedChannels(recording, found))
     sections = [
         _assessment(found),
         *_found(found, guess),
@@ -89,14 +92,12 @@ def identification_page(
 def _drawn(view: FittedChannels) -> list[Section]:
     """Return the sections with the fit's figures."""
     many = len(view.names) > len(view.chosen)
-    every = [_all(view)] if many else []
-    return [_fit(view, many), _prediction(view), _residuals(view), _history(view.found), *every]
-
-
-def _interrupted(found: Identification) -> Section:
-    """Return the section in place of figures."""
-    when = f"after {len(found.history)} iterations" if found.history else "during its first iteration"
-    return Section("How the fit went", text=(f"It was interrupted {when}; figures were not drawn.",))
+    drawn = [_fit(view, many), _prediction(view), _residuals(view), _history(view.found)]
+    if many:
+        pictures = _pictures((multiples_figure(view), "Every channel: measured, fitted (blue), predicted (red)."))
+        folded = f"Show all {len(view.names)} channels"
+        drawn.append(Section("All channels", pictures=pictures, folded=folded, anchor="all"))
+    return drawn
 
 
 def _assessment(found: Identification) -> Section:
@@ -211,8 +212,3 @@ def _folded(table: TextTable, what: str) -> str:
 def _pictures(*drawn: tuple["Figure | None", str]) -> tuple[Picture, ...]:
     """Return figures with their captions, without those that there is nothing for."""
     return tuple(Picture(png(figure, dpi="figure"), caption) for figure, caption in drawn if figure is not None)
-
-
-def _all(view: FittedChannels) -> Section:
-    pictures = _pictures((multiples_figure(view), "Every channel: measured, fitted (blue), predicted (red)."))
-    return Section("All channels", pictures=pictures, folded=f"Show all {len(view.names)} channels", anchor="all")
