@@ -13,7 +13,6 @@ from hyperflex.errors import InvalidInput
 
 HOST = "127.0.0.1"  # this machine alone
 OPEN = 1.0  # s between two checks whether a page that gets nothing is still open
-_SILENCE = 30.0  # s, after which a connection that sends or takes nothing is closed
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src 'self' data:; connect-src 'self'; frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; "
@@ -66,7 +65,7 @@ class LocalServer(ABC):
         page = self
 
         class Handler(BaseHTTPRequestHandler):
-            timeout = _SILENCE
+            timeout = 30.0  # s, after which a connection that sends or takes nothing is closed
 
             def do_GET(self) -> None:
                 hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))

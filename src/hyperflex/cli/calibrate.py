@@ -11,8 +11,6 @@ from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.errors import InvalidInput
 
-_LONGEST = 1.0  # s, an exposure or readout: no frame of a video has more time
-
 
 def calibrate(
     pictures: Annotated[list[Path], typer.Argument(help="Pictures of the board, or a video of it.")],
@@ -103,7 +101,7 @@ def calibrate(
 
 def _short(option: str, value: float) -> float:
     """Return an exposure or readout, s; refuse one that no video's frame has time for."""
-    if number(option, value, sign="nonnegative", unit="s") > _LONGEST:
+    if number(option, value, sign="nonnegative", unit="s") > 1.0:  # no frame of a video has more time
         raise InvalidInput(
             f"{option} is longer than a frame of any video",
             got=value,

@@ -36,8 +36,6 @@ WINDOW = 2.5  # s, over which the median of r is taken
 STRAIGHT = 0.995  # R^2 from which theta(t) counts as a straight line
 REPLAY_ARM = Arm(length=0.105, inertia=1e-3, friction=1e-3)  # the paper names no inertia: values of our own
 REPLAY_SPAN = 2.0 * (T_MOVE + T_REST["success"])  # s, one whole swing there and back
-REPLAY_RATE = 2000  # torque samples per second
-_BEFORE = 1e-7  # s, the torque is also sampled this long before each of its jumps
 TOP = 3.0  # m, whip spikes of r and of the portrait are cut off here so that the steps can be seen
 _DASH: dict[Outcome, Any] = {"success": "-", "failure": (0, (4.0, 1.6))}
 
@@ -311,8 +309,8 @@ def replay(reading: Reading) -> tuple[float, float]:
 def _sample_times(switches: Array) -> Array:
     """Return a grid over the span with each switch and an instant just before it."""
     inside = switches[(switches > 0.0) & (switches < REPLAY_SPAN)]
-    grid = np.linspace(0.0, REPLAY_SPAN, round(REPLAY_SPAN * REPLAY_RATE) + 1)
-    return np.unique(np.round([*grid, *(inside - _BEFORE), *inside], 9))
+    grid = np.linspace(0.0, REPLAY_SPAN, round(2000.0 * REPLAY_SPAN) + 1)
+    return np.unique(np.round([*grid, *(inside - 1e-7), *inside], 9))
 
 
 def linearized(reading: Reading) -> Claim:

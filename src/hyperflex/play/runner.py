@@ -14,8 +14,6 @@ from hyperflex.play.session import Session
 from hyperflex.report import FRAME_RATE
 
 _LATE = 0.1  # s, by which frames may be late; then they are omitted
-_GAP = 1e-3  # s between two frames that are late, in which commands are executed
-_REPORTED = 0.25  # s between two reports of a search
 
 
 class Runner:
@@ -121,7 +119,7 @@ class Runner:
 
     def _run(self) -> None:
         due = time.monotonic()
-        while not self.closed.wait(max(due - time.monotonic(), _GAP)):
+        while not self.closed.wait(max(due - time.monotonic(), 1e-3)):  # s, for commands between frames that are late
             with self.news:
                 self._poll_planning()
                 now = time.monotonic()
@@ -155,7 +153,7 @@ class Runner:
             self.plan = found or self._planning.best or known
         if found is not None:
             self._planning = None
-        if found or self.plan is not known or time.monotonic() - self._reported > _REPORTED:
+        if found or self.plan is not known or time.monotonic() - self._reported > 0.25:  # s
             self._reported = time.monotonic()
             self.changed(picture=False)
 

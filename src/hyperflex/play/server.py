@@ -19,8 +19,6 @@ from hyperflex.play.runner import Runner
 from hyperflex.play.session import NUMBERS, Session
 from hyperflex.report import render
 
-_MOST = 1 << 16  # bytes of a command
-
 
 class PlayServer(LocalServer):
     """Serves the page from a separate thread until it is closed.
@@ -69,7 +67,7 @@ class PlayServer(LocalServer):
     def answer(self, request: BaseHTTPRequestHandler) -> None:
         """Answer with a page, a page of the folder, the stream, or the result of a command."""
         url, size = urlsplit(request.path), request.headers.get("Content-Length", "")
-        if request.command == "POST" and size.isdecimal() and int(size) <= _MOST:
+        if request.command == "POST" and size.isdecimal() and int(size) <= 1 << 16:  # bytes
             send(request, json.dumps(self._obey(request.rfile.read(int(size)))), "application/json")
         elif request.command == "POST":
             request.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)

@@ -25,7 +25,6 @@ NIGHT, PALE, GROUND = "#0c1322", "#aab6c8", "#1c263a"
 ROPE, TRAIL, PEG, OBSTACLE = "#f2d479", "#4fc3c0", "#d65c46", "#a07be0"
 _FIRST_TO_LAST = ("#27406b", "#2f7fb5", TRAIL, ROPE, "#ff8a4c")  # colours of a strobe's instants
 _DPI = 100  # pixels an inch of a film
-_FASTEST_GIF = 50  # Hz: viewers slow a GIF down whose frames last less than two hundredths of a second
 
 
 def strobe_figure(
@@ -151,7 +150,7 @@ def animate(
         allowed = "a name ending in .gif or .mp4"
         raise InvalidInput("animation has an unknown kind of file", got=str(path), allowed=allowed)
     rate = checks.count("frame_rate", frame_rate, most=240)
-    if suffix == ".gif" and (100 % rate or rate > _FASTEST_GIF):
+    if suffix == ".gif" and (100 % rate or rate > 50):  # viewers slow down frames of less than 0.02 s
         allowed = "10, 20, 25 or 50 frames per second: a GIF counts in hundredths of a second"
         raise InvalidInput("frame_rate does not fit a GIF", got=frame_rate, allowed=allowed)
     step = checks.positive("speed", speed) / frame_rate

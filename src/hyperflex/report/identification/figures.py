@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDTH = 10.0  # inches, of every figure on the page
-_FEW_WINDOWS = 3  # so few are seen well enough on the whole
 FEW = 4  # channels that are all shown large
 
 
@@ -105,7 +104,7 @@ def fit_figure(view: FittedChannels, ax: Axes | None = None) -> Figure:
             ax.set_xlabel("time, s")
             ax.legend(loc="upper right", frameon=True)
         return ax.figure  # type: ignore[return-value] # or the subfigure
-    zoomed = np.unique(view.window).size > _FEW_WINDOWS
+    zoomed = np.unique(view.window).size > 3  # so few are seen well enough on the whole
     with _rows(view, 2 if zoomed else 1, (2.6, 1.0) if zoomed else None) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
             _draw_titled(row[0], view, channel)

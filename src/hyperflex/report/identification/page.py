@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LONG = 16  # rows of a table that are shown at once
-LEAST_CORRELATION = 1.05  # samples, that are stated: 1 is white noise
 PAGE = "report.html"
 
 
@@ -129,7 +128,7 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
         "They include the errors of the model as far as the assessment states.",
         "Links and markers count from 0: link 0 hangs from the first joint.",
     ]
-    if factor > LEAST_CORRELATION:
+    if factor > 1.05:  # 1 is white noise
         notes.append(f"They include the correlation of the residuals over {factor:.3g} samples.")
     if not all(np.isfinite(each.std) for each in numbers(found)):
         notes.append("If a value is not determined, the one shown is one of many with the same motion.")
