@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,12 +14,9 @@ from hyperflex.dynamics import bias, mass_matrix, partial_linearization, torque_
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings, torque_profile
 from hyperflex.paper.part import Claim, Item, Part, Table
-from hyperflex.report import BLUE, INK, OUTCOME_COLOUR, Section, TextTable, legend, new_figure
+from hyperflex.report import BLUE, INK, OUTCOME_COLOUR, Figure, Section, TextTable, legend, new_figure
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Path = Literal["under", "over"]
 Friction = Literal["relative", "printed"]

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,7 @@ from hyperflex.paper.casting import cable
 from hyperflex.paper.estimator import SAMPLES, BlobTracker, OnlineEstimator, capture
 from hyperflex.paper.identification import RATE
 from hyperflex.paper.part import Claim, Item, Part, Table
-from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Section, TextTable, legend, new_figure
+from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Figure, Section, TextTable, legend, new_figure
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.vision import (
@@ -36,9 +36,6 @@ from hyperflex.vision import (
     order_markers,
     random_occlusion,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 T_SIM = 1.0 / RATE  # s
 AHEAD = np.linspace(0.0, T_SIM, SAMPLES + 1)  # s, at which a prediction is compared

@@ -11,7 +11,6 @@ significantly from zero.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,11 +28,8 @@ from hyperflex.paper.revision import (
     squared_error,
 )
 from hyperflex.recording import Recording
-from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Section, TextTable, legend, new_figure
+from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Figure, Section, TextTable, legend, new_figure
 from hyperflex.simulation import angles, simulate
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LINKS = 5
 RATE, POINTS, FEW = 7.5, 81, 22  # frames a second; samples; samples of the first 3 s

@@ -2,13 +2,10 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from hyperflex.checks import Array
-from hyperflex.report import Section, TextTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hyperflex.report import Figure, Section, TextTable
 
 
 class Case(Protocol):

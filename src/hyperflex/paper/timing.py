@@ -1,7 +1,6 @@
 """Timing control by the tip's phase (paper section IV.B): runs, Fig. 13 and claim C5."""
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,11 +21,8 @@ from hyperflex.paper.casting import (
     windows_table,
 )
 from hyperflex.paper.part import Claim, Item, Part, Table
-from hyperflex.report import BLUE, GREEN, GREY, RED, Section, legend, new_figure
+from hyperflex.report import BLUE, GREEN, GREY, RED, Figure, Section, legend, new_figure
 from hyperflex.simulation import simulate
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LEADS = (0.0, 0.10, 0.20, 0.30)  # s, t_b: how long before the tip crosses x = 0 the arm starts
 DURATION = 20.0  # s

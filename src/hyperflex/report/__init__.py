@@ -31,7 +31,19 @@ if TYPE_CHECKING:
     from hyperflex.report.player import FRAME_RATE, player_html, write_player
     from hyperflex.report.recordings import recording_figure
     from hyperflex.report.scene import Dots, Line, Overlay, Plot
-    from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png, save_png
+    from hyperflex.report.style import (
+        BLUE,
+        GREEN,
+        GREY,
+        INK,
+        OUTCOME_COLOUR,
+        RED,
+        Figure,
+        legend,
+        new_figure,
+        png,
+        save_png,
+    )
     from hyperflex.report.tip import InsertReport, WhipReport
     from hyperflex.report.units import readable_unit
     from hyperflex.report.vibration import vibration_figure

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from textwrap import fill
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,12 +15,8 @@ from hyperflex.report.maps import target_map
 from hyperflex.report.page import Picture, Section
 from hyperflex.report.plan import PlanReport
 from hyperflex.report.scene import Line, Overlay, Plot
-from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, png
+from hyperflex.report.style import BLUE, GREEN, GREY, RED, Axes, Figure, new_figure, png
 from hyperflex.simulation import sideways
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 class CastReport(PlanReport[CastPlan]):

@@ -1,7 +1,6 @@
 """Curves of a run over time: plots that the player and the figures share, and the figure of a time course."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,14 +8,9 @@ from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.scene import Line, Plot, span
-from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure
+from hyperflex.report.style import BLUE, GREEN, GREY, RED, Axes, Figure, new_figure
 from hyperflex.simulation import Sideways
 from hyperflex.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 KINDS = ("strobe", "course")
 

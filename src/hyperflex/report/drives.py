@@ -1,15 +1,10 @@
 """The figure of an identified drive: goal, measured and modelled angle, and what the model misses."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware import DriveFit
-from hyperflex.report.style import BLUE, GREY, RED, legend, new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hyperflex.report.style import BLUE, GREY, RED, Figure, legend, new_figure
 
 
 def drive_figure(fit: DriveFit) -> "Figure":

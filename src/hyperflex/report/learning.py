@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, Figure, legend, new_figure
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hyperflex.execution import Attempt
 
 

@@ -1,6 +1,6 @@
 """Maps to scale: a target with arm and rope, and the targets of a reach map."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -9,10 +9,7 @@ from hyperflex.model import unit_along
 from hyperflex.planning import CastPlan, Problem, ReachMap
 from hyperflex.report import units
 from hyperflex.report.pictures import draw_obstacles
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, Figure, legend, new_figure
 
 
 def target_map(plan: CastPlan, nearest: str) -> "Figure":

@@ -1,7 +1,7 @@
 """Representation of results in notebooks: short text, a table, and a run as a player; plans in a picture."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +12,10 @@ from hyperflex.report.identification.tables import parameters_table, present
 from hyperflex.report.page import TextTable, render
 from hyperflex.report.plan import Plan, PlanReport
 from hyperflex.report.player import FRAME_RATE, player_html
+from hyperflex.report.style import Axes, Figure
 from hyperflex.report.tip import InsertReport, WhipReport
 from hyperflex.report.units import readable_unit
 from hyperflex.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def rope_html(rope: Rope) -> str:

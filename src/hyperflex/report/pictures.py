@@ -13,12 +13,10 @@ from hyperflex.checks import Array, ByName
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Obstacle, Peg, Wall
 from hyperflex.report.scene import PLAIN, Overlay, last_sweep, shapes, span, view, wall_ends
-from hyperflex.report.style import new_figure, style_context
+from hyperflex.report.style import Axes, Figure, new_figure, style_context
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from PIL import Image
 
 NIGHT, PALE, GROUND = "#0c1322", "#aab6c8", "#1c263a"

@@ -4,7 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -16,13 +16,9 @@ from hyperflex.report.page import Film, Picture, Section, write_page, write_pict
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.player import player_html
 from hyperflex.report.scene import Overlay, Plot
-from hyperflex.report.style import png
+from hyperflex.report.style import Axes, Figure, png
 from hyperflex.report.texts import Texts
 from hyperflex.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Plan = CastPlan | WhipPlan | InsertPlan
 PlanT = TypeVar("PlanT", CastPlan, WhipPlan, InsertPlan)

@@ -1,14 +1,11 @@
 """The figure of a recording: its channels over time and, of markers, their paths."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hyperflex.recording import Recording
-from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hyperflex.report.style import BLUE, GREEN, GREY, RED, Figure, new_figure
 
 
 def recording_figure(recording: Recording, names: tuple[str, ...] = ()) -> "Figure":

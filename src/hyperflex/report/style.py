@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from hyperflex import files
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib import axes, figure
+
+    Axes = axes.Axes
+    Figure = figure.Figure
+else:  # Matplotlib is loaded only to draw
+    Axes = Figure = Any
 
 BLUE, RED, GREEN, GREY, INK = "#1f5fa8", "#d1483a", "#3b8f6b", "#8a93a0", "#1d2733"
 OUTCOME_COLOUR = {"success": BLUE, "failure": RED}

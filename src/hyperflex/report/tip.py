@@ -1,7 +1,7 @@
 """The reports of plans for the rope's tip, whips and insertions: figures and film."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -11,13 +11,9 @@ from hyperflex.report.curves import speed_plot
 from hyperflex.report.pictures import draw_obstacles, pieces
 from hyperflex.report.plan import PlanReport
 from hyperflex.report.scene import Line, Overlay, Plot, shapes, wall_ends
-from hyperflex.report.style import GREY, INK, RED, legend, new_figure
+from hyperflex.report.style import GREY, INK, RED, Axes, Figure, legend, new_figure
 from hyperflex.report.units import length
 from hyperflex.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 class WhipReport(PlanReport[WhipPlan]):

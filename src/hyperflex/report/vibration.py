@@ -1,16 +1,13 @@
 """The map of a posture by vibration: tilt over amplitude and frequency, and what a motor reaches."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hyperflex.control import VibrationMap
 from hyperflex.model import MotorLimits
-from hyperflex.report.style import GREEN, GREY, RED, legend, new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hyperflex.report.style import GREEN, GREY, RED, Figure, legend, new_figure
 
 
 def vibration_figure(found: VibrationMap, limits: MotorLimits | None = None) -> "Figure":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +14,8 @@ from hyperflex.identification import BAND, HeldOut, Identification
 from hyperflex.model import PROPERTIES, Rope
 from hyperflex.recording import Recording
 from hyperflex.report.identification.tables import numbers
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, style_context
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, Axes, Figure, legend, new_figure, style_context
 from hyperflex.report.units import amount, readable_unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _WIDTH = 10.0  # inches, of every figure on the page
 FEW = 4  # channels that are all shown large

@@ -1,7 +1,6 @@
 """The report of an identification: a page with parameters, intervals, fit, prediction and residuals."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,12 +30,9 @@ from hyperflex.report.identification.tables import (
     ties,
 )
 from hyperflex.report.page import Picture, Section, TextTable, write_page
-from hyperflex.report.style import png
+from hyperflex.report.style import Figure, png
 from hyperflex.report.units import amount
 from hyperflex.status import Status
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LONG = 16  # rows of a table that are shown at once
 PAGE = "report.html"
