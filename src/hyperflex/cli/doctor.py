@@ -16,6 +16,7 @@ from typing import Annotated
 from hyperflex import __version__
 from hyperflex.cli import output
 from hyperflex.cli.output import Rows
+from hyperflex.cli.warm import every_kernel, unwritable
 from hyperflex.errors import HyperflexError
 
 SPACE = 1e9  # bytes that should be free
@@ -102,7 +103,6 @@ def _version(name: str) -> str:
 def _kernels() -> Finding:
     import numba
 
-    from hyperflex.cli.warm import every_kernel
     from hyperflex.core import cache
 
     if numba.config.DISABLE_JIT:
@@ -124,15 +124,6 @@ def _folders() -> Iterator[Finding]:
         else:
             state, fix = (WRONG, "Make room: runs are large.") if free < SPACE else ("good", "")
             yield Finding(name, state, f"{folder}, {free / 1e9:.2g} GB free", fix)
-
-
-def unwritable(folder: Path) -> str:
-    """Return why nothing can be written in a folder, or in the first one above it that exists; empty if it can."""
-    try:
-        tempfile.TemporaryFile(dir=next(each for each in (folder, *folder.parents) if each.exists())).close()
-    except OSError as error:
-        return str(error.strerror)
-    return ""
 
 
 def _camera(number: int) -> Finding:

@@ -15,7 +15,6 @@ from typing import Any
 from hyperflex import checks
 from hyperflex.cli import output
 from hyperflex.cli.command import Workers
-from hyperflex.cli.doctor import unwritable
 from hyperflex.errors import FileProblem, HyperflexError, MissingPackage
 from hyperflex.progress import progress_bar
 
@@ -96,6 +95,15 @@ def every_kernel() -> list[tuple[str, str]]:
     for each in pkgutil.walk_packages(core.__path__, f"{core.__name__}."):
         importlib.import_module(each.name)
     return KERNELS
+
+
+def unwritable(folder: Path) -> str:
+    """Return why nothing can be written in a folder, or in the first one above it that exists; empty if it can."""
+    try:
+        tempfile.TemporaryFile(dir=next(each for each in (folder, *folder.parents) if each.exists())).close()
+    except OSError as error:
+        return str(error.strerror)
+    return ""
 
 
 def _compile(kernels: list[tuple[str, str]], count: int) -> float:
