@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags
@@ -367,7 +368,7 @@ class VibrationMap:
 
 @interruptible()
 def vibration_map(
-    rope: Rope, amplitudes: npt.ArrayLike, frequencies: npt.ArrayLike, direction: float, *, arm: Arm | None = None
+    rope: Rope, amplitudes: ArrayLike, frequencies: ArrayLike, direction: float, *, arm: Arm | None = None
 ) -> VibrationMap:
     """Return the tilt at which vibrations along one line hold a rope.
 

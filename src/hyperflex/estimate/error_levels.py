@@ -6,9 +6,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.errors import SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.changes import MISFIT, Change
@@ -97,8 +96,8 @@ class _Linear(NamedTuple):
         Of the detector.
     """
 
-    marker: npt.NDArray[np.int64]
-    axis: npt.NDArray[np.int64]
+    marker: Integers
+    axis: Integers
     ways: Array
     values: Array
     slope: Array
@@ -341,7 +340,7 @@ class _Window:
         return np.clip(density, QUIET * first, MOST * first), levels.jump * factor(most, None)
 
 
-def likeliest_freedom(distances: Array, directions: npt.NDArray[np.int64]) -> float:
+def likeliest_freedom(distances: Array, directions: Integers) -> float:
     """Return the likeliest degrees of freedom, 1 to GAUSSIAN, of Student's distribution in one or two dimensions.
 
     `distances` (...) are squared Mahalanobis distances d, NaN if not seen, in `directions` (...) dimensions D; the

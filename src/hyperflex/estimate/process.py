@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dposv
 
 from hyperflex.checks import Array
@@ -54,7 +54,7 @@ class Disturbances:
     bend: float = 0.6
     speed: float = 6.0
 
-    def shapes(self, rope: Rope, correlation: float, size: npt.ArrayLike = 1.0) -> Array:
+    def shapes(self, rope: Rope, correlation: float, size: ArrayLike = 1.0) -> Array:
         """Return rows (r, n) whose squares are a covariance of links that falls with the distance between them.
 
         Parameters
@@ -208,7 +208,7 @@ class Process:
         moment = t - self.parameters.value("delay", x[2 * n :])
         return RopeState(moment, x[:n].copy(), x[n : 2 * n].copy(), covariance)
 
-    def state_at(self, x: Array, rows: Array, t: float, until: float, density: npt.ArrayLike) -> RopeState:
+    def state_at(self, x: Array, rows: Array, t: float, until: float, density: ArrayLike) -> RopeState:
         """Return the state predicted for a picture at `until`, s, with its covariance, from the state at time t.
 
         Parameters
@@ -245,7 +245,7 @@ class Process:
         self._run = AngleJacobian(setup, self.parameters.directions(), most)
         self._moment, self._base = math.nan, np.zeros((3, 2))  # of the first joint when it was last asked for
 
-    def noise(self, dt: float, density: npt.ArrayLike) -> Array:
+    def noise(self, dt: float, density: ArrayLike) -> Array:
         """Return rows (r, N) whose squares are the covariance that `dt` seconds of disturbances add.
 
         Parameters

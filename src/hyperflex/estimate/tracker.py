@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate.changes import Change
 from hyperflex.estimate.doubts import doubts, explained
@@ -35,7 +34,7 @@ class Prediction(NamedTuple):
     covariance: Array
     speeds: Array
 
-    def of(self, own: npt.NDArray[np.bool_]) -> "Prediction":
+    def of(self, own: Flags) -> "Prediction":
         """Return the prediction of those points alone (K,) that are in a part."""
         both = np.repeat(own, 2)
         return Prediction(self.pixels[own], self.covariance[np.ix_(both, both)], self.speeds[own])
@@ -112,7 +111,7 @@ class TrackedFrame:
     changes: tuple[Change, ...] = ()
 
     @property
-    def seen(self) -> npt.NDArray[np.bool_]:
+    def seen(self) -> Flags:
         """Which markers were seen (K,)."""
         return ~np.isnan(self.pixels[:, 0])
 

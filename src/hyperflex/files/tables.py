@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex.checks import LARGEST, Array
 from hyperflex.errors import InvalidInput
@@ -267,7 +267,7 @@ def table_of(path: PathLike, lines: list[str]) -> Table:
 
 
 def write_table(
-    path: PathLike, names: Sequence[str], values: npt.ArrayLike, *, notes: Mapping[str, str] | None = None
+    path: PathLike, names: Sequence[str], values: ArrayLike, *, notes: Mapping[str, str] | None = None
 ) -> None:
     """Write a CSV table that :func:`read_table` gives back bit for bit, wholly or not at all.
 

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -215,7 +215,7 @@ def first_state(t: Array, angles: Array) -> Array:
     return np.array(found).T.ravel()
 
 
-def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.ArrayLike) -> Array:
+def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: ArrayLike) -> Array:
     """Return arc lengths of the markers (K,), m from the first joint, checked."""
     count = recording.data.shape[1] // 2
     if recording.kind != "markers":
@@ -286,7 +286,7 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
     return Measurements(recording, shape, prior, sides)
 
 
-def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measurements:
+def with_torque(measured: Measurements, torque: ArrayLike, noise: ArrayLike | None) -> Measurements:
     """Return the measurements with the motor's torque (T,), N m, NaN in gaps, as the last channel.
 
     The weights of torque and angles follow from the noise of both: `noise`, (T,) or one number, N m, is needed.
@@ -446,7 +446,7 @@ def motors_of(t: Array, guess: Rope, setup: RecordingSetup, constants: Array) ->
 
 
 def split(
-    measured: Measurements, options: FitOptions, arc_lengths: npt.ArrayLike | None
+    measured: Measurements, options: FitOptions, arc_lengths: ArrayLike | None
 ) -> tuple[Measurements, Measurements | None]:
     """Return the part to fit and the part held out; a marker without values in one is named by its arc length."""
     t, time = measured.channels.t, options.train

@@ -11,11 +11,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import winding
 from hyperflex.budget import Budget
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.core.batch import proximity
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
@@ -209,14 +208,14 @@ class Strikes:
     t: Array
     q: Array
     qd: Array
-    clear: npt.NDArray[np.int64]
+    clear: Integers
 
     @classmethod
     def joined(cls, parts: Sequence["Strikes"]) -> "Strikes":
         """Return the strikes of several batches as those of one."""
         return cls(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(cls)))
 
-    def select(self, rows: npt.NDArray[np.int64]) -> "Strikes":
+    def select(self, rows: Integers) -> "Strikes":
         """Return the strikes of some swings, in that order."""
         return Strikes(*(getattr(self, one.name)[rows] for one in fields(self)))
 
@@ -274,7 +273,7 @@ def fly_to_strikes(
 
 def first_contact(
     q: Array, base: Array, lengths: Array, pegs: Sequence[Peg], rope_radius: float
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Array]:
+) -> tuple[Integers, Integers, Array]:
     """Return sample and link of the first strike on a peg, and the smallest gap until then, m, (M,) each.
 
     Sample 0 means no strike. `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m,

@@ -10,11 +10,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, memory
 from hyperflex.budget import Budget, OutOfTime
-from hyperflex.checks import Array
+from hyperflex.checks import Array, Integers
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch.rollouts import DRY, LENGTH, LEVER, Members, Terms, observe_block
@@ -250,7 +250,7 @@ def simulate_batch(
     ropes: Rope | Sequence[Rope],
     motions: Motion | Sequence[Motion] | None = None,
     *,
-    t_eval: npt.ArrayLike | None = None,
+    t_eval: ArrayLike | None = None,
     keep: Sequence[str] = ("tip",),
     time_budget: float | Budget | None = None,
     threads: int | None = None,
@@ -372,9 +372,7 @@ class _Results:
         self.status: list[Status | None] = [None] * count
         self.reached = np.zeros(count)
 
-    def put(
-        self, low: int, values: Mapping[str, Array], status: Sequence[Status | None], reached: npt.ArrayLike
-    ) -> None:
+    def put(self, low: int, values: Mapping[str, Array], status: Sequence[Status | None], reached: ArrayLike) -> None:
         """Set the results of the members from `low` on; their values may have fewer times or links."""
         rows = slice(low, low + len(status))
         self.status[rows], self.reached[rows] = status, reached
@@ -473,7 +471,7 @@ def run_blocks(
     threads: int,
     budget: Budget,
     report: Callable[[float], None] | None = None,
-    halt: npt.NDArray[np.int64] | None = None,
+    halt: Integers | None = None,
 ) -> Stop:
     """Run a function for the members low..high - 1 of each block of `size`, until all `count` are done.
 
@@ -543,7 +541,7 @@ class BatchState:
     arm_rate: Array
     work: Array
     dissipated: Array
-    codes: npt.NDArray[np.int64]
+    codes: Integers
     memory: Array
 
     def __post_init__(self) -> None:
@@ -630,11 +628,11 @@ class BatchStepper:
 
     def start(
         self,
-        q0: npt.ArrayLike | None = None,
-        qd0: npt.ArrayLike | None = None,
+        q0: ArrayLike | None = None,
+        qd0: ArrayLike | None = None,
         *,
-        arm_angle: npt.ArrayLike = 0.0,
-        arm_rate: npt.ArrayLike = 0.0,
+        arm_angle: ArrayLike = 0.0,
+        arm_rate: ArrayLike = 0.0,
         t: float = 0.0,
     ) -> BatchState:
         """Return a state to begin with, as :meth:`hyperflex.Stepper.start` does; by default the ropes hang at rest.
@@ -647,13 +645,13 @@ class BatchStepper:
     def restart(
         self,
         state: BatchState,
-        which: npt.ArrayLike,
+        which: ArrayLike,
         ropes: Rope | Sequence[Rope] | None = None,
-        q0: npt.ArrayLike | None = None,
-        qd0: npt.ArrayLike | None = None,
+        q0: ArrayLike | None = None,
+        qd0: ArrayLike | None = None,
         *,
-        arm_angle: npt.ArrayLike = 0.0,
-        arm_rate: npt.ArrayLike = 0.0,
+        arm_angle: ArrayLike = 0.0,
+        arm_rate: ArrayLike = 0.0,
     ) -> BatchState:
         """Return the state with some members restarted, also failed ones; time continues for all.
 
@@ -705,7 +703,7 @@ class BatchStepper:
             raise InvalidInput("a batch is stepped in free flight", got="ropes with joint limits", fix="Use hf.Stepper")
         return setups
 
-    def _begin(self, setups: list[Setup], arm_angle: npt.ArrayLike, arm_rate: npt.ArrayLike, t: float) -> BatchState:
+    def _begin(self, setups: list[Setup], arm_angle: ArrayLike, arm_rate: ArrayLike, t: float) -> BatchState:
         """Return a state in which members with these set-ups begin."""
         count, own, n = len(setups), self._own, self._members.links.shape[2]
         begin = starts_of(setups)
@@ -725,7 +723,7 @@ class BatchStepper:
         return arm.rope_tip(lengths, state.arm_angle, state.arm_rate, state.q, state.qd)
 
     @interruptible()
-    def step(self, state: BatchState, commands: npt.ArrayLike, dt: float) -> BatchState:
+    def step(self, state: BatchState, commands: ArrayLike, dt: float) -> BatchState:
         """Return the state an interval later, as :meth:`hyperflex.Stepper.step` does.
 
         Parameters
@@ -804,7 +802,7 @@ class BatchStepper:
             raise
 
 
-def _members(which: npt.ArrayLike, count: int) -> npt.NDArray[np.intp]:
+def _members(which: ArrayLike, count: int) -> Integers:
     """Return the numbers of members that were chosen by their numbers or by a mask."""
     chosen = np.asarray(which)
     found = np.flatnonzero(chosen) if chosen.dtype == np.bool_ and chosen.shape == (count,) else chosen
