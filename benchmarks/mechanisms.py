@@ -206,7 +206,7 @@ REMOVED = """Parts that were removed after such a comparison (all simulated; the
   to 3 frames are missing at 2 to 6 places the general test of jumps finds 42, both together found 44; of these 26
   are named as missing frames, before 17, the others as jumps. Where 0.1 to 0.6 s are missing: 40 and 28 of 51.
   Zeros that move: 47 of 60, as before. Of 100 right recordings none.
-- The median filter before the speeds of frames at wrong times: 101 of 120 found, with it 101; none of 180 right or
+- The median filter before the speeds of frames at wrong times: 93 of 120 found, with it 94; none of 180 right or
   noisy recordings.
 - 64 lengths of a rest, each with filters of the largest and smallest value, for a rope that was held: 99 of 100
   that were held for 1 to 4 s and 100 of 100 that were pushed are found, as before (seeds 6060, 515); none of 200
