@@ -47,7 +47,8 @@ LINKS, POSES = 120, 10  # of the truth; frames of one motion
 SIZE = (1280, 720)  # px
 CURVE, END = 0.01, 0.03  # of the rope's length
 LOOKS = ("dark on bright", "bright on dark", "coloured on textured")
-ABSENT = (Reason.NOTHING, Reason.TWO, Reason.OUTSIDE)  # frames that show no rope, two, or one that leaves the view
+# Frames that show no rope, two, one that leaves the view, or one whose last sixth is behind a thing
+ABSENT = (Reason.NOTHING, Reason.TWO, Reason.OUTSIDE, Reason.HIDDEN)
 EYE_LINKS = 60  # capsules of MuJoCo's rope
 
 
@@ -134,11 +135,15 @@ def shot(
 def _before(
     moves: RopeMotion, stamp: float, width: float, colour: Array, absent: Reason | None, other: RopeMotion
 ) -> tuple[Occluder, ...]:
-    """The arm, if it moves, and a second rope from the same pivot with another shape, if there are two."""
+    """The arm, if it moves; a second rope from the same pivot, if there are two; what hides an end, if it is hidden."""
     top = moves.places([stamp], [0.0])[0, 0, :2]
     things = [Occluder((0.0, 0.0), tuple(top), 0.02, (90.0, 95.0, 100.0))] if np.hypot(*top) > 0.02 else []
+    size, reach = moves.joint_arc_lengths[-1], other.joint_arc_lengths[-1]
+    if absent is Reason.HIDDEN:
+        rng, ends = np.random.default_rng((int(1e6 * stamp), 7)), moves.places([stamp], size * np.array([5 / 6, 1.05]))
+        line, wide = ends[0, :, :2].tolist(), float(rng.uniform(0.06, 0.15)) * size
+        things += [Occluder(tuple(line[0]), tuple(line[1]), wide, tuple(rng.uniform(30.0, 220.0, 3)))]
     if absent is Reason.TWO:
-        size, reach = moves.joint_arc_lengths[-1], other.joint_arc_lengths[-1]
         places = other.places([4.0 - stamp], np.linspace(0.0, reach, 40))[0, :, :2]
         line = (
             top
@@ -173,6 +178,7 @@ def measure(seed: int, index: int, kind: str, known: bool, toned: bool, pictures
     each, found = shot(seed, index, absent, kind == "MuJoCo", tone), None
     size = float(np.hypot(*np.diff(each.curve, axis=0).T).sum())
     row: dict[str, Any] = {"kind": kind, "index": index, "seed": seed, "length": known, "kernels": SOURCE_HASH}
+    row["finder"] = log.sources("vision")
     row |= {"tone": True} if toned else {}
     row |= {} if ((each.curve >= 0.0) & (each.curve <= np.array(SIZE) - 1.0)).all() else {"leaves": True}
     row |= {"look": each.look, "width": round(each.width, 1), "blur": round(each.blur, 1)}
@@ -247,7 +253,7 @@ def main() -> None:
     log.warn_of_others(before)
     indices = range(options.first, options.first + options.count)
     marks = [("rope", index) for index in indices] + [("MuJoCo", index) for index in range(options.others)]
-    marks += [(ABSENT[index % 3].value, index) for index in range(options.others)]
+    marks += [(ABSENT[index % len(ABSENT)].value, index) for index in range(options.others)]
     for kind, index in marks:
         mark = {"kind": kind, "index": index, "seed": options.seed, "length": options.length, "tone": options.tone}
         if not any(mark.items() <= ({"tone": False} | each).items() for each in before):
@@ -255,7 +261,7 @@ def main() -> None:
             print(json.dumps(row), flush=True)
             log.append(options.out, row)
     rows = [row for row in log.read(options.out) if row["seed"] == options.seed]
-    made = f"{machine.sentence(machine.describe())} {log.made(rows)}"
+    made = f"{machine.sentence(machine.describe())} {log.made(rows)} {log.made(rows, 'finder')}"
     again = f"`python -m benchmarks.first_frame --seed {options.seed} --others {options.others}`, and with `--length`"
     text = page(rows) + f"\nSeed {options.seed}. {made}\n\nReproduce: {again}\n"
     print(text)

@@ -27,16 +27,18 @@ class Reason(StrEnum):
     HIDDEN = "a part of the rope is hidden"
     END = "it is not clear where the rope ends"
     LENGTH = "the curve has another length than the rope"
+    CLICK = "no rope is seen up to the clicked free end"
 
 
 _FIXES = {
-    Reason.NOTHING: "Show the pivot to a few pixels; take more light, or another wall",
+    Reason.NOTHING: f"Give the pixel that the rope hangs from, to {CLICKED:g} px; take more light, or another wall",
     Reason.TWO: "Take the other rope away, or click the free end",
     Reason.OUTSIDE: "Move the camera back, until the whole rope is in view",
     Reason.BLURRED: "Take a frame in which the rope is slow, or a shorter exposure",
     Reason.HIDDEN: "Take away what is before the rope, or looks like it behind it; click its end, if any, on it",
     Reason.END: "Click the free end, or take a frame in which it is slow and before a plain wall",
     Reason.LENGTH: "Check the length, the scale of the camera and the pivot; nothing may hide the free end",
+    Reason.CLICK: "Click the free end on the rope, or take a frame in which it is seen better",
 }
 
 
@@ -102,7 +104,8 @@ def find_rope(
     pivot : (2,) array_like
         Where the rope begins, px.
     tip : (2,) array_like, optional
-        The free end, px, if it is clicked: the curve ends there, and other ropes may be in the picture.
+        The free end, px, if it is clicked: the curve ends there, or is refused if it shows wall before; other ropes may
+        be in the picture.
     look : RopeLook, optional
         If it is known; else a path keeps its own contrast.
     length : float, optional
@@ -120,13 +123,13 @@ def find_rope(
     Raises
     ------
     NoRope
-        With its reason: no rope, two, one that leaves the view, is too blurred, or has another length.
+        With its reason: no rope, two, one that leaves the view, is too blurred, has another length, or ends elsewhere.
     """
     start = checks.array("pivot", pivot, (2,), unit="px")
     end = None if tip is None else checks.array("tip", tip, (2,), unit="px")
     told = look is not None or length is not None
     length = None if length is None else checks.number("length", length, sign="positive", unit="px")
-    longest = np.inf if length is None else (1.0 + tolerance) * length
+    longest, shortest = (np.inf, None) if length is None else ((1.0 + tolerance) * length, (1.0 - tolerance) * length)
     ridges = Ridges(image)
     try:
         if look is None:
@@ -149,7 +152,10 @@ def find_rope(
     curve = np.concatenate([curve[0] - np.arange(late, 0, -1)[:, None] * ahead, curve[max(-late, 0) :]])
     found, apart = FoundRope(curve, look), 2.0 * look.width + 8.0
     if end is not None:
+        _check_click(seen.rope[-round(apart) :])
         _check_seen(seen, len(seen.rope))
+        if shortest is not None and not shortest <= found.length <= longest:
+            raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{shortest:.0f} to {longest:.0f} px")
         return found
     rope.leave_out(path.places, apart)
     _check_alone(rope, path, ridges.paths(start, radius, rope, longest)[0], apart)
@@ -157,7 +163,7 @@ def find_rope(
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")
     _check_seen(seen, seen.end(longest) + 1)
-    _check_end(seen, found.length, length and (1.0 - tolerance) * length, longest)
+    _check_end(seen, found.length, shortest, longest)
     if not told:
         _check_beyond(seen)
     return found
@@ -165,10 +171,16 @@ def find_rope(
 
 def _check_seen(seen: Cover, size: int) -> None:
     """Refuse a rope, `size` px long, of which a part is wall."""
-    off, wide = seen.rope[:size] < -0.9, seen.wider[:size] > BLUR
+    off, wide = seen.rope[:size] < -0.5, seen.wider[:size] > BLUR
     if off.mean() > 0.1:
         reason = Reason.BLURRED if (wide & ~off).sum() > 0.1 * (~off).sum() else Reason.HIDDEN
         raise NoRope(reason, f"{100.0 * off.mean():.0f} % of the curve is no rope", "at most 10 %")
+
+
+def _check_click(last: Array) -> None:
+    """Refuse a click before which wall is seen, though the last pixels of the curve, `last`, lead there."""
+    if (wall := -np.cumsum(last[::-1]).min()) > CLICKED:
+        raise NoRope(Reason.CLICK, f"{wall:.0f} px of wall before it", f"at most {CLICKED:g} px")
 
 
 def _check_end(seen: Cover, size: float, shortest: float | None, longest: float) -> None:
@@ -203,8 +215,8 @@ def _best(paths: list[Path], tip: Array | None = None) -> Path:
         near = [np.hypot(*(each.places - tip).T).min() < CLICKED + STEP for each in paths]
         paths = paths[near.index(True) if any(near) else 0 :]
     if paths[0].scores[-1] < LEAST_SCORE:
-        got = round(float(paths[0].scores[-1]), 1)
-        raise NoRope(Reason.NOTHING, got, f"evidence of at least {LEAST_SCORE:g}, in decimal orders over the wall's")
+        got = f"evidence {max(paths[0].scores[-1], 0.0):.0f}"
+        raise NoRope(Reason.NOTHING, got, f"{LEAST_SCORE:g} or more, powers of ten for a rope against bare wall")
     return paths[0]
 
 

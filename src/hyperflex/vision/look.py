@@ -25,7 +25,7 @@ class Cover(NamedTuple):
     ----------
     rope : (K,) float64
         1 where the colour, averaged over the rope's width, however blurred, and nine pixels along it, is the rope's, -1
-        where it is the wall's, or that of a shadow on it, and 0 where neither explains it, or both.
+        where it is the wall's, or that of a shadow on it, and 0 where neither explains it, or both. No likelihood.
     aside : (K,) float64
         Where its middle is, px.
     wider : (K,) float64
@@ -41,7 +41,7 @@ class Cover(NamedTuple):
 
     @property
     def gained(self) -> Array:
-        """Pixels of rope until there (K,), less those of wall: most where the rope ends."""
+        """Pixels of rope until there (K,), less those of wall: most where the rope ends. They depend on each other."""
         return np.cumsum(self.rope)
 
     def end(self, longest: float = np.inf) -> int:
@@ -344,10 +344,11 @@ def _gain_between(before: Image, after: Image, tone: Array) -> Array:
 
 
 def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
-    """Return what is seen of a rope across a curve (K, 2), a pixel apart; of some blurs, the likeliest at each place.
+    """Return what is seen of a rope across a curve (K, 2), a pixel apart; of some blurs, that which fits best there.
 
     A blurred rope is as wide as its streak and as much fainter: so its colour is known, and tells it from others.
-    Rope and wall are told apart with one covariance, of the wall beside the rope and of the rope's own texture.
+    Rope and wall are told apart with one covariance: that of single places of the wall beside the rope, as if averaging
+    reduced no grain, and that of the rope's own texture as it is averaged.
     """
     from scipy.ndimage import uniform_filter1d
 
@@ -368,23 +369,23 @@ def _covered(image: Image, curve: Array, look: RopeLook) -> Cover:
         aside = (weights @ across) / np.maximum(weights.sum(axis=1), 1.0)
         colour, own, metric = (uniform_filter1d(each, 9, axis=0, mode="nearest") for each in (colour, own, metric))
         fit = uniform_filter1d(
-            power * _likeness(colour, own, metric), 61, origin=20
+            power * _nearness(colour, own, metric), 61, origin=20
         )  # it varies slowly, none beyond the end
         found.append((fit, aside, np.full(len(curve), wider), colour, own, metric, contrast.mean(axis=1)))
     best = np.argmax([each[0] for each in found], axis=0), np.arange(len(curve))
     aside, wider, colour, own, metric, contrast = (np.array(each)[best] for each in list(zip(*found, strict=True))[1:])
-    off, like = (colour - own)[None], _likeness(colour, own, metric)[None] > 0.0
+    off, like = (colour - own)[None], _nearness(colour, own, metric)[None] > 0.0
     like[:, len(curve) // 2 + 1 :] = False  # a path goes astray late
     texture = _covariance(off, like, look.bgr[None, None], look.tone)
     metric = np.asarray(np.linalg.inv(np.linalg.inv(metric) + texture), np.float64)
-    return Cover(_likeness(colour, own, metric), aside, wider, contrast)
+    return Cover(_nearness(colour, own, metric), aside, wider, contrast)
 
 
-def _likeness(colour: Array, own: Array, metric: Array) -> Array:
-    """Return how much likelier colours (K, 3), less the wall's, are the rope's, `own` (K, 3), than the wall's (K,).
+def _nearness(colour: Array, own: Array, metric: Array) -> Array:
+    """Return how much nearer colours (K, 3), less the wall's, are to the rope's, `own` (K, 3), than to the wall's (K,).
 
-    From -1 to 1, as :attr:`Cover.rope`. `metric` (K, 3, 3) is the inverse covariance of both. So little of the rope's
-    contrast as a shadow may have is no rope.
+    The difference of the squared distances, with the inverse covariance `metric` (K, 3, 3), as a part of their sum and
+    1: from -1 to 1, as :attr:`Cover.rope`. So little of the rope's contrast as a shadow may have is no rope.
     """
     part = np.einsum("ki,kij->kj", own, metric)
     part = (part * colour).sum(axis=1) / np.maximum((part * own).sum(axis=1), 1e-9)
