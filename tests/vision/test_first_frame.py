@@ -282,7 +282,7 @@ def second(motion):
         (Reason.LENGTH, bent(), {}, 180.0),
         pytest.param(Reason.LENGTH, bent(), {}, 100.0, marks=pytest.mark.nightly),
         (Reason.BLURRED, bent(rate=60.0), {}, 260.0),
-        (Reason.HIDDEN, bent(), {"occluders": bars(4, 0.06)}, None),
+        pytest.param(Reason.HIDDEN, bent(), {"occluders": bars(4, 0.06)}, None, marks=pytest.mark.nightly),
         (Reason.HIDDEN, bent(), {"occluders": bars(4, 0.06), "rope_colour": (140.0, 140.0, 140.0)}, None),
     ],
     ids=[
