@@ -66,7 +66,7 @@ class Browser:
         try:
             self.call("Browser.close")
             self._process.wait(10.0)
-        except (OSError, subprocess.TimeoutExpired):
+        except (OSError, RuntimeError, subprocess.TimeoutExpired):
             self._process.kill()
             self._process.wait()
         finally:

@@ -116,7 +116,9 @@ def test_doctor_names_what_is_wrong(hyperflex, monkeypatch, tmp_path):
     monkeypatch.setattr(
         doctor.importlib.metadata, "requires", lambda _: ["scipy>=1.14", "numpy", 'mcap; extra == "mcap"']
     )
-    monkeypatch.setattr(doctor, "_trouble", lambda folder: "cannot be written to" if "kernels" in str(folder) else None)
+    monkeypatch.setattr(
+        doctor, "unwritable", lambda folder: "cannot be written to" if "kernels" in str(folder) else None
+    )
     monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path / "kernels"))
     code, said, _ = hyperflex("doctor", "--no-speed", "--source", 97)
     assert code == 2

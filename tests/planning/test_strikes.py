@@ -51,7 +51,7 @@ def test_a_rope_that_hangs_near_the_peg_leaves_it_before_it_strikes():
 
 def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
     """A wall in place of the arm, of its thickness, and a peg for the shaft, without the links that hang from the
-    arm."""
+    arm. A link that crosses the arm is as deep as both are thick, one that crosses a wall as its end is beyond it."""
     random, arm = np.random.default_rng(6), hf.Arm(length=0.2, pivot=(0.1, -0.2), radius=0.004, shaft_radius=0.012)
     rope = hf.Rope.uniform(1.2, 0.06, 12, 0.003, friction=0.0)
     pivot, shaft = np.array(arm.pivot), hf.Peg(*arm.pivot, arm.shaft_radius)
@@ -63,6 +63,7 @@ def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
         rest = hf.Rope.uniform(1.1, 0.055, 11, 0.003, friction=0.0)
         wall = hf.Wall(*arm.pivot, *tip)
         away = float(sampled_obstacle_gaps(rest, [wall], q[:, 1:], begin[None])[0]) - arm.radius
+        away = max(away, -(rope.radius + arm.radius))
         assert sampled_clearance(rope, arm, q, tip[None])[0] == pytest.approx(min(whole, away), abs=1e-12)
 
 
