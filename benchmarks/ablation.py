@@ -30,7 +30,7 @@ from hyperflex.planning.ensemble import verify_members
 from hyperflex.planning.feasibility import search_time
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.planner import Candidate
-from hyperflex.planning.rollouts import RolloutBatch, winding_scores
+from hyperflex.planning.rollouts import MODEL, RolloutBatch, winding_scores
 
 RESULTS = Path(__file__).parent / "results"
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -83,7 +83,7 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
             rests = np.full(count, max(0.0, step * problem.period - problem.limits.fastest_moves([stroke])[0][0]))
             moves.append(Moves(side, np.append(ends, towards * end), np.append(rests, abs(rest) * problem.period)))
         motions = [each.motion(problem.limits) for each in moves]
-        batch = RolloutBatch.from_start(problem, [problem.rope] * 32, [peg] * 32, motions)
+        batch = RolloutBatch.from_start(problem, [problem.rope] * 32, [peg] * 32, motions, MODEL.stiction)
         found = winding_scores(problem, batch, budget)
         best = np.argsort(-found.score)[:8]
         mean, std = 0.3 * mean + 0.7 * x[best].mean(axis=0), 0.3 * std + 0.7 * x[best].std(axis=0)

@@ -59,6 +59,7 @@ def test_members_are_runs_of_their_own():
         ({"pegs": PEGS[:2]}, "do not fit together"),
         ({"pegs": [PEGS[0], PEGS[1], [*PEGS[2], *PEGS[0]]]}, "differ in number of pegs"),
         ({"pegs": PEGS, "step": 1e-3}, "step is not available with pegs"),
+        ({"pegs": PEGS, "stiction_tolerance": 0.1}, "stiction_tolerance is not available with pegs"),
         ({"pegs": PEGS, "q0": np.zeros(4)}, "q0"),
         ({"pegs": PEGS, "t_eval": [2.0 * DURATION]}, "t_eval leaves the run"),
         ({"keep": ("turns",)}, "there are none"),

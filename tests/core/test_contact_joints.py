@@ -2,12 +2,20 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
-from hyperflex.core.contact.joints import ANY
+from hyperflex.core.contact.arrays import AFTER, CREEP, IMPULSE, RUBBED, UPPER
+from hyperflex.core.contact.joints import ANY, regularize_joints
 from hyperflex.core.contact.memory import new_contact_memory, save_memory
-from hyperflex.core.contact.run import ContactWorkspace, new_contact_workspace, try_step
+from hyperflex.core.contact.run import (
+    ContactWorkspace,
+    begin_step,
+    finish_step,
+    new_contact_workspace,
+    try_step,
+)
 from tests.core.helpers import scene_of
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after
@@ -97,3 +105,48 @@ def test_a_step_with_dry_friction_is_that_of_dense_projections(n, seed):
     assert np.abs((relative @ found)[sticks]).max(initial=0.0) < 1e-6
     mean = 0.5 * relative @ (w + expected)
     assert account[0] == pytest.approx(-impulses @ mean + STEP * (rope.friction * mean) @ mean, rel=1e-3, abs=1e-12)
+
+
+def regularized_step(rope: hf.Rope, q: dense.Real, w: dense.Real, force: float) -> tuple[ContactWorkspace, int]:
+    """As ``step``, of STEP, with a force across a hanging rope's tip, N, as where no modes of friction are found."""
+    scene = scene_of(hf.Setup(rope))._replace(pull=np.array([force, 0.0]))
+    workspace, memory = new_contact_workspace(scene, 1e-6, STEP, 1e-5), new_contact_memory(rope.n_links, 0)
+    given = segment(scene.drive, 0.0), 0.0, STEP, np.concatenate([q, w]), memory, workspace, True, 0.0, True
+    _, torque = begin_step(scene, *given)
+    assert regularize_joints(scene.chain, workspace.joints)
+    return workspace, finish_step(scene.chain, workspace, torque, STEP)
+
+
+@pytest.mark.parametrize("load", [0.5, 0.99, 1.5, 10.0])
+def test_regularized_friction_breaks_loose_in_one_step(load):
+    """With the coefficient of the rate before the step friction was nearly the load, 10 times the dry friction."""
+    dry, rod = 5e-4, {"length": [0.01], "mass": [0.03], "gravity": (0.0, 0.0)}
+    workspace, rounds = regularized_step(hf.Rope(dry_friction=dry, **rod), np.zeros(1), np.zeros(1), load * dry / 0.01)
+    row, inertia = workspace.joints.of[:, 0], 0.03 * 0.01**2 / 3.0
+    creep = row[CREEP]
+    want = brentq(lambda w: inertia * w + STEP * dry * (w / np.hypot(w, creep) - load), 0.0, 1e4, xtol=1e-16)
+    assert rounds > 0
+    # friction misses its law by 1e-3 at most
+    assert row[AFTER] == pytest.approx(want, rel=1e-3 * dry * STEP / (inertia * want) + 5e-3, abs=0.0)
+    assert -1.001 * STEP * dry < row[RUBBED] < 0.0
+    assert workspace.account[0] == pytest.approx(-0.5 * row[RUBBED] * row[AFTER], rel=1e-12)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-4], ids=["at its limit", "near it"])
+def test_a_joint_at_its_limit_has_regularized_friction_beside(gap):
+    """It turns as fast as the gap allows; friction has its own impulse, and each its own loss."""
+    dry, rope = 1e-3, {"length": [0.1], "mass": [0.03], "gravity": (0.0, 0.0), "max_bend": 0.3}
+    inertia, before, force = 0.03 * 0.1**2 / 3.0, 0.5 * gap / STEP, 50.0
+    q = np.array([0.3 - 0.5 * STEP * before - gap])
+    workspace, rounds = regularized_step(hf.Rope(dry_friction=dry, **rope), q, np.array([before]), force)
+    row, middle = workspace.joints.of[:, 0], q[0] + 0.5 * STEP * before
+    assert rounds > 0
+    assert workspace.joints.mode[0] == UPPER
+    rate = gap / STEP
+    assert row[AFTER] == pytest.approx(rate, abs=2e-4)  # 1e-5 m/s at a lever of 0.1 m
+    rubbed = -STEP * dry * rate / np.hypot(rate, row[CREEP])
+    assert row[RUBBED] == pytest.approx(rubbed, rel=1e-6, abs=1e-3 * STEP * dry)
+    pushed = STEP * force * 0.1 * np.cos(middle)
+    assert row[IMPULSE] == pytest.approx(inertia * (rate - before) - rubbed - pushed, rel=5e-3)
+    mean = 0.5 * (before + row[AFTER])
+    assert workspace.account[:2] == pytest.approx([-row[RUBBED] * mean, -row[IMPULSE] * mean], rel=1e-9, abs=1e-15)

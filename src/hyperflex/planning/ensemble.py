@@ -213,12 +213,12 @@ def pieces_in_contact(problem: Problem, peg: Peg, coarse: float) -> int:
 
 
 def scenario_scores(
-    problem: Problem, moves: Moves, scenarios: Sequence[Scenario], ropes: Sequence[Rope], pieces: int, budget: Budget
+    problem: Problem, moves: Moves, scenarios: Sequence[Scenario], pieces: int, budget: Budget, stiction: float = 0.0
 ) -> WindingScores:
-    """Simulate moves in scenarios with these ropes (M,), each link cut into pieces."""
+    """Simulate moves in scenarios, each link cut into pieces; `stiction` as of :class:`RolloutBatch`."""
     motions = [each.motion(moves, problem) for each in scenarios]
-    chain, cut = problem.cut(pieces), [divided(rope, pieces) for rope in ropes]
-    batch = RolloutBatch.from_start(chain, cut, [each.peg for each in scenarios], motions)
+    chain, cut = problem.cut(pieces), [divided(each.rope, pieces) for each in scenarios]
+    batch = RolloutBatch.from_start(chain, cut, [each.peg for each in scenarios], motions, stiction)
     return winding_scores(chain, batch, budget)
 
 
@@ -238,8 +238,7 @@ class _Estimate:
     aside: float = 0.0
 
     def __call__(self, scenarios: Sequence[Scenario], budget: Budget | None = None) -> int:
-        ropes, own = [each.rope for each in scenarios], budget or Budget(threads=1)
-        found = scenario_scores(self.problem, self.moves, scenarios, ropes, self.pieces, own)
+        found = scenario_scores(self.problem, self.moves, scenarios, self.pieces, budget or Budget(threads=1))
         winds = found.turns >= self.problem.criteria.turns
         return int((winds & strikes_in_plane(self.problem, scenarios, self.aside)).sum())
 

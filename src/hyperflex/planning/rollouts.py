@@ -42,7 +42,8 @@ class RolloutModel:
     step, tol : float
         Between samples of a free flight, and its tolerance; with 1e-3 the best swings of a search were often errors.
     stiction : float
-        Stiction tolerance of free flights (:func:`hyperflex.simulate_batch`) over the mean length of links, rad/(s m).
+        Stiction tolerance (:func:`hyperflex.simulate_batch`) over the mean length of links, rad/(s m), in the free
+        flights of searches and of the scenarios that they compare. All other flights have joints that stick.
     near : float
         Gap between rope and peg below which a free flight strikes.
     contact_tol, contact_step : float
@@ -105,7 +106,8 @@ class RolloutBatch:
 
     Motions begin with the rollout, at t = 0; without contact `pegs` may be empty. `q`, rad, and `qd`, rad/s, (M, n) are
     those at the start, `since`, s, is the planned time there. `obstacles`, which must not be touched, are not
-    simulated.
+    simulated. `stiction`, as that of :class:`RolloutModel`, regularizes dry friction of ropes without joint limits in
+    free flight; 0.0: joints stick.
     """
 
     ropes: Sequence[Rope]
@@ -114,14 +116,20 @@ class RolloutBatch:
     q: Array
     qd: Array
     since: float = 0.0
+    stiction: float = 0.0
 
     @classmethod
     def from_start(
-        cls, problem: Problem, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]
+        cls,
+        problem: Problem,
+        ropes: Sequence[Rope],
+        pegs: Sequence[Peg],
+        motions: Sequence[Motion],
+        stiction: float = 0.0,
     ) -> "RolloutBatch":
         """Return rollouts of ropes (M,) from the start of a problem."""
         q, qd = (np.tile(part, (len(ropes), 1)) for part in problem.start)
-        return cls(ropes, pegs, motions, q, qd)
+        return cls(ropes, pegs, motions, q, qd, stiction=stiction)
 
     @classmethod
     def from_state(
@@ -149,7 +157,8 @@ class RolloutBatch:
         """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n)."""
         t: Array = MODEL.step * np.arange(1.0, math.ceil(span / MODEL.step - 1e-9) + 1.0)
         given: dict[str, Any] = {"time_budget": budget, "threads": budget.threads}
-        given["stiction_tolerance"] = MODEL.stiction * float(self.ropes[0].length.mean())
+        if not any(rope.limited for rope in self.ropes):
+            given["stiction_tolerance"] = self.stiction * float(self.ropes[0].length.mean())
         run = self.run(arm, t, tol=MODEL.tol, keep=("q", "qd"), **given)
         return t, run.q, run.qd
 

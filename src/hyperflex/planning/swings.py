@@ -303,7 +303,9 @@ class SwingSearch:
         problem, states = self.chains[chain], [one.swing.states[chain] for one in tries]
         motions = [one.moves.motion(problem.limits, state.t) for one, state in zip(tries, states, strict=True)]
         q, qd = np.stack([each.q for each in states]), np.stack([each.qd for each in states])
-        batch = RolloutBatch([problem.rope] * len(tries), [self.peg] * len(tries), motions, q, qd)
+        batch = RolloutBatch(
+            [problem.rope] * len(tries), [self.peg] * len(tries), motions, q, qd, stiction=MODEL.stiction
+        )
         spans = np.array(until) - [each.t for each in states]
         groups = np.array_split(np.argsort(spans), math.ceil(len(tries) / GROUP))  # of nearly the same span
         t: Array = MODEL.step * np.arange(1.0, math.ceil(spans.max() / MODEL.step - 1e-9) + 1.0)

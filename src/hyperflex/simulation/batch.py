@@ -336,6 +336,8 @@ def simulate_batch(
     touches = any(each.touches for each in setups)
     if touches and step is not None:
         raise InvalidInput("step is not available with pegs or joint limits", got=step, fix="Give contact_step or tol")
+    if touches and slow > 0.0:
+        raise InvalidInput("stiction_tolerance is not available with pegs or joint limits", got=slow, allowed="0.0")
     executor, size = checked_chunks(executor, chunk_size, CONTACT_CHUNK if touches else CHUNK)
     results = _Results(setups, t, keep)
     limit = None if time_budget is None else Budget.of(time_budget)

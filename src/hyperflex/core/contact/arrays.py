@@ -47,9 +47,10 @@ class Joints(NamedTuple):
 # Rows of Joints.of, by joint. IMPULSE: of friction and limit together, N m s. START: where the proximal method starts
 # from; GOOD: that of the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST,
 # HIGHEST: the relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER:
-# length of the chain beyond the joint, m. DAMPED: dry friction over the rate after the step, N m s^2, of a joint for
-# which no mode is found. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
-IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, DAMPED, FREE, ROWS = *range(11), 12
+# length of the chain beyond the joint, m. CREEP: stiction tolerance, rad/s, of a joint whose friction is regularized,
+# else 0.0; RUBBED: impulse of that friction, which is not in IMPULSE then, N m s. FREE, FREE + 1: as ``Motion.joint``,
+# without friction and limits.
+IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, CREEP, RUBBED, FREE, ROWS = *range(12), 13
 
 
 class Motion(NamedTuple):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.contact.arrays import IMPULSE, OPEN, RELAXED, UNHELD
+from hyperflex.core.contact.arrays import IMPULSE, OPEN, RELAXED, RUBBED, UNHELD
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.jit import kernel, non_allocating, zeros
 
@@ -56,7 +56,8 @@ def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyp
     clear_memory(memory)
     memory.penalty[0] = impulses.penalty[0]
     for i in joints.which:
-        memory.torque[i], memory.bent[i] = joints.of[IMPULSE, i] / h, joints.mode[i]
+        memory.torque[i] = (joints.of[IMPULSE, i] + joints.of[RUBBED, i]) / h
+        memory.bent[i] = joints.mode[i]
     for c in range(contacts.total[0]):
         i, p = contacts.link[c], contacts.peg[c]
         memory.mode[i, p] = impulses.mode[c]

@@ -10,14 +10,14 @@ on the cone. Its residual velocity is (P - P0) / M and dies out where the load i
 import math
 
 from hyperflex.core.assign import assign, assign_rows
-from hyperflex.core.chain.articulated_body import sticks_often
-from hyperflex.core.contact.arrays import AHEAD, BACK, BOUND, GOOD, OPEN, START, STICK
+from hyperflex.core.contact.arrays import AHEAD, BACK, BOUND, CREEP, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import (
-    damp_joints,
     guess_joint_modes,
+    regularize_joints,
     release_joints,
     update_joint_modes,
     update_joint_multipliers,
+    within_friction,
     write_joints,
 )
 from hyperflex.core.contact.spin import turn_pegs
@@ -179,7 +179,8 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
     for c in range(contacts.total[0]):
         impulses.closed[c] = 0
     hasty = h > 0.0 and impulses.loose > 1.0
-    ends = hasty or (h > 0.0 and joints.of[BOUND].any())  # where it stalls: there is another way, see `solve`
+    # where it stalls: there is another way, see `solve`
+    ends = hasty or (joints.of[BOUND].any() and not joints.of[CREEP].any())
     fewest, stalled = contacts.total[0] + motion.w.size + 1, 0
     for turn in range(ROUNDS):
         if turn == 0 or h > 0.0:  # an impact is linear
@@ -251,10 +252,9 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
 def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
-    Where no modes are found for the stiff M, the friction of joints is regularized, so that it has no modes. Unless
-    many joints have dry friction, modes are searched again from that solution. Where there are none either, friction
-    stays regularized in this step: a cast of a rope of 170 joints took 7 s, and more than 40 s with ever shorter steps.
-    Where no modes of contacts are found, the search begins anew with a softer M, for which they nearly always are.
+    Where no modes are found for the stiff M, the friction of joints is regularized, so that it has no modes, and modes
+    are searched again from that solution. Where there are none again, friction stays regularized in this step. Where no
+    modes of contacts are found, the search begins anew with a softer M, for which they nearly always are.
     Each solution starts the next search, for the M that :func:`update_multipliers` returns, until the residual
     (P - P0) / M is slight. Where a larger M fails, the last one is tried again, from the P0 that it had. Unless its
     residual falls, M grows by ``MOST_GROWTH`` from then on, and by the square root of that where a search fails. The
@@ -269,7 +269,8 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
 
     Returns
     -------
-    int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or more where `impulses` are loose.
+    int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or more where `impulses` are loose, or
+        regularized friction not to within RUBBING.
     """
     store(impulses, joints)
     penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else STIFF * whole
@@ -281,7 +282,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         total += abs(rounds)
         if rounds < 0:
             restore(impulses, joints)
-            if last == 0.0 and damp_joints(joints):
+            if last == 0.0 and regularize_joints(chain, joints):
                 guesses += 1
                 store(impulses, joints)
             elif last == 0.0:
@@ -295,9 +296,9 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
             else:  # none are found any more where some were
                 penalty, climbs = math.sqrt(MOST_GROWTH) * last, True
             continue
-        if guesses == 1 and not sticks_often(chain):
+        if guesses == 1:
             guesses += 1
-            guess_joint_modes(chain, joints, h)
+            guess_joint_modes(joints)
             store(impulses, joints)
             continue
         before, last = residual, penalty
@@ -321,4 +322,4 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
             linearize(chain, motion, h)
             solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, NONE)
     impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
-    return total if residual <= slight else -total
+    return total if residual <= slight and within_friction(joints) else -total

@@ -183,9 +183,8 @@ class WindTask(Task):
 
     def _values(self, moves: Moves, scenarios: Sequence[Scenario], budget: Budget) -> Array:
         """Return the values of moves in scenarios; see :func:`robust_values`."""
-        ropes = [each.rope for each in scenarios]
-        self.runs += 2 * len(ropes)
-        found = scenario_scores(self.problem, moves, scenarios, ropes, self._cuts, budget)
+        self.runs += 2 * len(scenarios)
+        found = scenario_scores(self.problem, moves, scenarios, self._cuts, budget, MODEL.stiction)
         return robust_values(found, self.problem)
 
     def finishes(self, strike: Strike) -> list[Moves]:
