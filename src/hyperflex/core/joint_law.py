@@ -49,9 +49,10 @@ def power(joint, reaction_factor, w, up, slip):  # type: ignore[no-untyped-def]
 def regularized(joint, rate, tolerance):  # type: ignore[no-untyped-def]
     """Joint with viscous friction in place of dry, alike at a relative rate much above `tolerance`, both rad/s.
 
-    At rest it creeps: under a torque below ``dry`` at `tolerance` at most, times what the torque is of ``dry`` over the
-    root of 1 less its square. An implicit step takes the coefficient at its beginning, and is stable for any step
-    (lagged diffusivity: Vogel and Oman 1996, doi:10.1137/0917016).
+    Under a torque of x times ``dry``, x < 1, it creeps at `tolerance` times x / sqrt(1 - x^2). An implicit Euler step
+    with the coefficient of its beginning is stable for any length (lagged diffusivity, as in image denoising: Vogel and
+    Oman 1996, doi:10.1137/0917016), but friction is then too large where a joint turns faster at its end; error control
+    keeps steps short there.
     """
     viscous, dry, stiffness, rest = joint
     return viscous + dry / math.sqrt(rate * rate + tolerance * tolerance), 0.0 * dry, stiffness, rest

@@ -17,7 +17,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Flags
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Rope, divided
+from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, divided
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import SearchOptions, WindCriteria
 from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast

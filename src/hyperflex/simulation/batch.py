@@ -294,11 +294,9 @@ def simulate_batch(
         :func:`hyperflex.simulate` runs them. The energy account does not shorten the steps of other members; it is
         checked at the outputs. ``step``, s, is a fixed step without error control, not with pegs. ``refine`` is as in
         :func:`hyperflex.simulate`; if ropes are cut into different numbers of links, ``q`` and ``qd`` end in NaN.
-        ``stiction_tolerance``, rad/s, regularizes dry friction in free flight, not with pegs or joint limits: a joint
-        that would stick creeps, at this relative rate at most if its friction bears up to 0.7 of ``dry_friction``.
-        Joints that stick and slip set the steps otherwise: 16 flights of ropes of 32 to 45 links were 8 to 25 times as
-        fast, and the tip was 0.0002 to 0.03 rope lengths off after two pumping strokes with 0.1 rad/s, the more the
-        shorter the links and the larger the friction, and in proportion to the tolerance.
+        ``stiction_tolerance``, rad/s, regularizes dry friction, not with pegs or joint limits: a joint that would stick
+        creeps at x / sqrt(1 - x^2) times this relative rate, where its friction is x times ``dry_friction``. Flights of
+        ropes with many dry joints are several times as fast, since no joint that sticks or slips ends a step.
 
     Returns
     -------

@@ -230,11 +230,10 @@ def regularized_impulse(joints, i):  # type: ignore[no-untyped-def]
 @non_allocating
 def within_friction(joints):  # type: ignore[no-untyped-def]
     """Whether regularized friction is nowhere more than dry friction, but for RUBBING."""
-    of = joints.of
+    of, within = joints.of, True
     for i in joints.which:
-        if abs(of[RUBBED, i]) > (1.0 + RUBBING) * of[BOUND, i]:
-            return False
-    return True
+        within = within and abs(of[RUBBED, i]) <= (1.0 + RUBBING) * of[BOUND, i]
+    return within
 
 
 @non_allocating
