@@ -398,10 +398,10 @@ def test_swings_of_a_rope_with_dry_friction_are_nearly_those_of_stiction_in_a_se
     _, stuck, _ = batch.fly(ARM, 1.5, Budget(threads=1))
     exact = hf.simulate(dry.rope, batch.motions[0], arm=ARM, duration=2.0, q0=batch.q[0], t_eval=t)
     away = dry.rope.joints(q[0], np.zeros((t.size, 2))) - dry.rope.joints(exact.q, np.zeros((t.size, 2)))
-    # Joints that stick creep at 0.12 rad/s at most: angles differ by up to 0.07 rad near the light end
+    # The tolerance is 0.04 rad/s: angles differ by up to 0.04 rad near the light end
     assert 0.001 * dry.rope.total_length < np.hypot(*away.T).max() < 0.02 * dry.rope.total_length
-    # the tolerance of flights is 1e-4 m
-    np.testing.assert_allclose(stuck[0], exact.q, rtol=0, atol=0.02)
+    # flights err by 1e-4 m in links of 0.08 m
+    np.testing.assert_allclose(stuck[0], exact.q, rtol=0, atol=1e-3)
 
 
 def test_a_reach_map_reads_back_equal(tmp_path):
