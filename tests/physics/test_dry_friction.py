@@ -85,6 +85,15 @@ def test_regularized_friction_tends_to_stiction():
     assert errors[2] < 0.4 * errors[1] < 0.16 * errors[0]  # of nearly second order in the tolerance
 
 
+def test_regularized_friction_converges_with_a_fixed_step():
+    how = {"q0": [1.0], "t_eval": [0.5, 1.0, 1.5], "duration": 2.0, "stiction_tolerance": 0.04, "keep": ("q",)}
+    exact = hf.simulate_batch(ROD, tol=1e-9, **how).q
+    errors = [float(np.abs(hf.simulate_batch(ROD, step=step, **how).q - exact).max()) for step in (4e-3, 2e-3, 1e-3)]
+    # 2e-5, 1e-6 and 2e-8 rad: the default tolerance takes a method of high order
+    assert errors[0] < 4e-5
+    assert errors[2] < 0.2 * errors[1] < 0.04 * errors[0]
+
+
 def test_a_spring_loses_the_same_each_half_swing():
     """Between turns a harmonic oscillation about +-dry/stiffness: each turn is 2 dry/stiffness nearer, on time."""
     stiffness, dry, start = 0.05, 2e-3, 0.5
