@@ -202,10 +202,6 @@ benchmarks.mechanisms` makes these rows. All simulated."""
 
 REMOVED = """Parts that were removed after such a comparison (all simulated; these cases are not among the rows):
 
-- A test of single frames that are missing, by whole steps of the motion. Of 60 recordings (seed 5119) from which 1
-  to 3 frames are missing at 2 to 6 places the general test of jumps finds 42, both together found 44; of these 26
-  are named as missing frames, before 17, the others as jumps. Where 0.1 to 0.6 s are missing: 40 and 28 of 51.
-  Zeros that move: 47 of 60, as before. Of 100 right recordings none.
 - The median filter before the speeds of frames at wrong times: 93 of 120 found, with it 94; none of 180 right or
   noisy recordings.
 - 64 lengths of a rest, each with filters of the largest and smallest value, for a rope that was held: 99 of 100

@@ -45,6 +45,9 @@ class FaultLimits:
     sides: tuple[int, ...] = (5, 6, 8, 12, 20)
     alike: float = 1.5
     agree: float = 3.0
+    # frames that are missing at a time at most, and by how much their number may seem to be no whole one
+    missing: int = 3
+    whole: float = 0.4
     # parts of the motion's reach: what a hand that holds a rope trembles by at most, and a rope that moves for certain;
     # time of rest over that in which it moves so far: the turn of a swing has 1.5, one that is flat for long has 4
     rests: float = 0.05
@@ -164,6 +167,32 @@ def uneven_frames(recording: Recording) -> Iterator[Finding]:
     part = float(np.median(np.abs(along[upper]) / fast[upper]))
     if part > LIMITS.uneven and seen > LIMITS.clear * noise:
         yield Finding(Kind.UNEVEN_FRAMES, values={"part": part})
+
+
+def missing_frames(recording: Recording) -> Iterator[Finding]:
+    """Yield that the motion skips whole frames, while times are even: all channels together step two to four times.
+
+    A step is compared with the mean of the two steps on either side of it, over all channels, where these four agree.
+    Other jumps go back as often as ahead, and by no whole steps.
+    """
+    data = recording.data
+    if recording.t.size < 6 + LIMITS.many:
+        return
+    step = np.diff(data, axis=0)
+    around = np.stack([step[:-4], step[1:-3], step[3:-1], step[4:]])
+    usual = around.mean(axis=0)
+    more, fast = step[2:-2] - usual, np.linalg.norm(usual, axis=1)
+    alike = np.linalg.norm(around - usual, axis=2).max(axis=0) < LIMITS.whole * fast
+    known = np.isfinite(more).all(axis=1) & _even(recording, 6)
+    if not known.any():
+        return
+    resolution = np.abs(step).min(initial=np.inf, where=np.abs(step) > 0.0)
+    noise = max(float(np.median(np.abs(more[known]))) / NormalDist().inv_cdf(0.75), resolution)
+    odd = known & alike & (np.sqrt((more**2).mean(axis=1)) > LIMITS.jump * noise)
+    count = np.divide((more * usual).sum(axis=1), fast**2, out=np.zeros(fast.size), where=odd)
+    ahead = odd & (np.abs(count - np.round(count).clip(1.0, LIMITS.missing)) < LIMITS.whole)
+    if ahead.sum() > 1 and ahead.sum() > 0.5 * odd.sum():
+        yield Finding(Kind.MISSING_FRAMES, values={"times": recording.t[np.flatnonzero(ahead) + 2].tolist()})
 
 
 class _Jump(NamedTuple):
@@ -312,7 +341,7 @@ def held(recording: Recording) -> Iterator[Finding]:
         yield Finding(Kind.HELD_STILL, values={"time": float(t[np.searchsorted(t, even[at[-1]])])})
 
 
-FAULTS = (lost, wrapped, repeated, uneven_frames, jumps, held)
+FAULTS = (lost, wrapped, repeated, uneven_frames, missing_frames, jumps, held)
 
 
 def faults(recording: Recording, *, driven: bool = False) -> list[Finding]:
