@@ -124,6 +124,12 @@ def test_no_wrong_answer_is_called_usable(case):
     check(case)
 
 
+def test_missing_frames_that_look_like_a_jump_are_named():
+    (case,) = (each for each in SIMULATED if each.name == "double: every 25th frame dropped, times counted on")
+    (found,) = case.recording().check()
+    assert found.kind is Kind.MISSING_FRAMES
+
+
 @pytest.mark.parametrize("kind", ["single", "triple", "double"])
 @pytest.mark.nightly
 def test_real_recordings_declared_wrongly(data_dir, kind):
