@@ -92,6 +92,7 @@ def test_bad_input_is_refused():
     refuses("members and ropes", hf.BatchStepper, each, members=3, arm=ARM)
     refuses("needs an arm", hf.BatchStepper, each)
     refuses("differ in links", hf.BatchStepper, [each[0], hf.Rope.uniform(1.0, 0.1, 3, friction=0.0)], arm=ARM)
+    refuses("free flight", hf.BatchStepper, each[0].replace(max_bend=0.25), members=2, arm=ARM)
     batch = hf.BatchStepper(each[0], members=3, arm=ARM)
     refuses("commands has the wrong shape", batch.step, batch.start(), [1.0, 2.0], DT)
     refuses(r"commands\[1\]", batch.step, batch.start(), [1.0, np.nan, 2.0], DT)

@@ -108,17 +108,6 @@ def table(tmp_path: Path, text: str | bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n", ""])
-@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-def test_reads_a_table(tmp_path, end, mark):
-    text = (end or "\n").join(["# unit: rad", 't, "th1"', "0.0,1e-3", "", "0.5,", "1.0,nan"]) + end
-    found = files.read_table(table(tmp_path, mark + text.encode()))
-    assert found.names == ["t", "th1"]
-    np.testing.assert_array_equal(found.values, [[0.0, 1e-3], [0.5, np.nan], [1.0, np.nan]])
-    np.testing.assert_array_equal(found.columns(["th1"]), [[1e-3], [np.nan], [np.nan]])
-    assert found.notes == {"unit": "rad"}
-
-
 def numbers(path: Path) -> np.ndarray:
     return files.read_table(path).values
 

@@ -83,13 +83,6 @@ def tracked() -> list[Path]:
     return [p for top in ("src", "tests", "docs") for p in (ROOT / top).rglob("*") if p.is_file()]
 
 
-@pytest.mark.parametrize("name", hyperflex.__all__)
-def test_public_name_is_there_and_has_a_docstring(name):
-    obj = getattr(hyperflex, name)
-    assert name in dir(hyperflex)
-    assert isinstance(obj, str) or (obj.__doc__ or "").strip(), name
-
-
 def test_every_argument_of_a_public_callable_is_documented():
     missing = {name: undocumented(name, obj) for name, obj in public_callables().items()}
     assert {name: names for name, names in missing.items() if names} == {}

@@ -1,14 +1,13 @@
 """identification: twins whose truth is known, what cannot be known, bad input, interruption, files."""
 
 import json
-from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hyperflex import files, progress
+from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
@@ -549,24 +548,6 @@ def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch):
 
 
 # ---- progress and interruption
-
-
-@pytest.mark.nightly
-def test_progress_is_told_and_printed(free_swing, capsys, monkeypatch):
-    told: list[dict[str, float]] = []
-    result = identify(free_swing, GUESS, ["friction"], progress=told.append)
-    assert [e for e in told if e in result.history] == list(result.history)
-    others = {e.get("phase") for e in told if e not in result.history}
-    assert others <= {"start", "profile"}  # starts that came to no better fit, and intervals
-    assert {"window", "stage", "stages", "round", "cost", "gain", "damping"} == set(told[0])
-    assert capsys.readouterr() == ("", "")
-    said: list[str] = []
-    monkeypatch.setattr(progress, "lines", lambda: nullcontext(said.append))
-    identify(free_swing, GUESS, ["friction"], progress=True)
-    assert said[0].startswith("first states (Ctrl-C keeps the best so far)")
-    words = [f"round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %" for entry in told]
-    assert all(each in line for line, each in zip(said[1:], words, strict=True))
-    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("after", [1, 3])

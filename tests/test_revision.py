@@ -122,15 +122,6 @@ def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
         assert abs(values.mean() - getattr(ROPE, name)[0]) < 1.0 * draws[0].std[name]
 
 
-def test_a_calculated_profile_returns_what_it_was_calculated_with():
-    """Step 4 as it is printed: the profile fulfils (4) with J and eta of the guess, so nothing ever moves."""
-    found = hf.iterative_revision(swing(noise=0.01), GUESS, profile="calculated")
-    assert found.converged_after == 0
-    # Accelerations follow from a dense solve: rounding only. J is a thousandth of the known part of M.
-    assert found.rounds[1].inertia == pytest.approx(4e-5, rel=1e-8)
-    assert found.rounds[1].friction == pytest.approx(4e-3, rel=1e-8)
-
-
 @pytest.mark.parametrize("profile", ["measured", "measured rates"])
 def test_mixed_profiles_use_the_recording_and_stay_away_from_the_truth(profile):
     found = hf.iterative_revision(swing(noise=0.01), GUESS, profile=profile, rounds=3)

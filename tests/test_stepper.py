@@ -108,22 +108,6 @@ def test_near_a_peg_a_run_in_steps_is_a_run(command):
         np.testing.assert_array_equal(again[-1].q, states[-1].q)
 
 
-def test_joints_keep_their_limits_in_steps_as_in_a_run():
-    """As with a peg: steps at a limit are cut elsewhere."""
-    cable, given = rope(6, friction=1e-3, max_bend=0.25), np.repeat([40.0, -40.0, 20.0], 5)
-    stepper = hf.Stepper(cable, arm=ARM)
-    states = walk(stepper, stepper.start(), given)
-    times = DT * np.arange(1, given.size + 1)
-    run = hf.simulate(cable, arm=ARM, duration=times[-1], t_eval=times, **motion("acceleration", given))
-    bends = np.array([np.diff(s.q, prepend=s.arm_angle) for s in states])
-    assert 0.249 < np.abs(bends).max() < 0.251
-    places = np.array([hf.forward_kinematics(cable, s.q, arm=ARM, arm_angle=s.arm_angle) for s in states])
-    np.testing.assert_allclose(places, run.joints, rtol=0, atol=1e-3)
-    refuses("past a limit", stepper.step, stepper.start(np.full(6, 0.5)), 0.0, DT)
-    refuses("free flight", stepper.linearize, states[0], 0.0, DT)
-    refuses("free flight", hf.BatchStepper, cable, members=2, arm=ARM)
-
-
 @pytest.mark.parametrize("pegs", [(), (hf.Peg(0.05, -0.5, 0.03, mu=0.3),)], ids=["free", "peg"])
 def test_a_torque_callback_is_a_stepper(pegs):
     cable, q0 = rope(12, friction=2e-3), np.full(12, 0.6)

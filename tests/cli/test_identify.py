@@ -2,14 +2,13 @@
 
 import dataclasses
 import json
-import re
 import signal
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex import files, identification, report
+from hyperflex import files, identification
 from hyperflex.errors import Interrupted
 from hyperflex.status import Status
 
@@ -56,17 +55,6 @@ def ended(monkeypatch):
     return end
 
 
-def test_a_long_table_of_ratios_is_cut_and_reports_where_the_rest_is(hyperflex, swing, monkeypatch):
-    """Five rows of each ratio, and 24 in all."""
-    rows = [(f"r{k}/p1", str(link), "1", "0", "0 to 2", "") for k in range(6) for link in range(8)]
-    table = report.TextTable(("ratio", "link", "value", "std", "95 % interval", "what it is"), tuple(rows))
-    monkeypatch.setattr(report, "ratios_table", lambda _: table)
-    code, out, _ = hyperflex(*words("found", *FRICTION))
-    shown = re.findall(r"^ (r\d)/p1 +(\d)", out, re.M)
-    assert (code, [link for name, link in shown if name == "r0"], len(shown)) == (0, list("01234"), 24)
-    assert "and 24 more, in found/report.html" in out
-
-
 def test_a_file_gets_the_rope_and_its_figures(hyperflex, hyperflex_json, swing):
     code, out, _ = hyperflex(*words("rope.toml", *FRICTION))
     assert (code, "friction" in out) == (0, True)
@@ -101,20 +89,6 @@ def test_a_folder_gets_rope_figures_and_page(hyperflex, swing):
         assert word in out
     content = json.loads((swing / "found" / "identification.json").read_text("utf-8"))
     assert content["settings"]["free"] == ["friction", "inertia"]
-
-
-def test_a_folder_that_is_there_may_have_any_name(hyperflex_json, swing):
-    (swing / "found.v2").mkdir()
-    code, result = hyperflex_json(*words("found.v2", *FRICTION))
-    assert (code, result["output"], result["files"]["page"]) == (0, "found.v2", "found.v2/report.html")
-
-
-def test_columns_can_be_named(hyperflex_json, swing):
-    values = files.read_table("swing.csv").values
-    files.write_table("other.csv", ["clock", "hinge", "note"], np.column_stack([values, values[:, 0]]))
-    named = ("--kind", "angles", "--time", "clock", "--columns", "hinge")
-    code, result = hyperflex_json(*words("rope.toml", *FRICTION, *named, recording="other.csv"))
-    assert (code, result["values"]["friction"][0]) == (0, pytest.approx(2e-4, rel=1e-2))
 
 
 def test_a_part_of_the_recording_is_fitted(hyperflex, hyperflex_json, swing):

@@ -1,6 +1,5 @@
 """``hyperflex look``: the contents of a file, its picture, and the commands that read it."""
 
-import math
 import shlex
 from pathlib import Path
 
@@ -56,15 +55,3 @@ def test_look_draws_each_column_of_an_array(hyperflex, tmp_path, monkeypatch):
     code, out, _ = hyperflex("look", "swing.mat", "-o", "swing.png")
     assert (code, "angles                  2: theta (2 columns)" in out) == (0, True), out
     assert Path("swing.png").exists()
-
-
-def test_look_lists_what_it_does_not_read_and_what_it_cannot_decide(hyperflex, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    rows = "".join(f"{k / 100.0},{8.0 * math.cos(k / 20.0)},0.1\n" for k in range(100))
-    Path("motor.csv").write_text(f"Zeit,position,torque\n{rows}")
-    code, out, _ = hyperflex("look", "motor.csv")
-    assert code == 0
-    assert "not used                torque (a motor's torque: --torque NAME)" in out
-    assert "time = Zeit, columns = position" in out
-    assert "the unit may be deg: the angles range over 16" in out
-    assert "read_recording('motor.csv', time='Zeit', columns=['position'], kind='angles'" in out

@@ -2,8 +2,10 @@
 
 import json
 import math
+import re
 import signal
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,7 +21,7 @@ from hyperflex import execution
 from hyperflex.checks import Array
 from hyperflex.control import TrueState
 from hyperflex.errors import DriveError, EstimatorLost, Interrupted, InvalidInput
-from hyperflex.execution import MotionStream, RunOptions, observed_turns, run_plan
+from hyperflex.execution import CastRun, MotionStream, RunOptions, observed_turns, run_plan
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, FollowOptions, Moves, WindCriteria, check_feasibility, scaled_rope
@@ -86,15 +88,36 @@ class SeenRope:
         return t, np.transpose([turns, turns])
 
 
-def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(tmp_path: Path) -> None:
-    plan, said = short_plan(), list[str]()
-    run = run_plan(
-        plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan), options=QUICK, say=said.append
-    )
-    motion = plan.required(plan.motion, "motion")
+PLAN = short_plan()
+MOTION = PLAN.required(PLAN.motion, "motion")
+CarryOut = Callable[..., CastRun]
+SWITCHED_OFF = ["open", "on", "off", "closed"]
+
+
+@pytest.fixture
+def notes(tmp_path: Path) -> Callable[[], list[str]]:
+    """What the drive has noted so far."""
+    return lambda: (tmp_path / "notes").read_text().split()
+
+
+@pytest.fixture
+def carry_out(tmp_path: Path) -> CarryOut:
+    """Carry the plan out on an ideal link; other arguments than those of `run_plan` are the link's."""
+
+    def run(source: SeenRope | None, *, options: RunOptions = QUICK, follow: Any = None, **given: Any) -> CastRun:
+        how = {name: given.pop(name) for name in ("say", "doubt", "ready") if name in given}
+        drive = partial(ideal_drive, tmp_path / "notes", **given)
+        return run_plan(PLAN, drive, source=source, options=options, follow=follow, **how)
+
+    return run
+
+
+def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(carry_out: CarryOut, notes, tmp_path: Path) -> None:
+    said = list[str]()
+    run = carry_out(SeenRope(PLAN), say=said.append)
     sent = run.log.column("sent")
     cast = sent >= 0.0
-    assert run.log.column("goal_angle")[cast] == pytest.approx(motion.angle(sent[cast]), abs=1e-9)
+    assert run.log.column("goal_angle")[cast] == pytest.approx(MOTION.angle(sent[cast]), abs=1e-9)
     assert run.log.column("angle")[0] == pytest.approx(0.3, abs=1e-3)  # where the arm was found
     assert any("slowly from 0.30" in each for each in said)
     assert run.wound is False
@@ -102,127 +125,78 @@ def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(tmp_path: Path
     assert "not wound" in run.message
     assert run.left_plan is None  # the simulated rope is the plan's
     run.to_netcdf(tmp_path / "run.nc")
-    assert (tmp_path / "notes").read_text().split() == ["open", "on", "off", "closed"]
-
-
-def test_a_rope_that_swings_is_not_cast(tmp_path: Path) -> None:
-    plan = short_plan()
-    waits = replace(QUICK, wait=0.6)
-    with pytest.raises(InvalidInput, match="still swings"):
-        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, swings=0.1), options=waits)
-    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
-
-
-def test_estimated_rates_alone_do_not_make_a_rope_swing(tmp_path: Path) -> None:
-    plan = short_plan()
-    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, rate=0.3), options=QUICK)
-    assert len(run.log.rows) > 0
-
-
-def test_a_rope_that_is_still_wound_is_not_pulled(tmp_path: Path) -> None:
-    plan = short_plan()
-    with pytest.raises(InvalidInput, match="does not hang down"):
-        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, away=1.0), options=QUICK)
-    assert (tmp_path / "notes").read_text().split() == ["open", "closed"]
-
-
-def test_the_user_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(tmp_path: Path) -> None:
-    said = list[str]()
-
-    def ask() -> None:
-        said.extend((tmp_path / "notes").read_text().split())
-        raise InvalidInput("no")
-
-    with pytest.raises(InvalidInput, match="no"):
-        run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes"), options=QUICK, say=said.append, ready=ask)
-    assert "without torque the arm is at 0.30" in said[-2]
-    assert said[-1] == "open"
-
-
-def test_an_arm_that_is_held_by_a_torque_of_the_wrong_sign_is_not_cast(tmp_path: Path) -> None:
-    drive = partial(ideal_drive, tmp_path / "notes", holds=-0.05)
-    with pytest.raises(InvalidInput, match="torque of the wrong sign"):
-        run_plan(short_plan(), drive, options=QUICK)
-    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
-
-
-@pytest.mark.parametrize("holds", [0.0, 0.4, 1.0])
-def test_an_arm_whose_weight_is_not_as_expected_is_reported(tmp_path: Path, holds: float) -> None:
-    """0.049 N m at a quarter turn; `holds` in parts of what holds arm and rope at the start."""
-    plan, said = short_plan(), list[str]()
-    start = float(plan.required(plan.motion, "motion").angle(0.0))
-    drive = partial(ideal_drive, tmp_path / "notes", holds=holds * 0.05 * 9.80665 * 0.1 * math.sin(start))
-    run_plan(plan, drive, source=SeenRope(plan), options=QUICK, doubt=said.append)
-    assert any("without torque the arm is at 0.30" in each for each in said)
-    assert any("Check zero, rope and arm" in each for each in said) == (holds < 1.0)
-
-
-@pytest.mark.parametrize(
-    ("link", "message"),
-    [({"short": 0.08}, "not at its start at"), ({"angle": -1.7}, "the way to the start is more than half a turn")],
-)
-def test_an_arm_that_does_not_come_to_its_start_is_not_cast(
-    tmp_path: Path, link: dict[str, float], message: str
-) -> None:
-    with pytest.raises((DriveError, InvalidInput), match=message):
-        run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes", **link), options=QUICK)
-    assert (tmp_path / "notes").read_text().split() == ["open", "on", "off", "closed"]
-
-
-def test_a_fault_in_the_middle_ends_the_run_and_reports_it(tmp_path: Path) -> None:
-    plan = short_plan()
-    drive = partial(ideal_drive, tmp_path / "notes", fault_after=450)
-    run = run_plan(plan, drive, source=SeenRope(plan), options=QUICK)
-    assert "over-temperature" in run.message
-    assert not run.success
-    assert run.log.rows.size
-
-
-def test_an_off_that_is_not_confirmed_keeps_the_log(tmp_path: Path) -> None:
-    plan = short_plan()
-    drive = partial(ideal_drive, tmp_path / "notes", stuck=True)
-    run = run_plan(plan, drive, source=SeenRope(plan), options=QUICK)
-    assert "The drive did not confirm that its torque is off." in run.message
-    assert run.message.endswith("Cut its power.")
-    assert (run.success, run.status) == (False, "failed")
-    assert run.log.column("sent")[-1] > plan.required(plan.motion, "motion").breaks[-1]
-    assert run.recording is not None
-
-
-def test_the_logs_of_drive_and_rope_are_one_mcap_file(tmp_path: Path) -> None:
-    plan = short_plan()
-    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan), options=QUICK)
-    run.to_mcap(tmp_path / "run.mcap")
+    assert notes() == SWITCHED_OFF
+    run.to_mcap(tmp_path / "run.mcap")  # drive and rope in one file
     rope = hf.read_recording(tmp_path / "run.mcap")
     np.testing.assert_array_equal(rope.data, run.recording.data)
     with (tmp_path / "run.mcap").open("rb") as stream:
         found = [(m.log_time, json.loads(m.data)) for _, _, m in make_reader(stream).iter_messages(["/drive"])]
     for name in ("goal_angle", "angle", "received"):
         np.testing.assert_array_equal([each[name] for _, each in found], run.log.column(name))
-    assert [each["t"] for _, each in found] == run.log.column("sent").tolist()
+    assert [each["t"] for _, each in found] == sent.tolist()
     assert found[0][0] == 0  # the arm went to its start before t = 0 of the cast
     replace(run, recording=None).to_mcap(tmp_path / "alone.mcap")
 
 
-@pytest.mark.parametrize("follow", [None, FollowOptions(decision_time=0.05)])
-def test_a_camera_that_is_lost_in_the_middle_stops_the_run_with_one_line(
-    tmp_path: Path, follow: FollowOptions | None
-) -> None:
-    plan = short_plan()
-    drive = partial(ideal_drive, tmp_path / "notes")
-    run = run_plan(plan, drive, source=SeenRope(plan, seen=0.1), follow=follow, options=QUICK)
-    assert run.message == "No marker has been seen for 0.30 s."
-    assert not run.success
-    assert np.abs(run.log.column("goal_torque")).max() > 1e-3  # N m; of the plan, in closed loop as well
-    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+@pytest.mark.parametrize(
+    ("rope", "link", "message", "done"),
+    [
+        ({"swings": 0.1}, {"options": replace(QUICK, wait=0.6)}, "still swings", SWITCHED_OFF),
+        ({"away": 1.0}, {}, "does not hang down", ["open", "closed"]),  # still wound
+        ({"seen": -1.0}, {}, "No marker", ["open", "closed"]),
+        (None, {"holds": -0.05}, "torque of the wrong sign", SWITCHED_OFF),
+        (None, {"short": 0.08}, "not at its start at", SWITCHED_OFF),
+        (None, {"angle": -1.7}, "the way to the start is more than half a turn", SWITCHED_OFF),
+    ],
+)
+def test_what_is_not_cast(carry_out: CarryOut, notes, rope, link, message: str, done: list[str]) -> None:
+    """A rope that swings, does not hang down or is not seen; an arm held the wrong way or not where it should be."""
+    with pytest.raises((DriveError, EstimatorLost, InvalidInput), match=message):
+        carry_out(None if rope is None else SeenRope(PLAN, **rope), **link)
+    assert notes() == done
 
 
-def test_a_source_that_hangs_stops_the_run(tmp_path: Path) -> None:
-    plan, woken = short_plan(), threading.Event()
-    source = SeenRope(plan, seen=0.1, lost=lambda: woken.wait(60.0))
-    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=QUICK)
-    woken.set()
-    assert run.stopped == "The source of the rope's state has not answered for 0.3 s."
+def test_a_motion_beyond_the_drives_limits_moves_nothing(carry_out: CarryOut, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"fast|speed|rate"):
+        carry_out(None, limits=hf.MotorLimits(speed=0.5))
+    assert not (tmp_path / "notes").exists()
+
+
+def test_estimated_rates_alone_do_not_make_a_rope_swing(carry_out: CarryOut) -> None:
+    assert len(carry_out(SeenRope(PLAN, rate=0.3)).log.rows) > 0
+
+
+def test_the_user_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(carry_out: CarryOut, notes) -> None:
+    said = list[str]()
+
+    def ask() -> None:
+        said.extend(notes())
+        raise InvalidInput("no")
+
+    with pytest.raises(InvalidInput, match="no"):
+        carry_out(None, say=said.append, ready=ask)
+    assert "without torque the arm is at 0.30" in said[-2]
+    assert said[-1] == "open"
+
+
+@pytest.mark.parametrize("holds", [0.0, 0.4, 1.0])
+def test_an_arm_whose_weight_is_not_as_expected_is_reported(carry_out: CarryOut, holds: float) -> None:
+    """0.049 N m at a quarter turn; `holds` in parts of what holds arm and rope at the start."""
+    said = list[str]()
+    torque = holds * 0.05 * 9.80665 * 0.1 * math.sin(float(MOTION.angle(0.0)))
+    carry_out(SeenRope(PLAN), holds=torque, doubt=said.append)
+    assert any("without torque the arm is at 0.30" in each for each in said)
+    assert any("Check zero, rope and arm" in each for each in said) == (holds < 1.0)
+
+
+class OtherRope(SeenRope):
+    """A source that knows no contact, and whose rope has a link less once the cast has begun."""
+
+    contact = False
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        found = super().state(t, motion)
+        return RopeState(found.t, found.q[1:], found.qd[1:]) if self.cast and t > 0.0 else found
 
 
 class HangsOnce(SeenRope):
@@ -238,6 +212,39 @@ class HangsOnce(SeenRope):
         return super().state(t, motion)
 
 
+def hangs() -> None:
+    """As long as the run takes."""
+    time.sleep(2.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "follow", "message"),
+    [
+        (lambda: SeenRope(PLAN, seen=0.1), None, r"No marker has been seen for 0.30 s\.$"),
+        (lambda: SeenRope(PLAN, seen=0.1), FollowOptions(decision_time=0.05), r"No marker has been seen for 0.30 s\.$"),
+        (
+            lambda: SeenRope(PLAN, seen=0.1, lost=hangs),
+            None,
+            "The source of the rope's state has not answered for 0.3 s.",
+        ),
+        (
+            lambda: SeenRope(PLAN, seen=0.1, lost=lambda: int("x")),
+            None,
+            "source of the rope's state failed: ValueError",
+        ),
+        (lambda: OtherRope(PLAN), None, r"q has the wrong shape: got \(9,\)"),
+    ],
+    ids=["lost", "lost by the closed loop", "hangs", "fails", "of another rope"],
+)
+def test_a_source_that_gives_no_state_stops_the_run(carry_out: CarryOut, notes, source, follow, message: str) -> None:
+    run = carry_out(source(), follow=follow)
+    assert re.search(message, run.stopped)
+    assert run.message == run.stopped
+    assert not run.success
+    assert np.abs(run.log.column("goal_torque")).max() > 1e-3  # N m; of the plan, in closed loop as well
+    assert notes() == SWITCHED_OFF
+
+
 @pytest.mark.parametrize(
     ("asks", "message"),
     [
@@ -246,70 +253,54 @@ class HangsOnce(SeenRope):
     ],
 )
 def test_a_closed_loop_that_hangs_stops_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asks: bool, message: str
+    carry_out: CarryOut, notes, monkeypatch: pytest.MonkeyPatch, asks: bool, message: str
 ) -> None:
-    plan = short_plan()
-    source = HangsOnce(plan)
-    begun, made = threading.Event(), plan.required(plan.motion, "motion")
+    source, begun = HangsOnce(PLAN), threading.Event()
 
     def follow(_: object, watch: Any, **__: object) -> None:
         begun.set()
         if asks:
-            watch.state(0.1, made)
+            watch.state(0.1, MOTION)
         source.woken.wait(60.0)
 
     monkeypatch.setattr(execution.run, "follow_plan", follow)
-    drive = partial(ideal_drive, tmp_path / "notes")
-    run = run_plan(plan, drive, source=source, follow=FollowOptions(), options=QUICK)
+    run = carry_out(source, follow=FollowOptions())
     source.woken.set()
     assert begun.is_set()
     assert run.stopped == message
-    assert bool(run.log.column("sent")[-1] < made.breaks[-1]) is asks
-    assert (tmp_path / "notes").read_text().split()[-2:] == ["off", "closed"]
+    assert bool(run.log.column("sent")[-1] < MOTION.breaks[-1]) is asks
+    assert notes() == SWITCHED_OFF
 
 
-def test_a_source_that_fails_in_any_way_stops_the_run_and_reports_why(tmp_path: Path) -> None:
-    plan = short_plan()
-    source = SeenRope(plan, seen=0.1, lost=lambda: int("nothing"))
-    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=QUICK)
-    assert "source of the rope's state failed: ValueError" in run.stopped
+def test_a_fault_in_the_middle_ends_the_run_and_reports_it(carry_out: CarryOut) -> None:
+    run = carry_out(SeenRope(PLAN), fault_after=450)
+    assert "over-temperature" in run.message
+    assert not run.success
+    assert run.log.rows.size
 
 
-class OtherRope(SeenRope):
-    """A source that knows no contact, and whose rope has a link less once the cast has begun."""
-
-    contact = False
-
-    def state(self, t: float, motion: Motion) -> RopeState:
-        found = super().state(t, motion)
-        return RopeState(found.t, found.q[1:], found.qd[1:]) if self.cast and t > 0.0 else found
-
-
-def test_a_source_of_another_rope_stops_the_run(tmp_path: Path) -> None:
-    plan = short_plan()
-    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=OtherRope(plan), options=QUICK)
-    assert run.stopped.startswith("q has the wrong shape: got (9,)")
+def test_an_off_that_is_not_confirmed_keeps_the_log(carry_out: CarryOut) -> None:
+    run = carry_out(SeenRope(PLAN), stuck=True)
+    assert "The drive did not confirm that its torque is off." in run.message
+    assert run.message.endswith("Cut its power.")
+    assert (run.success, run.status) == (False, "failed")
+    assert run.log.column("sent")[-1] > MOTION.breaks[-1]
+    assert run.recording is not None
 
 
-def test_the_motion_of_a_run_is_what_was_commanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = short_plan()
-    made = plan.required(plan.motion, "motion")
-
+def test_the_motion_of_a_run_is_what_was_commanded(carry_out: CarryOut, monkeypatch: pytest.MonkeyPatch) -> None:
     def change(*_: object, motor: MotionStream, **__: object) -> None:
-        motor.set_motion(made.shifted(0.3), 0.0)
+        motor.set_motion(MOTION.shifted(0.3), 0.0)
         raise EstimatorLost("gone")
 
     monkeypatch.setattr(execution.run, "follow_plan", change)
-    run = run_plan(
-        plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan), follow=FollowOptions(), options=QUICK
-    )
+    run = carry_out(SeenRope(PLAN), follow=FollowOptions())
     assert run.stopped == "gone"
-    assert run.motion == made.shifted(0.3)
+    assert run.motion == MOTION.shifted(0.3)
 
 
-def test_an_interrupt_while_the_run_is_checked_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = short_plan()
-    source = SeenRope(plan)
+def test_an_interrupt_while_the_run_is_checked_keeps_it(carry_out: CarryOut, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = SeenRope(PLAN)
     judge, calls = source.turns, list[int]()
 
     def interrupted(*given: Any) -> tuple[Array, Array]:
@@ -320,39 +311,22 @@ def test_an_interrupt_while_the_run_is_checked_keeps_it(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(source, "turns", interrupted)
     with pytest.raises(Interrupted) as stop:
-        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=QUICK)
+        carry_out(source)
     assert stop.value.partial.interrupted
     assert len(stop.value.partial.log.rows)
 
 
-def test_a_camera_that_never_finds_the_rope_moves_nothing(tmp_path: Path) -> None:
-    plan = short_plan()
-    with pytest.raises(EstimatorLost, match="No marker"):
-        run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=SeenRope(plan, seen=-1.0), options=QUICK)
-    assert (tmp_path / "notes").read_text().split() == ["open", "closed"]
-
-
-def test_the_arm_is_known_to_be_late_by_the_lag_and_the_rope_to_be_as_long_as_it_is_seen(tmp_path: Path) -> None:
-    plan = short_plan()
-    source = SeenRope(plan)
+def test_the_arm_is_known_to_be_late_by_the_lag_and_the_rope_to_be_as_long_as_it_is_seen(carry_out: CarryOut) -> None:
+    source = SeenRope(PLAN)
     source.rope = scaled_rope(ROPE, 1.05, 1.0, 1.0)  # as it is seen
-    options = replace(QUICK, lag=0.02)
-    run = run_plan(plan, partial(ideal_drive, tmp_path / "notes"), source=source, options=options)
+    run = carry_out(source, options=replace(QUICK, lag=0.02))
     places = run.cast_log().recording.data[0].reshape(-1, 2)  # of what is learned from
     assert places[-1] - places[0] == pytest.approx([0.0, -1.05 * ROPE.total_length], abs=1e-3)
-    motion = plan.required(plan.motion, "motion")
     assert source.told[0].angle(0.0) == pytest.approx(0.3)  # while it hangs from an arm without torque
-    assert source.told[-1] == motion.shifted(0.02)
+    assert source.told[-1] == MOTION.shifted(0.02)
 
 
-def test_without_a_source_and_a_torque_nobody_reports_that_it_wound(tmp_path: Path) -> None:
-    run = run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes"), options=QUICK)
+def test_without_a_source_and_a_torque_nobody_reports_that_it_wound(carry_out: CarryOut) -> None:
+    run = carry_out(None)
     assert not run.success
     assert run.summary()["wound"] in (None, False)
-
-
-def test_a_motion_beyond_the_drives_limits_moves_nothing(tmp_path: Path) -> None:
-    slow = hf.MotorLimits(speed=0.5)
-    with pytest.raises(InvalidInput, match=r"fast|speed|rate"):
-        run_plan(short_plan(), partial(ideal_drive, tmp_path / "notes", limits=slow), options=QUICK)
-    assert not (tmp_path / "notes").exists()

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,7 +33,6 @@ from tests.faults.interrupting import left_by
 
 ROOT = Path(__file__).parents[2]
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=5e-4)
-SEEDS = 2
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C cannot be sent to one process")
 
@@ -341,19 +339,6 @@ def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path):
     with atomic_path(tmp_path / "a.txt") as part:
         part.write_text("whole")
     assert sorted(path.name for path in tmp_path.iterdir()) == [*names[1:], "a.txt"]
-
-
-@pytest.mark.nightly
-def test_calls_and_commands_that_signals_end_at_random_times():
-    """Each ends undisturbed, with the same result, or interrupted, as the kept result states."""
-    calls, commands = ["simulate batch", "identify"], ["simulate", "identify"]
-    ask = ["--seeds", str(SEEDS), "--calls", *calls, "--commands", *commands]
-    words = [sys.executable, "-m", "tests.faults.interrupting", *ask]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
-    told = [line.partition("\t") for line in done.stdout.splitlines()]
-    assert Counter(name.removeprefix("hyperflex ") for name, *_ in told) == Counter(SEEDS * (calls + commands))
-    for name, _, content in told:
-        assert json.loads(content)["faults"] == [], name
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ ANGLES = {  # one link at T with TH, however it is written
     "a title of Tracker": "mass A\nt,th1\n0,0.5\n0.1,0.25\n0.2,0.125\n",
     "a title, tabs, last tab": "mass A\t\nt\tth1\t\n0\t0.5\t\n0.1\t0.25\t\n0.2\t0.125\t\n",
     "another name of the time": "Time,th1\n0,0.5\n0.1,0.25\n0.2,0.125\n",
+    "blank lines": "t,th1\n0,0.5\n\n0.1,0.25\n0.2,0.125\n\n",
     "comments between": "t,th1\n0,0.5\n# the lamp went out\n0.1,0.25\n0.2,0.125\n# end\n",
 }
 

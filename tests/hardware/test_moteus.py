@@ -2,9 +2,9 @@
 
 import asyncio
 import errno
-import fcntl
 import os
 import sys
+from unittest.mock import Mock
 
 import pytest
 
@@ -131,15 +131,10 @@ def test_the_limits_go_with_every_goal(rig, device):
         assert values[register.COMMAND_VELOCITY_LIMIT] == pytest.approx(6.0 / turn)
         assert values[register.COMMAND_ACCEL_LIMIT] == pytest.approx(24.0 / turn)
     assert seen[-1][register.COMMAND_POSITION] == pytest.approx(0.5 / turn)
-
-
-def test_without_a_limit_of_torque_the_controllers_own_holds(rig, device):
     link = opened(rig)
-    seen = []
-    device._command = lambda mode, values: seen.append(values)
     link.enable(MotorLimits())
     link.close()
-    assert link._vendor.Register.COMMAND_POSITION_MAX_TORQUE not in seen[-1]
+    assert register.COMMAND_POSITION_MAX_TORQUE not in seen[-1]  # the controller's own holds
 
 
 def test_a_controller_in_timeout_may_hold_with_torque_and_is_stopped_first(rig, device):
@@ -227,29 +222,12 @@ def refused(port, words, **options):
     assert "\n" not in str(error.value)
 
 
-def test_no_such_port():
+def test_a_port_that_cannot_be_opened(tmp_path, monkeypatch):
     refused("/dev/ttyNONE", r"^/dev/ttyNONE: there is no such port. Ports of this machine")
-
-
-def test_no_serial_port(tmp_path):
-    file = tmp_path / "port"
-    file.write_text("")
-    refused(file, "cannot be opened")
-
-
-def test_a_port_without_permission(monkeypatch):
-    monkeypatch.setattr(
-        "serial.serialposix.os.open", lambda *_: (_ for _ in ()).throw(PermissionError(errno.EACCES, ""))
-    )
+    (tmp_path / "port").write_text("")  # no serial port
+    refused(tmp_path / "port", "cannot be opened")
+    monkeypatch.setattr("serial.serialposix.os.open", Mock(side_effect=PermissionError(errno.EACCES, "")))
     refused("/dev/ttyACM0", "no permission.*dialout")
-
-
-def test_a_port_that_another_program_uses(rig):
-    other = os.open(rig.port, os.O_RDWR | os.O_NOCTTY)
-    fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    refused(rig.port, "another program uses the port")
-    os.close(other)
-    opened(rig).close()
 
 
 def test_two_drives_cannot_share_a_port(rig):
@@ -259,13 +237,10 @@ def test_two_drives_cannot_share_a_port(rig):
     link.close()
 
 
-def test_a_wrong_id(rig):
+def test_a_wrong_id_and_nobody_there(rig):
     refused(rig.port, r"moteus 5 on .* does not answer. Controllers on this port: 1\.", number=5)
-
-
-def test_nobody_there(device):
-    with Rig(device, baud=921_600) as rig:
-        refused(rig.port, r"does not answer. Check its power.*115200 baud", baud=115_200)
+    with Rig(MoteusDevice(Servo()), baud=921_600) as deaf:
+        refused(deaf.port, r"does not answer. Check its power.*115200 baud", baud=115_200)
 
 
 @pytest.mark.parametrize(

@@ -70,33 +70,6 @@ def test_the_adapter_speaks_slcan():
 # ---------------------------------------------------------------------- the link
 
 
-def test_it_moves_to_its_goal_and_reports_its_angle():
-    device = axis()
-    with Wire(device) as wire, link_to(wire) as link:
-        before = link.read()
-        assert (before.angle, before.enabled, before.fault) == (0.0, False, "")
-        link.send(Goal(0.5))  # its torque is off
-        assert device.plant.angle == 0.0
-        device.watchdog = 0.05  # shorter than promised, so that the trial passes on a busy machine
-        link.enable(LIMITS)
-        device.watchdog = 5.0
-        assert link.read().enabled
-        assert device.plant.angle == pytest.approx(0.0, abs=1e-6)
-        begun = time.monotonic()
-        sent = link.send(Goal(-0.5, -1.0, -0.1))
-        assert begun <= sent.sent <= sent.received <= time.monotonic()
-        assert device._goal.rate == pytest.approx(-1.0, abs=4e-3)  # a thousandth of a turn/s
-        assert device._goal.torque == pytest.approx(-0.1)
-        link.send(Goal(-0.5))
-        wait_for(lambda: abs(device.plant.angle + 0.5) < 1e-3 and abs(device.plant.rate) < 0.01)
-        state = link.read()
-        assert state.angle == pytest.approx(-0.5, abs=5e-3)
-        assert (state.voltage, round(state.temperature), abs(state.torque) < 0.1) == (24.0, 25, True)
-        link.disable()
-        wait_for(lambda: not link.read().enabled)
-        assert not device.plant.enabled
-
-
 def test_the_same_over_the_virtual_bus_of_python_can():
     device, end = axis(number=3, watchdog=0.05), threading.Event()
     device.plant.warm()
