@@ -5,8 +5,6 @@ import json
 import pytest
 from benchmarks import log
 
-from hyperflex.core.cache import SOURCE_HASH
-
 
 @pytest.mark.parametrize(
     ("tail", "kept"),
@@ -24,13 +22,3 @@ def test_half_a_line_is_cut_off_before_the_next(tmp_path, tail, kept):
     assert [row["n"] for row in log.read(path)] == kept
     log.append(path, {"n": 9})
     assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [*kept, 9]
-
-
-def test_rows_of_other_kernels_or_another_planner_are_reported(capsys):
-    rows = [{"kernels": SOURCE_HASH, "planner": log.planner()}, {"kernels": SOURCE_HASH}]
-    log.warn_of_others(rows)
-    assert capsys.readouterr().err == ""
-    log.warn_of_others(rows, planned=True)
-    assert capsys.readouterr().err == "1 of 2 reused rows were made with other planner: None\n"
-    log.warn_of_others([*rows, {"kernels": "0ld"}])
-    assert capsys.readouterr().err == "1 of 3 reused rows were made with other kernels: 0ld\n"

@@ -28,33 +28,50 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_dry_run_checks_the_plan_and_connects_nothing(hyperflex_json, plan, tmp_path):
-    code, result = hyperflex_json("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done", "--dry-run")
-    assert (code, result["dry_run"]) == (0, True)
-    assert not (tmp_path / "done").exists()
-
-
-def test_a_dry_run_tells_speed_torque_and_duration(hyperflex_json, plan, tmp_path):
-    _, result = hyperflex_json("run", plan, "--motor", "emulator:moteus", "-o", tmp_path / "done", "--dry-run")
+def test_a_dry_run_connects_nothing_and_tells_speed_torque_and_duration(hyperflex_json, plan, tmp_path):
+    how = "--motor", "moteus:/dev/none", "-o", tmp_path / "done", "--dry-run"
+    code, result = hyperflex_json("run", plan, *how)
+    assert (code, result["dry_run"], (tmp_path / "done").exists()) == (0, True, False)
     motion = planned().motion
     assert result["peak_speed"] == pytest.approx(planned().problem.limits.speed, rel=1e-3)
     assert (result["duration"], result["torque"]) == pytest.approx((motion.breaks[-1], planned().torque))
 
 
+DRY = "--dry-run", "--motor"
+EMULATED = (*DRY, "emulator:moteus")
+NONE = "--motor", "moteus:/dev/none"
+REAL = (*NONE, "--zero", "zero.toml")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("emulator:moteus?foo=1",), "foo"),
-        (("emulator:moteus", "--zero", "none.toml"), "none.toml"),
-        (("emulator:moteus", "--camera", "emulated", "--calibration", "none.toml"), "none.toml"),
-        (("emulator:moteus", "--camera", "emulated", "--arc-lengths", "x"), "--arc-lengths"),
-        (("emulator:moteus", "--camera", "emulated", "--arc-lengths", "0.2,9"), "not all on the rope"),
-        (("emulator:moteus", "--page", "99999"), "99999"),
-        (("emulator:moteus", "--click", "3,4"), "--click is of a camera"),
+        ((*DRY, "emulator:moteus?foo=1"), "foo"),
+        ((*EMULATED, "--zero", "none.toml"), "none.toml"),
+        ((*EMULATED, "--camera", "emulated", "--calibration", "none.toml"), "none.toml"),
+        ((*EMULATED, "--camera", "emulated", "--arc-lengths", "x"), "--arc-lengths"),
+        ((*EMULATED, "--camera", "emulated", "--arc-lengths", "0.2,9"), "not all on the rope"),
+        ((*EMULATED, "--page", "99999"), "99999"),
+        ((*EMULATED, "--click", "3,4"), "--click is of a camera"),
+        ((*EMULATED, "--torque", 0.1), "the plan's torque is beyond the limit"),
+        (NONE, "needs its zero"),
+        (("--motor", "emulator:moteus", "--camera", "0"), "does not see the rope of an emulated motor"),
+        ((*NONE, "--camera", "emulated"), "does not see the rope of a real motor"),
+        ((*NONE, "--camera", "0"), "no --calibration, --arc-lengths"),
+        (REAL, "a real motor moves with a limit of torque only"),
+        ((*REAL, "--motor", "moteus:/dev/none?watchdog=0.5"), "watchdog of a real motor is too long"),
+        ((*REAL, "--torque", 1, "--learn"), "which --learn must know"),
+        ((*REAL, "--torque", 1, "--follow"), "which --follow must know"),
+        ((*REAL, "--torque", 1, "--repeat", 2, "--yes"), "which --yes and --repeat must know"),
+        ((*REAL, "--learn", "--follow"), "a learned motion is not followed"),
+        ((*REAL, "--learn", "--repeat", 2), "--repeat 3 or more"),
     ],
 )
-def test_a_dry_run_refuses_what_the_run_refuses(refused, plan, tmp_path, options, message):
-    assert message in refused("run", plan, "-o", tmp_path / "done", "--dry-run", "--motor", *options)
+def test_what_cannot_run_is_refused_in_one_line(refused, plan, tmp_path, monkeypatch, options, message):
+    """A dry run refuses what the run refuses; what is dangerous on a real motor is not begun."""
+    monkeypatch.chdir(tmp_path)
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    assert message in refused("run", plan, "-o", tmp_path / "done", *options)
 
 
 @pytest.mark.parametrize(
@@ -72,40 +89,6 @@ def test_a_motor_that_is_not_there_is_one_line(hyperflex, plan, tmp_path, motor,
     code, out, err = hyperflex("run", plan, "--motor", motor, "-o", tmp_path / "done", *how)
     assert (code != 0, out) == (True, "")
     assert message in err.splitlines()[-1]
-
-
-def test_a_real_motor_needs_its_zero(refused, plan, tmp_path):
-    assert "needs its zero" in refused("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--motor", "emulator:moteus", "--camera", "0"), "does not see the rope of an emulated motor"),
-        (("--motor", "moteus:/dev/none", "--camera", "emulated"), "does not see the rope of a real motor"),
-        (("--motor", "moteus:/dev/none", "--camera", "0"), "no --calibration, --arc-lengths"),
-    ],
-)
-def test_a_camera_that_cannot_see_the_rope_is_one_line(refused, plan, tmp_path, options, message):
-    assert message in refused("run", plan, "-o", tmp_path / "done", *options)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ((), "a real motor moves with a limit of torque only"),
-        (("--motor", "moteus:/dev/none?watchdog=0.5"), "watchdog of a real motor is too long"),
-        (("--torque", 1, "--learn"), "which --learn must know"),
-        (("--torque", 1, "--follow"), "which --follow must know"),
-        (("--torque", 1, "--repeat", 2, "--yes"), "which --yes and --repeat must know"),
-        (("--learn", "--follow"), "a learned motion is not followed"),
-        (("--learn", "--repeat", 2), "--repeat 3 or more"),
-    ],
-)
-def test_what_is_dangerous_on_a_real_motor_is_one_line(refused, plan, tmp_path, options, message):
-    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
-    real = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml"
-    assert message in refused("run", plan, "-o", tmp_path / "done", *real, *options)
 
 
 @pytest.fixture
@@ -173,11 +156,6 @@ def test_who_does_not_press_enter_moves_nothing(hyperflex, plan, tmp_path, monke
     assert not (tmp_path / "done").exists()
 
 
-def test_a_limit_of_torque_below_the_plans_is_refused(refused, plan, tmp_path):
-    how = "--motor", "emulator:moteus", "--torque", 0.1, "--dry-run"
-    assert "the plan's torque is beyond the limit" in refused("run", plan, "-o", tmp_path / "done", *how)
-
-
 def test_limits_and_lag_of_a_run_are_the_drives(drive):
     of_drive = partial(import_module("hyperflex.cli.run")._of_drive, planned(), drive)
     limits, options = of_drive(0.7, {})
@@ -216,24 +194,9 @@ def test_ctrl_c_keeps_the_log_and_tells_of_the_torque(hyperflex_json, plan, tmp_
     monkeypatch.setattr(output, "note", say)
     monkeypatch.setattr(execution, "open_drive", partial(open_ideal, notes, stuck=stuck))
     DriveZero(0.0).to_toml(tmp_path / "zero.toml")
-    quick = (
-        "--wait",
-        0,
-        "--countdown",
-        0,
-        "--approach",
-        1,
-        "--calm",
-        0,
-        "--zero",
-        tmp_path / "zero.toml",
-        "--torque",
-        1,
-        "--yes",
-    )
-    code, result = hyperflex_json(
-        "run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done", "--zero", tmp_path / "zero.toml", *quick
-    )
+    quick = ["--wait", "0", "--countdown", "0", "--approach", "1", "--calm", "0", "--torque", "1", "--yes"]
+    how = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml", *quick
+    code, result = hyperflex_json("run", plan, "-o", tmp_path / "done", *how)
     assert (code, result["status"], result["success"]) == (130, "interrupted", False)
     assert message in result["message"]
     assert ("off" in notes.read_text().split()) is not stuck

@@ -107,20 +107,6 @@ Path.replace = full
 """
 
 
-@pytest.mark.parametrize("spoil", [lambda b: b[:-100], lambda b: b[:10], lambda _: b"", lambda b: b[:-1] + b"\0\0"])
-@pytest.mark.nightly
-def test_damaged_files_are_compiled_again(package, tmp_path, spoil):
-    root = tmp_path / "cache"
-    assert run(package, root) == ALL
-    for file in root.rglob("*.nbc"):
-        file.write_bytes(spoil(file.read_bytes()))
-    numbers, compiled, said = end(start(package, root))
-    assert (numbers, compiled) == ALL
-    assert len(said) == 1
-    assert "damaged" in said[0]
-    assert run(package, root) == NONE
-
-
 def test_a_bit_that_flipped_anywhere_is_noticed(package, tmp_path):
     root = tmp_path / "cache"
     assert run(package, root) == ALL
@@ -132,19 +118,6 @@ def test_a_bit_that_flipped_anywhere_is_noticed(package, tmp_path):
     numbers, compiled, said = end(start(package, root))
     assert (numbers, compiled) == ALL
     assert len(said) == 1
-
-
-@pytest.mark.nightly
-def test_files_that_are_missing_are_made_again_and_it_is_reported(package, tmp_path):
-    root = tmp_path / "cache"
-    assert run(package, root) == ALL
-    for file in root.rglob("*scaled-*.nbc"):
-        file.unlink()
-    process = start(package, root)
-    out, err = process.communicate()
-    assert "compiling kernels for this machine" in err
-    assert out.split() == ["7.0", "9.0", "6.0"]
-    assert run(package, root) == NONE
 
 
 READ_ONLY = """

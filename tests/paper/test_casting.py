@@ -64,17 +64,6 @@ def drawn(name):
     return PART.items[name].draw()
 
 
-def test_figures_show_every_reading_with_solid_success_and_dashed_failure():
-    for figure in (drawn("fig10"), drawn("fig11")):
-        panels = [axis for axis in figure.axes if axis.get_title("left")]
-        assert [axis.get_title("left") for axis in panels] == [reading.title for reading in READINGS]
-    lines = drawn("fig10").axes[0].get_lines()
-    assert {line.get_label().split()[0].strip(","): line.get_linestyle() for line in lines} == {
-        "success": "-",
-        "failure": "--",
-    }
-
-
 def test_figures_that_cut_spikes_off_say_where_and_how_high_they_are(every):
     greatest_r = max(each.spiral.r.max() for each in every)
     greatest_v = max(np.abs(each.spiral.scaled_velocity).max() for each in every)
