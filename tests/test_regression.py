@@ -185,22 +185,17 @@ def test_names_are_refused(names, message):
         hf.fit_regression(rough_rope(), *states(), names)
 
 
-def test_unknowns_that_act_alike_are_named():
+def test_what_the_samples_do_not_determine_is_refused():
+    """Unknowns that act alike, a common factor of all, and fewer samples than unknowns."""
     q, qd, qdd = states()
-    qd[:] = 0.0
-    with pytest.raises(InvalidInput, match=r"act alike.*friction:shared"):
-        hf.fit_regression(rough_rope(), q, qd, qdd).solve()
-
-
-def test_a_common_factor_is_not_guessed():
-    rope = rough_rope().replace(stiffness=np.zeros(N), dry_friction=np.zeros(N))
-    with pytest.raises(InvalidInput, match="common factor"):
-        hf.fit_regression(rope, *states(), ["p", "J", "friction"]).solve()
-
-
-def test_too_few_samples_are_refused():
-    with pytest.raises(InvalidInput, match="too few samples"):
-        hf.fit_regression(rough_rope(), *states(1), ["p[1]", "J", "friction"]).solve()
+    free = rough_rope().replace(stiffness=np.zeros(N), dry_friction=np.zeros(N))
+    for rope, given, names, message in (
+        (rough_rope(), (q, 0.0 * qd, qdd), (), r"act alike.*friction:shared"),
+        (free, (q, qd, qdd), (["p", "J", "friction"],), "common factor"),
+        (rough_rope(), states(1), (["p[1]", "J", "friction"],), "too few samples"),
+    ):
+        with pytest.raises(InvalidInput, match=message):
+            hf.fit_regression(rope, *given, *names).solve()
 
 
 def test_air_drag_is_the_virtual_work_of_the_wind_along_the_links():

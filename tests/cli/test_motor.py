@@ -66,18 +66,13 @@ def test_wrong_use_has_one_clear_line(hyperflex, words, told):
     assert told in err
 
 
-def test_dry_run_opens_nothing(hyperflex, tmp_path):
-    code, out, _ = hyperflex(
-        "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run", "--json"
-    )
-    assert code == 0
-    assert json.loads(out)["greatest_angle"] == pytest.approx(0.3)
-
-
-def test_the_strokes_are_small_unless_they_are_requested(hyperflex_json, tmp_path):
-    how = "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run", "--speed", 8
-    angles = [hyperflex_json(*how, *more)[1]["greatest_angle"] for more in ((), ("--stroke", 1.5))]
-    assert angles == pytest.approx([0.3, 1.5])
+def test_a_dry_run_opens_nothing_and_tells_strokes_which_are_small_unless_others_are_requested(
+    hyperflex_json, tmp_path
+):
+    how = "motor", "identify", "--motor", "moteus:/no", "-o", tmp_path / "d.toml", "--dry-run"
+    for more, angle in (((), 0.3), (("--speed", 8), 0.3), (("--speed", 8, "--stroke", 1.5), 1.5)):
+        code, told = hyperflex_json(*how, *more)
+        assert (code, told["greatest_angle"]) == (0, pytest.approx(angle))
 
 
 @pytest.mark.parametrize(("stroke", "deviation"), [(0.3, 0.18), (1.5, 0.9), (3.0, 0.9)])

@@ -30,6 +30,7 @@ CALL = ("simulate", "cast.toml", "-o", "cast.nc")
 def test_simulate_writes_the_run_and_sums_it_up(hyperflex, hyperflex_json, setup):
     code, out, err = hyperflex(*CALL)
     assert (code, "greatest torque" in out, "error" in err.lower()) == (0, True, False)
+    assert ("at rest" in out, "no duration" in err) == (False, False)
     np.testing.assert_array_equal(hf.read_trajectory("cast.nc").q, hf.simulate(setup).q)
     code, result = hyperflex_json(*CALL, "--duration", "0.5")
     want = {"end_s": 0.5, "links": 5, "output": "cast.nc", "tip_m": hf.read_trajectory("cast.nc").tip[-1].tolist()}
@@ -169,14 +170,8 @@ def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json,
     assert "does not touch it at the end" in said
 
 
-def test_the_default_duration_is_reported(hyperflex, setup):
+def test_a_rope_alone_hangs_at_rest_for_the_default_duration(hyperflex, setup):
     setup.rope.to_toml("rope.toml")
-    _, _, err = hyperflex("simulate", "rope.toml", "-o", "a.nc")
+    _, out, err = hyperflex("simulate", "rope.toml", "-o", "still.nc")
     assert "no duration is given, so 10 s are simulated" in err
-    assert "no duration" not in hyperflex(*CALL)[2]
-
-
-def test_a_set_up_in_which_nothing_moves_reports_it(hyperflex, setup):
-    assert "at rest" not in hyperflex(*CALL)[1]
-    setup.rope.to_toml("rope.toml")
-    assert "the rope hangs from a point at rest" in hyperflex("simulate", "rope.toml", "-o", "still.nc")[1]
+    assert "the rope hangs from a point at rest" in out

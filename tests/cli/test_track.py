@@ -141,31 +141,27 @@ def test_another_size_than_the_cameras(refused, folder, tmp_path, command):
     assert not (tmp_path / "out.nc").exists()
 
 
-@BOTH
-def test_the_colour_is_taken_where_there_is_one(hyperflex, folder, tmp_path, command):
+def test_the_colour_is_taken_where_there_is_one(hyperflex, folder, tmp_path):
     """The first frames are dark; a pixel of a marker is of a frame that is named by its time."""
     with VideoReader(folder / "swing.mp4") as bright, VideoWriter(tmp_path / "dark.mp4", (640, 480)) as video:
         for frame in bright:
             video.write(frame.image if frame.index >= 4 else np.zeros_like(frame.image), frame.time)
-    code, out, err = hyperflex(*words(command, tmp_path / "dark.mp4", folder, tmp_path / "out.nc", "--json"))
+    given = words("track", tmp_path / "dark.mp4", folder, tmp_path / "out.nc", "--json")
+    code, out, err = hyperflex(*given)
     assert (code, err) == (0, "")
-    assert json.loads(out if command == "track" else out.splitlines()[-1])["seen"] > 0.8
-    if command == "track":
-        u, v = facing().project(free_swing(0, 4.0).joints[round(0.317 * 600.0)])[-1]
-        clicked = words(command, tmp_path / "dark.mp4", folder, tmp_path / "out.nc", "--json", "--click", f"{u},{v}")
-        assert hyperflex(*clicked)[0] == 2
-        assert hyperflex(*clicked, "--at", "0.31")[0] == 0
+    assert json.loads(out)["seen"] > 0.8
+    u, v = facing().project(free_swing(0, 4.0).joints[round(0.317 * 600.0)])[-1]
+    clicked = [*given, "--click", f"{u},{v}"]
+    assert hyperflex(*clicked)[0] == 2
+    assert hyperflex(*clicked, "--at", "0.31")[0] == 0
 
 
-@BOTH
-def test_markers_of_two_colours_are_shown_by_a_pixel_of_each(hyperflex, folder, tmp_path, command):
+def test_markers_of_two_colours_are_shown_by_a_pixel_of_each(hyperflex_json, folder, tmp_path):
     colours = np.where(np.arange(len(ARCS))[:, None] % 2, (60.0, 165.0, 20.0), (40.0, 30.0, 205.0))
     pixels = film_swing(tmp_path / "two.mp4", marker_colours=colours)[0]
     clicks = [word for place in pixels[:2].tolist() for word in ("--click", "{:.0f},{:.0f}".format(*place))]
-    given = words(command, tmp_path / "two.mp4", folder, tmp_path / "out.nc", "--json", *clicks)
-    code, out, err = hyperflex(*given)
-    assert (code, err) == (0, "")
-    assert json.loads(out if command == "track" else out.splitlines()[-1])["seen"] > 0.95
+    code, told = hyperflex_json(*words("track", tmp_path / "two.mp4", folder, tmp_path / "out.nc", *clicks))
+    assert (code, told["seen"] > 0.95) == (0, True)
 
 
 @BOTH
@@ -254,8 +250,7 @@ def test_markers_out_of_view(hyperflex, folder, tmp_path):
     assert (np.array(off) < 3.5 * std).mean() > 0.95
 
 
-@BOTH
-def test_two_ropes(hyperflex, folder, tmp_path, command):
+def test_two_ropes(hyperflex, folder, tmp_path):
     """Another rope with the same markers hangs half a metre away: ours, which hangs from the origin, is tracked."""
     other = film_swing(tmp_path / "other.mp4", seed=3)
     with VideoReader(folder / "swing.mp4") as ours, VideoWriter(tmp_path / "two.mp4", (640, 480)) as both:
@@ -264,17 +259,9 @@ def test_two_ropes(hyperflex, folder, tmp_path, command):
             for u, v in places - [120.0, 0.0]:
                 cv2.circle(image, (round(u), round(v)), 4, (40, 30, 210), -1, cv2.LINE_AA)
             both.write(image, frame.time)
-    code, _, _ = hyperflex(*words(command, tmp_path / "two.mp4", folder, tmp_path / "out.nc", "--json"))
-    assert code == 0
-    swing = free_swing(0, 4.0)
-    if command == "track":
-        recording = hf.read_recording(tmp_path / "out.nc")
-        times, places = recording.t, recording.data.reshape(-1, 8, 2)
-    else:
-        kept = read_netcdf(tmp_path / "out.nc").variables
-        times, places = kept["t"].numbers("t"), kept["places"].numbers("places")
-    ends = np.linspace(0.0, 2.0, 101)
-    for t, row in zip(times, places, strict=True):
+    assert hyperflex(*words("watch", tmp_path / "two.mp4", folder, tmp_path / "out.nc", "--json"))[0] == 0
+    swing, kept, ends = free_swing(0, 4.0), read_netcdf(tmp_path / "out.nc").variables, np.linspace(0.0, 2.0, 101)
+    for t, row in zip(kept["t"].numbers("t"), kept["places"].numbers("places"), strict=True):
         joints = swing.joints[round(t * 600.0)]
         true = np.stack([np.interp(ARCS, ends, joints[:, c]) for c in (0, 1)], axis=1)
         off = np.linalg.norm(row - true, axis=1)

@@ -1,12 +1,9 @@
 """``hyperflex vibrate``: a posture, a plan, a motor that is too weak, and the picture."""
 
-import json
-
 import pytest
 from PIL import Image
 
 import hyperflex as hf
-from hyperflex.cli.app import run
 
 
 @pytest.fixture
@@ -15,22 +12,18 @@ def rod(tmp_path):
     return tmp_path / "rod.toml"
 
 
-def called(capsys, *arguments: object) -> tuple[int, dict]:
-    code = run(["vibrate", *map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out)
-
-
-def test_postures_of_a_vibration(rod, capsys):
+def test_postures_of_a_vibration(rod, hyperflex_json):
     how = ["--amplitude", 0.005, "--frequency", 110, "--direction", 2.4, "--arm-length", 0.1]
-    code, found = called(capsys, "--rope", rod, *how)
+    code, found = hyperflex_json("vibrate", "--rope", rod, *how)
     held = hf.vibration_posture(hf.Rope.from_toml(rod), 0.005, 110.0, 2.4, arm=hf.Arm(length=0.1))[0]
     assert code == 0
     assert found["postures"][0]["tilt_rad"] == pytest.approx(held.tilt, abs=1e-9)
     assert found["postures"][0]["stable"]
 
 
-def test_a_plan_names_what_the_motor_lacks_and_draws_the_map(rod, tmp_path, capsys):
-    code, found = called(capsys, "--rope", rod, "--tilt", 1.9, "--arm-length", 0.1, "-o", tmp_path / "map.png")
+def test_a_plan_names_what_the_motor_lacks_and_draws_the_map(rod, tmp_path, hyperflex_json):
+    how = "--tilt", 1.9, "--arm-length", 0.1, "-o", tmp_path / "map.png"
+    code, found = hyperflex_json("vibrate", "--rope", rod, *how)
     assert code == 4
     assert sorted(found["missing"]) == ["acceleration", "speed"]
     assert "the motor lacks" in found["message"]
@@ -39,19 +32,20 @@ def test_a_plan_names_what_the_motor_lacks_and_draws_the_map(rod, tmp_path, caps
         assert picture.size[0] > 600
 
 
-def test_it_must_be_said_what_to_hold(rod, capsys):
-    assert run(["vibrate", "--rope", str(rod)]) == 2
-    assert "Give --tilt" in capsys.readouterr().err
+LARGE = ("--amplitude", 0.05, "--frequency", 60, "--direction", 2.4)
 
 
-def test_what_would_be_ignored_is_refused(rod, capsys):
-    assert run(["vibrate", "--rope", str(rod), "--tilt", "1.9", "--amplitude", "0.01"]) == 2
-    assert "--amplitude" in capsys.readouterr().err
-    how = ["--amplitude", "0.05", "--frequency", "60", "--direction", "2.4"]
-    assert run(["vibrate", "--rope", str(rod), *how, "--stiffness", "1"]) == 2
-    assert "--stiffness" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ((), "Give --tilt"),
+        (("--tilt", 1.9, "--amplitude", 0.01), "--amplitude"),
+        ((*LARGE, "--stiffness", 1), "--stiffness"),
+    ],
+)
+def test_nothing_to_hold_and_what_would_be_ignored_are_refused(rod, refused, how, told):
+    assert told in refused("vibrate", "--rope", rod, *how)
 
 
-def test_the_map_of_a_large_vibration_ends_at_the_arm(rod, tmp_path):
-    how = ["--amplitude", "0.05", "--frequency", "60", "--direction", "2.4", "-o", str(tmp_path / "map.png")]
-    assert run(["vibrate", "--rope", str(rod), *how]) == 0
+def test_the_map_of_a_large_vibration_ends_at_the_arm(rod, hyperflex, tmp_path):
+    assert hyperflex("vibrate", "--rope", rod, *LARGE, "-o", tmp_path / "map.png")[0] == 0

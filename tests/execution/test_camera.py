@@ -122,10 +122,14 @@ def test_turns_are_unknown_where_most_markers_are_not_seen() -> None:
     assert all(math.isnan(each) for each in turns_of(np.zeros((0, 2))))
 
 
-def test_turns_of_pictures_are_those_of_a_rope_as_long_as_it_is_seen_to_be() -> None:
+def tracked(rope: hf.Rope, arcs: Array) -> TrackingTask:
+    """A rope with red markers on an arm of 0.1 m, in pictures of 64 x 48 pixels."""
     camera = Camera.facing((64, 48), pixels_per_metre=20.0, origin=(32.0, 10.0))
-    half = scaled_rope(ROPE, 0.5, 1.0, 1.0)
-    task = TrackingTask(half, 0.5 * ARCS, camera, [MarkerColour(np.array([40.0, 30.0, 210.0]))], hf.Arm(length=0.1))
+    return TrackingTask(rope, arcs, camera, [MarkerColour(np.array([40.0, 30.0, 210.0]))], hf.Arm(length=0.1))
+
+
+def test_turns_of_pictures_are_those_of_a_rope_as_long_as_it_is_seen_to_be() -> None:
+    task = tracked(scaled_rope(ROPE, 0.5, 1.0, 1.0), 0.5 * ARCS)
     source, (places, turns) = CameraRope(SharedFrames((64, 48)), task), wound(1)
     assert source.turns(np.zeros_like, PEG, 1, ROPE)[1].shape == (0, 2)
     tip = hf.Arm(length=0.1).tip(np.zeros(1))[0]
@@ -165,17 +169,12 @@ def test_the_newest_of_shared_frames_is_given() -> None:
 
 
 def test_frames_of_another_size_than_the_calibration_are_one_line() -> None:
-    camera = Camera.facing((64, 48), pixels_per_metre=20.0, origin=(32.0, 10.0))
-    task = TrackingTask(ROPE, ARCS, camera, [MarkerColour(np.array([40.0, 30.0, 210.0]))], hf.Arm())
     with pytest.raises(EstimatorLost, match=r"another size than the camera's calibration.*32x24"):
-        CameraRope(SharedFrames((32, 24)), task).__enter__()
+        CameraRope(SharedFrames((32, 24)), tracked(ROPE, ARCS)).__enter__()
 
 
 def test_the_clock_of_a_camera_can_be_set() -> None:
-    camera = Camera.facing((64, 48), pixels_per_metre=20.0, origin=(32.0, 10.0))
-    task = TrackingTask(ROPE, ARCS, camera, [MarkerColour(np.array([40.0, 30.0, 210.0]))], hf.Arm())
-    source = CameraRope(SharedFrames((64, 48)), replace(task))
+    source, other = (CameraRope(SharedFrames((64, 48)), tracked(ROPE, ARCS)) for _ in range(2))
     source.start_clock(1000.0)
-    other = CameraRope(SharedFrames((64, 48)), task)
     other.start_clock(1000.5)
     assert source.now - other.now == pytest.approx(0.5, abs=0.1)

@@ -9,18 +9,16 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.hardware import (
-    Drive,
     DriveFit,
     DriveModel,
     DriveRecord,
     DriveZero,
-    Goal,
     SimulatedMotor,
     identify_drive,
     plan_test_motion,
 )
 from hyperflex.planning import MotorLimits, Uncertainty
-from tests.hardware.twin import LIMITS, Truth, Twin, drawn, record_of
+from tests.hardware.twin import Truth, drawn, record_of
 
 
 @pytest.fixture(scope="module")
@@ -152,9 +150,6 @@ def test_a_file_gives_the_same_drive(fit, tmp_path):
         DriveFit.from_toml(tmp_path / "none.toml")
     with pytest.raises(InvalidInput, match="no record"):
         again.plot()
-
-
-def test_picture(fit):
     assert len(fit.plot().axes) == 3
 
 
@@ -179,11 +174,3 @@ def test_zero_file(tmp_path):
         DriveZero.from_toml(tmp_path / "other.toml")
     with pytest.raises(InvalidInput, match="direction"):
         DriveZero(0.0, 2)
-
-
-def test_goals_reach_the_link_in_raw_angles():
-    twin = Twin(Truth())
-    with Drive(twin, LIMITS, zero=0.01, direction=-1) as drive:
-        drive.enable()
-        drive.command(Goal(0.0))
-        assert twin._queue[-1][1] == pytest.approx(0.01)

@@ -27,13 +27,11 @@ def test_weight_of_the_papers_rope_on_its_arm():
     assert check_motor(STRONG, CABLE).holding_torque == pytest.approx(0.129, abs=5e-4)
 
 
-@pytest.mark.parametrize(("name", "possible"), [("XL430-W250", False), ("XC330-T181", False), ("xl330-m077", True)])
-def test_usual_servos_are_too_slow_or_too_weak_for_half_a_second(name, possible):
+@pytest.mark.parametrize(
+    ("name", "possible"), [("XL430-W250", False), ("XC330-T181", False), ("xl330-m077", True), ("mj5208", True)]
+)
+def test_usual_servos_are_too_slow_or_too_weak_for_half_a_second_and_a_direct_drive_is_not(name, possible):
     assert check_motor(find_motor(name), CABLE).success is possible
-
-
-def test_a_direct_drive_is_fast_enough():
-    assert check_motor(find_motor("mj5208"), CABLE).success
 
 
 def test_limits_are_those_of_a_half_turn_that_the_motor_can_make():

@@ -83,11 +83,19 @@ class Page:
             self.read()
 
 
-def post(server, body, **headers):
+def requested(server, way, path, body=None, **headers):
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
-    connection.request("POST", "/do", body, headers={"Host": f"127.0.0.1:{server.port}", **headers})
+    connection.request(way, path, body, headers={"Host": f"127.0.0.1:{server.port}", **headers})
     answer = connection.getresponse()
-    return answer.status, answer.read().decode()
+    return answer.status, answer.read().decode(), answer.headers
+
+
+def get(server, path="/", **headers):
+    return requested(server, "GET", path, **headers)
+
+
+def post(server, body, **headers):
+    return requested(server, "POST", "/do", body, **headers)[:2]
 
 
 @pytest.fixture
@@ -95,13 +103,6 @@ def page(server):
     with Page(server) as opened:
         opened.ask(button="hang")
         yield opened
-
-
-def get(server, path="/", **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
-    connection.request("GET", path, headers={"Host": f"127.0.0.1:{server.port}", **headers})
-    answer = connection.getresponse()
-    return answer.status, answer.read().decode(), answer.headers
 
 
 def test_the_page_needs_nothing_else_and_nobody_may_frame_it(server):
