@@ -1,4 +1,4 @@
-"""Calls that must be refused."""
+"""Calls that must fail with a message."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +8,12 @@ import pytest
 from hyperflex.errors import InvalidInput
 
 
+def fails(error: type[Exception], words: str, call: Callable[..., object], *given: Any, **named: Any) -> None:
+    """Call with these arguments, which must raise the error with a message that matches the words."""
+    with pytest.raises(error, match=words):
+        call(*given, **named)
+
+
 def refuses(words: str, call: Callable[..., object], *given: Any, **named: Any) -> None:
     """Call with these arguments, which must be refused by an InvalidInput that matches the words."""
-    with pytest.raises(InvalidInput, match=words):
-        call(*given, **named)
+    fails(InvalidInput, words, call, *given, **named)

@@ -8,6 +8,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
+from tests.refusals import fails, refuses
 
 NAN, INF = float("nan"), float("inf")
 Case = tuple[str, Callable[[], object], tuple[str, ...]]
@@ -120,15 +121,13 @@ def test_a_bad_argument_is_named_with_its_value(call, words):
 def test_motion_file_is_refused(tmp_path, text, word):
     """For other columns, too many, and a gap; other faults of tables are those of all readers."""
     (tmp_path / "arm.csv").write_text(text)
-    with pytest.raises(InvalidInput, match=word):
-        hf.read_motion(tmp_path / "arm.csv")
+    refuses(word, hf.read_motion, tmp_path / "arm.csv")
 
 
 @pytest.mark.parametrize("read", [hf.read_motion, hf.Setup.from_toml, hf.Rope.from_toml])
 def test_missing_file_is_named(tmp_path, read):
     path = tmp_path / "nowhere.x"
-    with pytest.raises(FileProblem, match=r"nowhere\.x"):
-        read(path)
+    fails(FileProblem, r"nowhere\.x", read, path)
 
 
 @pytest.mark.parametrize(
@@ -146,8 +145,7 @@ def test_missing_file_is_named(tmp_path, read):
     ],
 )
 def test_what_would_be_ignored_is_refused(call, words):
-    with pytest.raises(InvalidInput, match=words):
-        call()
+    refuses(words, call)
 
 
 def test_a_stepper_begins_where_the_motion_of_its_setup_does():

@@ -10,9 +10,9 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.batch import rollouts as core
-from hyperflex.errors import InvalidInput
 from hyperflex.simulation import batch as simulation_batch
 from tests.faults.interrupting import left_by
+from tests.refusals import refuses
 
 ARM = hf.Arm(length=0.1)
 
@@ -196,8 +196,7 @@ def test_ctrl_c_keeps_finished_members(monkeypatch):
 def test_bad_input(change, words):
     ropes, motions = family(2)
     arguments: dict[str, object] = {"ropes": ropes, "motions": motions, "arm": ARM, "duration": 0.3} | change
-    with pytest.raises(InvalidInput, match=words):
-        hf.simulate_batch(**arguments)
+    refuses(words, hf.simulate_batch, **arguments)
 
 
 def test_a_batch_can_be_copied_and_sent():

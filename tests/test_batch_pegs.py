@@ -11,9 +11,9 @@ import pytest
 import hyperflex as hf
 import hyperflex.budget
 from hyperflex.budget import Budget
-from hyperflex.errors import InvalidInput
 from hyperflex.simulation.batch import run_blocks
 from hyperflex.winding import turns
+from tests.refusals import refuses
 
 ARM = hf.Arm(length=0.105)
 PEGS = [[hf.Peg(x, -0.5, 0.04, 0.3)] for x in (0.25, 0.3, 0.35)]
@@ -68,8 +68,7 @@ def test_members_are_runs_of_their_own():
 )
 def test_what_does_not_fit_is_refused(what, words):
     ropes, motions = family()
-    with pytest.raises(InvalidInput, match=words):
-        hf.simulate_batch(ropes, motions, **{**HOW, **what})
+    refuses(words, hf.simulate_batch, ropes, motions, **{**HOW, **what})
 
 
 def test_a_member_that_takes_too_long_has_failed():
@@ -83,8 +82,7 @@ def test_a_member_that_takes_too_long_has_failed():
     assert alone.status == batch.status
     assert np.isnan(alone.tip).all()
     assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"success"}
-    with pytest.raises(InvalidInput, match="time_budget has the wrong sign"):
-        hf.simulate_batch(ropes, motions, time_budget=-1.0, **how)
+    refuses("time_budget has the wrong sign", hf.simulate_batch, ropes, motions, time_budget=-1.0, **how)
 
 
 @pytest.mark.parametrize("threads", [1, 2])

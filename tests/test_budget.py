@@ -6,7 +6,7 @@ import pytest
 
 import hyperflex.budget
 from hyperflex.budget import Budget, OutOfTime
-from hyperflex.errors import InvalidInput
+from tests.refusals import refuses
 
 
 class Clock:
@@ -61,8 +61,7 @@ def test_compiling_does_not_count(monkeypatch):
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, math.nan, "soon"])
 def test_seconds_are_checked(wrong):
-    with pytest.raises(InvalidInput, match="time_budget"):
-        Budget.of(wrong)
+    refuses("time_budget", Budget.of, wrong)
 
 
 def test_what_remains_of_a_budget_that_is_given_has_threads_of_its_own():

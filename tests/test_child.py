@@ -12,6 +12,7 @@ import pytest
 
 from hyperflex.child import Child, Records, run_in_real_time, serve
 from hyperflex.errors import DriveError, InvalidInput
+from tests.refusals import fails, refuses
 
 
 def work(link: Connection, records: Records) -> None:
@@ -55,8 +56,7 @@ def test_a_child_answers_writes_and_ends_by_itself(child: Child, records: Record
     child.link.send((0, "end"))
     assert child.end(20.0) is None
     assert child.code == child.stop() == 0
-    with pytest.raises(InvalidInput, match="the worker does not run"):
-        child.ask("double", 1)
+    refuses("the worker does not run", child.ask, "double", 1)
     assert child.start() == "ready"  # once more
     assert child.ask("double", 1) == 2
 
@@ -66,8 +66,7 @@ def test_an_error_of_a_child_is_raised_in_the_parent(child: Child) -> None:
     with ThreadPoolExecutor(1) as pool, pytest.raises(InvalidInput, match="the load is too large: got 3"):
         pool.submit(child.ask, "fail").result(20.0)
     for ask in (lambda: child.ask("double", 1), child.raise_if_ended):
-        with pytest.raises(InvalidInput, match="the load is too large: got 3"):
-            ask()
+        refuses("the load is too large: got 3", ask)
 
 
 def test_the_error_that_a_child_has_left_is_returned_at_its_end(child: Child) -> None:
@@ -81,11 +80,9 @@ def test_a_late_answer_is_dropped(child: Child) -> None:
 
 
 def test_a_child_that_hangs_or_is_killed_is_noticed_and_ended(child: Child) -> None:
-    with pytest.raises(DriveError, match="The worker has not answered"):
-        child.ask("hang", patience=0.1)
+    fails(DriveError, "The worker has not answered", child.ask, "hang", patience=0.1)
     assert child.stop() == -signal.SIGTERM
-    with pytest.raises(DriveError, match="The worker ended by signal 15"):
-        child.raise_if_ended()
+    fails(DriveError, "The worker ended by signal 15", child.raise_if_ended)
     child.end()
     child.start()
     with ThreadPoolExecutor(1) as pool:
@@ -93,10 +90,8 @@ def test_a_child_that_hangs_or_is_killed_is_noticed_and_ended(child: Child) -> N
         time.sleep(0.1)
         child.raise_if_ended()  # does not wait for the other thread
         os.kill(child.pid, signal.SIGKILL)
-        with pytest.raises(DriveError, match="The worker ended by signal 9"):
-            asking.result(20.0)
+        fails(DriveError, "The worker ended by signal 9", asking.result, 20.0)
 
 
 def test_a_child_that_ends_before_it_is_ready_is_one_line() -> None:
-    with pytest.raises(DriveError, match=r"^The worker ended with code 5\.$"):
-        Child("The worker", DriveError, die).start()
+    fails(DriveError, r"^The worker ended with code 5\.$", Child("The worker", DriveError, die).start)

@@ -13,6 +13,7 @@ import hyperflex as hf
 from hyperflex.envs import CrossingPolicy, score_policy
 from hyperflex.errors import InvalidInput, WorkerLost
 from hyperflex.executor import refuse_lost, run_chunks
+from tests.refusals import refuses
 from tests.workers import DiesOnce, fails, squares
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=1e-4)
@@ -51,8 +52,7 @@ def test_errors_of_the_work_are_raised():
 
 
 def test_what_cannot_be_sent_to_processes_is_refused_with_the_reason(two):
-    with pytest.raises(InvalidInput, match=r"cannot be given the work.*lambda"):
-        results(partial(squares, on_plan=lambda _: True), 4, two, 2)
+    refuses(r"cannot be given the work.*lambda", results, partial(squares, on_plan=lambda _: True), 4, two, 2)
     targets = [hf.Peg(2.5, 0.0, 0.03)]
     with pytest.raises(InvalidInput, match="defined at the top of a module"):
         hf.plan_cast(ROPE, hf.Arm(length=0.1), targets, options=hf.SearchOptions(executor=two), on_plan=lambda _: True)
@@ -132,8 +132,7 @@ def test_scores_are_the_same(two):
 
 def test_what_is_no_executor_is_refused():
     for wrong in ({"executor": 4}, {"chunk_size": 0}):
-        with pytest.raises(InvalidInput, match=next(iter(wrong))):
-            hf.simulate_batch(ROPE, arm=hf.Arm(), duration=0.1, **wrong)
+        refuses(next(iter(wrong)), hf.simulate_batch, ROPE, arm=hf.Arm(), duration=0.1, **wrong)
 
 
 @pytest.mark.nightly

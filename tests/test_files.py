@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
-from tests.refusals import refuses
+from tests.refusals import fails, refuses
 
 
 def listing(folder: Path) -> set[str]:
@@ -66,13 +66,10 @@ def test_permissions_and_links_stay(tmp_path):
 
 
 def test_targets_that_cannot_be_written_are_named(tmp_path):
-    with pytest.raises(FileProblem, match="is a folder"):
-        files.write_text(tmp_path, "")
-    with pytest.raises(FileProblem, match=r"does not exist\. Create it"):
-        files.write_text(tmp_path / "no" / "out.txt", "")
+    fails(FileProblem, "is a folder", files.write_text, tmp_path, "")
+    fails(FileProblem, r"does not exist\. Create it", files.write_text, tmp_path / "no" / "out.txt", "")
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(FileProblem, match="device or pipe"):
-        files.write_text(tmp_path / "pipe", "")
+    fails(FileProblem, "device or pipe", files.write_text, tmp_path / "pipe", "")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 
 
@@ -81,8 +78,7 @@ def test_reasons_that_name_the_temporary_file_name_the_users(tmp_path):
         with files.atomic_path(tmp_path / "out.nc") as part:
             raise OSError(f"cannot lock {part.name}")  # as HDF5 puts it
 
-    with pytest.raises(FileProblem, match=r"written: cannot lock out\.nc\. Nothing was"):
-        lock()
+    fails(FileProblem, r"written: cannot lock out\.nc\. Nothing was", lock)
 
 
 def test_another_file_missing_within_the_block_is_named(tmp_path):
@@ -169,8 +165,7 @@ def test_a_number_cut_off_anywhere_is_refused(tmp_path, cells, last):
 
 def test_a_long_number_cut_off_in_a_column_of_shortest_forms_is_refused(tmp_path):
     text, last = "t,th1\n" + "".join(f"{k},{math.sin(k)!r}\n" for k in range(200)), f"200,{math.sin(200)!r}"
-    with pytest.raises(InvalidInput, match=r"line 202.*add a line feed if it is whole"):
-        numbers(table(tmp_path, text + last[:12]))
+    refuses(r"line 202.*add a line feed if it is whole", numbers, table(tmp_path, text + last[:12]))
     assert numbers(table(tmp_path, text + last))[-1, 1] == math.sin(200)
 
 

@@ -24,6 +24,7 @@ from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from tests.faults.interrupting import left_by
+from tests.refusals import fails, refuses
 
 NOISE = 2e-3  # rad
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -530,8 +531,7 @@ def test_bad_input_is_refused_with_advice(change, match):
     arguments: dict[str, Any] = {"recording": RECORDING, "rope_guess": PENDULUM, "free": ["friction"]} | change
     of_fit = {name: arguments.pop(name) for name in ("window", "train", "lead") if name in arguments}
     of_setup = {name: arguments.pop(name) for name in ("motion", "arm", "arc_lengths", "origin") if name in arguments}
-    with pytest.raises(InvalidInput, match=match):
-        identify(**arguments, setup=RecordingSetup(**of_setup), options=FitOptions(**of_fit))
+    refuses(match, identify, **arguments, setup=RecordingSetup(**of_setup), options=FitOptions(**of_fit))
 
 
 def test_markers_in_another_unit_are_noticed():
@@ -543,8 +543,7 @@ def test_markers_in_another_unit_are_noticed():
 
 def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch):
     monkeypatch.setattr(Plant, "predict", lambda *_, **__: None)
-    with pytest.raises(IdentificationError, match="Not one window"):
-        identify(RECORDING, PENDULUM, ["friction"])
+    fails(IdentificationError, "Not one window", identify, RECORDING, PENDULUM, ["friction"])
 
 
 # ---- progress and interruption

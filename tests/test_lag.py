@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hyperflex.errors import InvalidInput
 from hyperflex.motion import arm_moves, arm_swings, lagged, torque_profile
+from tests.refusals import refuses
 
 # Short and long rests, one shorter than the lag; bang-bang and with a way at full speed.
 MOTION = arm_moves([-1.5, 1.5, 0.0, 0.3], [0.2, 0.004, 0.3], [0.7, 0.4, 0.2], [0.5, 0.3, 0.5])
@@ -48,7 +48,5 @@ def test_it_joins_smoothly_and_comes_to_rest_where_it_was_asked_to():
 
 
 def test_what_repeats_or_gives_a_torque_is_refused():
-    with pytest.raises(InvalidInput, match="only the arm's angle lags"):
-        lagged(arm_swings(), 0.01)
-    with pytest.raises(InvalidInput, match="only the arm's angle lags"):
-        lagged(torque_profile([0.0, 1.0], [0.0, 1.0]), 0.01)
+    refuses("only the arm's angle lags", lagged, arm_swings(), 0.01)
+    refuses("only the arm's angle lags", lagged, torque_profile([0.0, 1.0], [0.0, 1.0]), 0.01)

@@ -9,6 +9,7 @@ import hyperflex as hf
 from hyperflex import checks, errors
 from hyperflex.errors import InvalidInput, located
 from hyperflex.status import Status
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=2, radius=0.002, friction=1e-3)
 
@@ -22,8 +23,7 @@ def test_a_message_is_joined_of_its_parts():
     with pytest.raises(InvalidInput, match=r"^rope\.toml: two: got 1\. Allowed: one\.$"), located("rope.toml"):
         raise InvalidInput("two", got=1, allowed="one")
     assert str(InvalidInput("two", allowed="x0, y0, ..")) == "two. Allowed: x0, y0, .."
-    with pytest.raises(InvalidInput, match="Perhaps 'tol' is meant"):
-        checks.keys("a set-up", ["tolerance"], ["tol", "torque"])
+    refuses("Perhaps 'tol' is meant", checks.keys, "a set-up", ["tolerance"], ["tol", "torque"])
     long = str(InvalidInput("name " * 9000, got="a" * 9000, allowed="b" * 9000, fix="c" * 9000 + " and look"))
     assert len(long) < 2000
     assert long.endswith("c and look.")
@@ -48,8 +48,7 @@ def test_a_message_is_joined_of_its_parts():
     ],
 )
 def test_the_error_for_a_wrong_type_states_how_to_make_the_right_one(call, advice):
-    with pytest.raises(InvalidInput, match=advice):
-        call()
+    refuses(advice, call)
 
 
 def test_what_is_plainly_meant_is_taken():

@@ -10,7 +10,7 @@ from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import arm_swings
 from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory, read_trajectory
-from tests.refusals import refuses
+from tests.refusals import fails, refuses
 
 SAMPLES, LINKS = 7, 3
 LENGTH = np.array([0.3, 0.2, 0.5])
@@ -113,14 +113,12 @@ def test_netcdf_keeps_every_bit(tmp_path):
 
 def test_missing_empty_and_truncated_files_are_named(tmp_path):
     path = tmp_path / "run.nc"
-    with pytest.raises(FileProblem, match=r"no NetCDF-4 file .*run\.nc"):
-        read_trajectory(path)
+    fails(FileProblem, r"no NetCDF-4 file .*run\.nc", read_trajectory, path)
     made_up().to_netcdf(path)
     whole = path.read_bytes()
     for size in (0, 100, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:size])
-        with pytest.raises(FileProblem, match=r"cut off|empty|no NetCDF-4"):
-            read_trajectory(path)
+        fails(FileProblem, r"cut off|empty|no NetCDF-4", read_trajectory, path)
     path.write_text("t,th1\n0,0\n")
     refuses("no NetCDF-4", read_trajectory, path)
 

@@ -10,7 +10,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.cli import output
 from hyperflex.cli.app import run
-from hyperflex.errors import InvalidInput
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=0.9, mass=0.05, n_links=10, friction=0.0)
 SLIPS: list[tuple[Callable[[], object], str]] = [
@@ -53,8 +53,7 @@ def test_real_large_ropes_and_arms_pass():
 
 def test_limits_of_the_motor_belong_to_its_limits():
     for plan, name in ((hf.plan_cast, "torque"), (hf.plan_whip, "speed"), (hf.plan_insert, "acceleration")):
-        with pytest.raises(InvalidInput, match=rf"{name}.* belongs to limits=MotorLimits\(\.\.\.\)"):
-            plan(ROPE, hf.Arm(), None, **{name: 2.0})
+        refuses(rf"{name}.* belongs to limits=MotorLimits\(\.\.\.\)", plan, ROPE, hf.Arm(), None, **{name: 2.0})
 
 
 def test_a_run_continues_from_many_turns():

@@ -13,6 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.hardware import Drive, DriveZero
 from tests.hardware.fake import FakeLink
 from tests.planning.known import planned
+from tests.refusals import refuses
 
 
 @pytest.fixture
@@ -125,10 +126,8 @@ def test_run_and_identify_emulate_the_same_motor(monkeypatch):
 
     for module in ("hyperflex.hardware", "hyperflex.execution.emulated"):
         monkeypatch.setattr(f"{module}.Emulator", emulator)
-    with pytest.raises(InvalidInput, match="seen"):
-        execution.emulator_of(planned(), "emulator:moteus")
-    with pytest.raises(InvalidInput, match="seen"):
-        motor._drive("emulator:moteus", hf.MotorLimits(), None).__enter__()
+    refuses("seen", execution.emulator_of, planned(), "emulator:moteus")
+    refuses("seen", motor._drive("emulator:moteus", hf.MotorLimits(), None).__enter__)
     assert made[0] == made[1]
     assert made[0][0].extrapolates
 

@@ -41,6 +41,7 @@ from hyperflex.vision import (
     srgb_tone,
 )
 from tests.estimate.runs import free_swing
+from tests.refusals import refuses
 from tests.vision.test_video import TURNED, UPRIGHT
 
 CAMERA = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.002)
@@ -186,8 +187,7 @@ def test_a_known_rope_and_camera_replace_answers(refused, hanging):
     assert (found.camera.readout, found.camera.exposure) == (0.003, 0.002)
     assert not found.by_rope
     replace(CAMERA.adjusted(scale=0.8)).write("camera.toml")
-    with pytest.raises(InvalidInput, match="--camera contradicts the rope's length"):
-        Plain().scene(first_image, hanging / "phone.mp4", **known)
+    refuses("--camera contradicts the rope's length", Plain().scene, first_image, hanging / "phone.mp4", **known)
     replace(CAMERA, image_size=(1280, 960)).write("camera.toml")
     with pytest.raises(InvalidInput, match=r"another size than the camera's: got '640x480'\. Allowed: 1280x960"):
         Plain().scene(first_image, hanging / "phone.mp4", **known)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from hyperflex.control.spiral_coordinates import driving_constant, phase_portrait, pseudo_energy, spiral
 from hyperflex.errors import InvalidInput
+from tests.refusals import refuses
 
 
 @given(st.floats(0.05, 5.0), st.floats(0.01, 3.0), st.floats(-3.0, 3.0))
@@ -71,8 +72,7 @@ def test_a_portrait_without_arm_motion_is_all_rest():
     ],
 )
 def test_bad_input_is_named(change, message):
-    with pytest.raises(InvalidInput, match=message):
-        spiral(**{"t": [0.0, 1.0], "x": [0.0, 0.1], "velocity": [0.0, 0.1], "c": 0.4, **change})
+    refuses(message, spiral, **{"t": [0.0, 1.0], "x": [0.0, 0.1], "velocity": [0.0, 0.1], "c": 0.4, **change})
 
 
 def test_overlapping_intervals_are_refused():

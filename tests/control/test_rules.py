@@ -17,6 +17,7 @@ from hyperflex.control import (
 )
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3)
 ARM = hf.Arm(length=0.08)
@@ -120,9 +121,7 @@ def test_looking_again_within_a_rest_does_not_start_it_again(planned, monkeypatc
 
 
 def test_bad_input():
-    with pytest.raises(InvalidInput, match="target"):
-        PumpingRule(MODEL, 0.0)
+    refuses("target", PumpingRule, MODEL, 0.0)
     with pytest.raises(InvalidInput, match="no weight"):
         _ = SwingModel(ROPE.replace(gravity=(0.0, 0.0)), ARM).period
-    with pytest.raises(InvalidInput, match="lead"):
-        CrossingRule(MODEL, math.nan)
+    refuses("lead", CrossingRule, MODEL, math.nan)

@@ -5,7 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.control import SimulatedCamera, TrueState
-from hyperflex.errors import InvalidInput
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3)
 ARM = hf.Arm(length=0.1)
@@ -31,8 +31,7 @@ def test_the_truth_is_the_simulation_though_it_is_required_in_pieces():
 def test_the_truth_does_not_go_back():
     source = TrueState(ROPE, ARM)
     source.state(0.5, MOTION)
-    with pytest.raises(InvalidInput, match="goes back"):
-        source.state(0.4, MOTION)
+    refuses("goes back", source.state, 0.4, MOTION)
 
 
 def test_a_camera_without_noise_and_with_the_right_model_bridges_its_delay():
@@ -67,8 +66,7 @@ def test_before_the_first_frame_the_rope_hangs():
 
 def test_another_number_of_links_is_refused():
     finer = hf.Rope.uniform(length=1.0, mass=0.1, n_links=7, radius=0.003, friction=0.0)
-    with pytest.raises(InvalidInput, match="links"):
-        camera(rope=finer).state(1.0, MOTION)
+    refuses("links", camera(rope=finer).state, 1.0, MOTION)
 
 
 def test_times_that_do_not_add_up_to_the_last_digit_are_no_error():

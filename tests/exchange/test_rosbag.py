@@ -9,7 +9,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import FileProblem
 from tests.exchange import bags
-from tests.refusals import refuses
+from tests.refusals import fails, refuses
 
 START = 1_700_000_000_123_456_789  # ns
 STAMPS = START + np.cumsum(np.random.default_rng(1).integers(10**6, 10**7, 9))  # too few for rates to be tested
@@ -64,8 +64,6 @@ def test_an_incomplete_bag_is_refused(tmp_path):
     bag = bags.write(tmp_path / "bag", {"/joint_states": (bags.JOINT_STATE, [])})
     refuses("has no messages", hf.read_recording, bag)
     next(bag.glob("*.db3")).unlink()
-    with pytest.raises(FileProblem, match="incomplete"):
-        hf.read_recording(bag)
+    fails(FileProblem, "incomplete", hf.read_recording, bag)
     (bag / "metadata.yaml").unlink()
-    with pytest.raises(FileProblem, match="is a folder"):
-        hf.read_recording(bag)
+    fails(FileProblem, "is a folder", hf.read_recording, bag)

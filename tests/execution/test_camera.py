@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.errors import EstimatorLost, InvalidInput
+from hyperflex.errors import EstimatorLost
 from hyperflex.estimate import TrackingTask
 from hyperflex.execution import CameraRope, EmulatedCamera
 from hyperflex.execution.camera import SharedFrames, wound_turns
@@ -18,6 +18,7 @@ from hyperflex.hardware.emulate import MoteusDevice
 from hyperflex.planning import scaled_rope
 from hyperflex.vision import Camera, MarkerColour
 from tests.execution.test_run import short_plan
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.05, n_links=20, radius=0.0025, friction=1e-3)
 ARCS = np.arange(1, 11) / 10.0
@@ -142,8 +143,7 @@ def test_turns_of_pictures_are_those_of_a_rope_as_long_as_it_is_seen_to_be() -> 
 def test_an_emulated_camera_before_an_emulator_that_does_not_run_is_one_line() -> None:
     plan = short_plan()
     emulator = Emulator(MoteusDevice, MotorModel(), plan.problem.rope)
-    with pytest.raises(InvalidInput, match="the emulator does not run"):
-        EmulatedCamera(plan, emulator, plan.problem.rope).__enter__()
+    refuses("the emulator does not run", EmulatedCamera(plan, emulator, plan.problem.rope).__enter__)
 
 
 def test_the_newest_of_shared_frames_is_given() -> None:

@@ -8,13 +8,13 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli.run import _refuse
-from hyperflex.errors import InvalidInput
 from hyperflex.execution import CastRun, StreamLog
 from hyperflex.execution.cast_run import Prediction
 from hyperflex.execution.run import _compare_weight
 from hyperflex.execution.stream import FIELDS
 from hyperflex.files import read_netcdf
 from tests.execution.test_run import short_plan
+from tests.refusals import refuses
 
 PLAN = short_plan()
 MOTION = PLAN.required(PLAN.motion, "motion")
@@ -106,5 +106,4 @@ def test_an_arm_of_another_length_is_refused_where_nobody_can_judge():
     longer = replace(PLAN.problem, arm=hf.Arm(length=0.3))
     log = run(0.0, held=float(longer.arm.weight_torque(longer.rope, MOTION.angle(0.0)))).log
     before = replace(log, rows=log.rows[log.column("sent") < 0.0])
-    with pytest.raises(InvalidInput, match="Check zero, rope and arm"):
-        _compare_weight(before, PLAN.problem, _refuse)
+    refuses("Check zero, rope and arm", _compare_weight, before, PLAN.problem, _refuse)

@@ -17,6 +17,7 @@ from hyperflex.planning import CastPlan, Moves, Problem, check_feasibility, scal
 from hyperflex.recording import Recording
 from hyperflex.sensors import Markers
 from hyperflex.status import Status
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=0.8, mass=0.05, n_links=8, radius=0.003, friction=2e-4, drag=4e-3)
 PROBLEM = Problem(ROPE, hf.Arm(length=0.1), hf.MotorLimits())
@@ -201,16 +202,13 @@ def test_bad_input_is_refused():
     log = Twin()(PLAN)
     with pytest.raises(InvalidInput, match="plan"):
         learn_cast("cast.toml", Twin())  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="do not strike"):
-        learn_cast(replace(PLAN, moves=Moves(-1, np.array([-1.0]), np.array([0.1]))), Twin())
+    refuses("do not strike", learn_cast, replace(PLAN, moves=Moves(-1, np.array([-1.0]), np.array([0.1]))), Twin())
     with pytest.raises(InvalidInput, match="carry_out"):
         learn_cast(PLAN, lambda plan: None)  # type: ignore[arg-type, return-value]
-    with pytest.raises(InvalidInput, match="arc_lengths"):
-        CastLog(log.recording, [0.1])
+    refuses("arc_lengths", CastLog, log.recording, [0.1])
     with pytest.raises(InvalidInput, match="prior"):
         LearningOptions(prior=0.2)  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="other links"):
-        learn_cast(PLAN, lambda plan: CastLog(log.recording))
+    refuses("other links", learn_cast, PLAN, lambda plan: CastLog(log.recording))
 
 
 def test_the_figure_shows_each_way():

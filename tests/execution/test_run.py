@@ -26,6 +26,7 @@ from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, FollowOptions, Moves, WindCriteria, check_feasibility, scaled_rope
 from tests.execution.ideal_link import ideal_drive
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=0.8, mass=0.05, n_links=10, radius=0.0025, friction=1e-3)
 QUICK = RunOptions(wait=0.1, countdown=0.0, approach=1.0, calm=0.0)
@@ -157,8 +158,7 @@ def test_what_is_not_cast(carry_out: CarryOut, notes, rope, link, message: str, 
 
 
 def test_a_motion_beyond_the_drives_limits_moves_nothing(carry_out: CarryOut, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match=r"fast|speed|rate"):
-        carry_out(None, limits=hf.MotorLimits(speed=0.5))
+    refuses(r"fast|speed|rate", carry_out, None, limits=hf.MotorLimits(speed=0.5))
     assert not (tmp_path / "notes").exists()
 
 
@@ -173,8 +173,7 @@ def test_the_user_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(
         said.extend(notes())
         raise InvalidInput("no")
 
-    with pytest.raises(InvalidInput, match="no"):
-        carry_out(None, say=said.append, ready=ask)
+    refuses("no", carry_out, None, say=said.append, ready=ask)
     assert "without torque the arm is at 0.30" in said[-2]
     assert said[-1] == "open"
 

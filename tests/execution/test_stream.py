@@ -19,6 +19,7 @@ from hyperflex.execution.stream import MotionStream
 from hyperflex.hardware import Drive, Goal
 from hyperflex.motion import hold_arm, move_arm
 from tests.execution.ideal_link import IdealLink, ideal_drive
+from tests.refusals import fails, refuses
 
 
 def lines(notes: Path) -> list[str]:
@@ -69,18 +70,15 @@ def test_a_motion_that_replaces_another_begins_at_its_time(tmp_path: Path) -> No
 def test_a_fault_switches_the_torque_off_and_is_raised(tmp_path: Path) -> None:
     with MotionStream(partial(ideal_drive, tmp_path / "notes", fault_after=40)) as stream:
         stream.enable()
-        with pytest.raises(DriveError, match="over-temperature"):
-            wait(stream)
+        fails(DriveError, "over-temperature", wait, stream)
     assert "off" in lines(tmp_path / "notes")
 
 
 def test_a_link_that_never_confirms_is_an_error_at_the_end_as_well(tmp_path: Path) -> None:
     stream = MotionStream(partial(ideal_drive, tmp_path / "notes", silent_after=40)).__enter__()
     stream.enable()
-    with pytest.raises(DriveError, match="no valid reply"):
-        wait(stream)
-    with pytest.raises(DriveError, match="did not confirm that its torque is off"):
-        stream.__exit__()
+    fails(DriveError, "no valid reply", wait, stream)
+    fails(DriveError, "did not confirm that its torque is off", stream.__exit__)
 
 
 def test_the_torque_goes_off_after_the_motion_if_the_program_hangs(tmp_path: Path) -> None:
@@ -93,8 +91,7 @@ def test_the_torque_goes_off_after_the_motion_if_the_program_hangs(tmp_path: Pat
             stream.raise_if_ended()
         assert lines(tmp_path / "notes") == ["open", "on"]
         time.sleep(1.0)
-        with pytest.raises(DriveError, match="silent since its motion was over"):
-            stream.raise_if_ended()
+        fails(DriveError, "silent since its motion was over", stream.raise_if_ended)
     assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
     log = stream.log()
     assert log.column("goal_angle")[-1] == pytest.approx(0.4)
@@ -114,8 +111,7 @@ def test_a_stop_while_the_process_ends_tells_what_the_device_has_confirmed(tmp_p
     with ThreadPoolExecutor(1) as pool:
         ending = pool.submit(stream.__exit__)
         assert not stream.stop()
-        with pytest.raises(DriveError, match="did not confirm"):
-            ending.result()
+        fails(DriveError, "did not confirm", ending.result)
     assert not stream.stop()
 
 
@@ -162,8 +158,7 @@ def test_a_goal_beyond_the_limits_ends_the_stream(tmp_path: Path) -> None:
         stream.enable()
         stream.start_clock(time.monotonic() + 0.1)
         stream.set_motion(hold_arm(1.0), 0.0)
-        with pytest.raises(InvalidInput, match=r"far from the shaft|jumps"):
-            wait(stream)
+        refuses(r"far from the shaft|jumps", wait, stream)
     assert lines(tmp_path / "notes")[-2:] == ["off", "closed"]
 
 
@@ -210,8 +205,7 @@ def test_the_process_ended_by_sigterm_switches_the_torque_off(tmp_path: Path) ->
     with MotionStream(partial(ideal_drive, tmp_path / "notes")) as stream:
         stream.enable()
         os.kill(stream.pid, signal.SIGTERM)
-        with pytest.raises(DriveError, match="ended by a signal"):
-            wait(stream)
+        fails(DriveError, "ended by a signal", wait, stream)
     assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
 
 
@@ -250,8 +244,7 @@ def test_a_process_that_was_killed_is_named_before_the_advice(tmp_path: Path) ->
 
 def test_a_test_motion_from_a_wrong_zero_names_the_turns(tmp_path: Path) -> None:
     connect = partial(ideal_drive, tmp_path / "notes", angle=-6.28)
-    with pytest.raises(DriveError, match="1 turn away: its counter may have wrapped"):
-        record_test_motion(connect)
+    fails(DriveError, "1 turn away: its counter may have wrapped", record_test_motion, connect)
     assert lines(tmp_path / "notes") == ["open", "closed"]
 
 

@@ -26,6 +26,7 @@ from hyperflex.errors import FileProblem, IdentificationError, InvalidInput, Sim
 from hyperflex.files import writing
 from hyperflex.identification import Kind
 from hyperflex.simulation import rollouts
+from tests.refusals import fails, refuses
 
 ROPE = hf.Rope.uniform(length=0.4, mass=0.02, n_links=4, radius=0.002, friction=1e-4)
 LONG = hf.Rope.uniform(length=2.0, mass=0.125, n_links=5000, radius=0.0025, friction=5e-4)
@@ -41,8 +42,7 @@ def one_gibibyte(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("one_gibibyte")
 def test_what_would_fill_the_memory_is_refused_before_it_is_begun():
-    with pytest.raises(InvalidInput, match=r"5000 links with 1000001 outputs would fill.*GiB.*1 GiB here.*t_eval"):
-        hf.simulate(LONG, duration=1e4)
+    refuses(r"5000 links with 1000001 outputs would fill.*GiB.*1 GiB here.*t_eval", hf.simulate, LONG, duration=1e4)
     with pytest.raises(InvalidInput, match=r"1000 members with 20000 outputs of q, qd.*take fewer members"):
         hf.simulate_batch([ROPE] * 1000, duration=1.0, t_eval=np.linspace(0.0, 1.0, 20_000), keep=["q", "qd"])
     with pytest.raises(InvalidInput, match=r"derivatives of 4 links by 5 parameters at 1000001 outputs"):
@@ -152,8 +152,7 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
     hf.simulate(ROPE, torque=lambda *_: 1e-3, **{**how, "duration": 0.1})  # loads the kernels
     capsys.readouterr()
     if throw:
-        with pytest.raises(SimulationError, match="its time budget is over"):
-            hf.simulate(ROPE, torque=torque, time_budget=0.3, **how)
+        fails(SimulationError, "its time budget is over", hf.simulate, ROPE, torque=torque, time_budget=0.3, **how)
     else:
         part = hf.simulate(ROPE, torque=torque, time_budget=0.3, throw=False, **how)
         assert (part.status, part.setup.torque.torque(0.0)) == ("out of time", 1e-3)
@@ -204,8 +203,7 @@ def test_a_peg_that_no_links_can_follow_is_refused(tmp_path, capsys):
         lambda: hf.simulate(thin, duration=0.1, pegs=[peg]),
         lambda: hf.plan_cast(thin, hf.Arm(length=0.1), peg),
     ):
-        with pytest.raises(InvalidInput, match=r"too many links.*got '.*e\+\d+ links'.*up to 10000.*radii"):
-            call()
+        refuses(r"too many links.*got '.*e\+\d+ links'.*up to 10000.*radii", call)
     thin.to_toml(tmp_path / "rope.toml")
     place = ["--target", "0.3", "-0.2", "--radius", "1e-9", "-o", str(tmp_path / "planned")]
     assert run(["cast", "--rope", str(tmp_path / "rope.toml"), *place]) == 2
@@ -315,8 +313,7 @@ def test_without_any_writable_folder_the_first_reason_is_reported_and_nothing_is
     def fail(path):
         raise FileProblem(f"{path} could not be written.")
 
-    with pytest.raises(FileProblem, match=r"out\.txt could not be written\.$"):
-        files.rescued(fail, full_disk / "out.txt")
+    fails(FileProblem, r"out\.txt could not be written\.$", files.rescued, fail, full_disk / "out.txt")
     assert [path for path in tmp_path.rglob("*") if path.name.startswith("hyperflex-")] == []
 
 

@@ -12,6 +12,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
 from tests.faults.bounds import readable
+from tests.refusals import fails, refuses
 
 T, TH = [0.0, 0.1, 0.2], [0.5, 0.25, 0.125]
 SI = {"time_unit": "s", "unit": "rad"}
@@ -66,10 +67,8 @@ def test_gaps_are_gaps_also_at_the_end(tmp_path, gap, end):
 def test_frames_are_the_time_where_there_is_no_other(tmp_path):
     path = written(tmp_path, "frame,th1\n0,0.5\n1,0.25\n2,0.125\n")
     assert hf.read_recording(path, unit="rad", frame_rate=10.0).t.tolist() == [0.0, 0.1, 0.2]
-    with pytest.raises(InvalidInput, match=r"frame_rate=\.\.\. \(frames/s\)"):
-        hf.read_recording(path, unit="rad")
-    with pytest.raises(InvalidInput, match="declares time_unit = 'frame'"):
-        hf.read_recording(path, **SI)
+    refuses(r"frame_rate=\.\.\. \(frames/s\)", hf.read_recording, path, unit="rad")
+    refuses("declares time_unit = 'frame'", hf.read_recording, path, **SI)
 
 
 def test_groups_of_names(tmp_path):
@@ -127,8 +126,7 @@ def test_special_files_are_refused(tmp_path, name, kind):
     path = tmp_path / name
     os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
     read = {"x.toml": hf.Setup.from_toml, "x.mp4": VideoReader}.get(name, hf.read_recording)
-    with pytest.raises(FileProblem, match="is a device, pipe or socket"):
-        read(path)
+    fails(FileProblem, "is a device, pipe or socket", read, path)
 
 
 @pytest.mark.parametrize("name", ["x.csv", "x.toml"])

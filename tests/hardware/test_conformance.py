@@ -18,7 +18,7 @@ from hyperflex.hardware.emulate import WireFaults
 from hyperflex.hardware.emulate.faults import KINDS
 from hyperflex.model import MotorLimits
 from tests.hardware.makes import MAKES
-from tests.refusals import refuses
+from tests.refusals import fails, refuses
 
 LIMITS = MotorLimits(speed=8.0, acceleration=30.0, torque=1.0, angles=(-1.5, 1.5))
 
@@ -110,8 +110,7 @@ def test_a_goal_beyond_a_limit_or_far_from_the_shaft_does_not_arrive(motor, link
 def test_a_counter_that_wrapped_by_a_turn_is_noticed(motor, link):
     motor.angle = 0.2 + 2.0 * np.pi
     with Drive(link, LIMITS) as drive:
-        with pytest.raises(DriveError, match="1 turn away"):
-            drive.enable()
+        fails(DriveError, "1 turn away", drive.enable)
         assert motor.goals == []
         drive.set_zero(0.2)
         assert drive.enable().angle == pytest.approx(0.2, abs=2e-3)
@@ -129,12 +128,10 @@ def test_the_device_goes_passive_when_the_host_falls_silent(make, rig, motor, li
         assert link.watchdog <= 0.1
         assert rig.device.plant.t - last >= 0.9 * link.watchdog
         count = len(motor.goals)
-        with pytest.raises(DriveError, match="watchdog"):
-            wait(lambda: drive.command(Goal(0.01)) is None)
+        fails(DriveError, "watchdog", wait, lambda: drive.command(Goal(0.01)) is None)
         assert len(motor.goals) == count
         assert not motor.enabled
-        with pytest.raises(DriveError, match="watchdog"):
-            drive.enable()
+        fails(DriveError, "watchdog", drive.enable)
         drive.acknowledge()
         drive.enable()
         drive.command(Goal(0.01))
@@ -147,11 +144,9 @@ def test_a_fault_of_the_device_is_latched_until_it_is_acknowledged(make, rig, mo
         drive.command(Goal(0.0))
         make.fail(rig.device)
         count = len(motor.goals)
-        with pytest.raises(DriveError, match="the device reports"):
-            wait(lambda: drive.read() is None)
+        fails(DriveError, "the device reports", wait, lambda: drive.read() is None)
         for refused in (drive.enable, lambda: drive.command(Goal(0.0))):
-            with pytest.raises(DriveError, match="the device reports"):
-                refused()
+            fails(DriveError, "the device reports", refused)
         assert not motor.enabled
         assert len(motor.goals) == count
         drive.acknowledge()

@@ -14,7 +14,7 @@ from hyperflex.hardware import Drive, Goal
 from hyperflex.model import MotorLimits
 from hyperflex.motion import arm_moves, hold_arm, move_arm, moving_pivot, sampled_motion, torque_profile
 from tests.hardware.fake import REQUEST, FakeLink, silent
-from tests.refusals import refuses
+from tests.refusals import fails, refuses
 
 LIMITS = MotorLimits(speed=10.0, acceleration=40.0, torque=1.0, angles=(-3.0, 3.0))
 
@@ -71,8 +71,7 @@ def test_torque_that_was_left_on_is_switched_off(link):
 
 def test_a_device_in_fault_is_refused_and_nothing_is_sent_to_it(link):
     link.state["fault"] = "over temperature (38)"
-    with pytest.raises(DriveError, match=r"over temperature \(38\).*clear_fault=True"):
-        Drive(link, LIMITS).connect()
+    fails(DriveError, r"over temperature \(38\).*clear_fault=True", Drive(link, LIMITS).connect)
     assert [name for name, *_ in link.log] == ["open", "read"]
     assert not link.opened
     drive = Drive(link, LIMITS)
@@ -82,8 +81,7 @@ def test_a_device_in_fault_is_refused_and_nothing_is_sent_to_it(link):
 
 def test_a_device_that_does_not_answer_is_refused_within_a_moment(link):
     link.fails = [None, *silent(1000)]
-    with pytest.raises(DriveError, match="does not answer"):
-        Drive(link, LIMITS).connect()
+    fails(DriveError, "does not answer", Drive(link, LIMITS).connect)
     assert link.now < 0.3
     assert not link.opened
 
@@ -91,8 +89,7 @@ def test_a_device_that_does_not_answer_is_refused_within_a_moment(link):
 def test_a_port_that_does_not_open_leaves_nothing_behind(link):
     before = signal.getsignal(signal.SIGTERM)
     link.fails = [DriveError("no such port")]
-    with pytest.raises(DriveError, match="no such port"):
-        Drive(link, LIMITS).connect()
+    fails(DriveError, "no such port", Drive(link, LIMITS).connect)
     assert signal.getsignal(signal.SIGTERM) is before
 
 
@@ -181,12 +178,10 @@ def test_a_pause_does_not_save_up_for_a_leap(drive, link):
 
 def test_a_goal_without_torque_is_refused(link):
     with Drive(link, LIMITS) as drive:
-        with pytest.raises(DriveError, match="torque is off"):
-            drive.command(Goal(0.0))
+        fails(DriveError, "torque is off", drive.command, Goal(0.0))
         drive.enable()
         drive.off()
-        with pytest.raises(DriveError, match="torque is off"):
-            drive.command(Goal(0.0))
+        fails(DriveError, "torque is off", drive.command, Goal(0.0))
     assert link.goals() == []
 
 
@@ -210,8 +205,7 @@ def test_the_zero_is_set_at_the_declared_angle_of_the_arm(link):
         assert drive.read().angle == pytest.approx(0.5)
         for switch_on in (drive.enable, lambda: link.state.update(enabled=True)):  # or it came on by itself
             switch_on()
-            with pytest.raises(DriveError, match="torque off"):
-                drive.set_zero(0.0)
+            fails(DriveError, "torque off", drive.set_zero, 0.0)
             drive.off()
 
 
@@ -227,8 +221,7 @@ def test_the_zero_is_set_at_the_declared_angle_of_the_arm(link):
 def test_a_shaft_whose_counter_wrapped_or_that_has_no_angle_or_a_fault_is_not_enabled(link, state, words):
     with Drive(link, LIMITS) as drive:
         link.state |= state
-        with pytest.raises(DriveError, match=words):
-            drive.enable()
+        fails(DriveError, words, drive.enable)
     assert ("enable",) not in link.log
 
 
@@ -259,15 +252,13 @@ def test_what_a_reply_shows_is_latched_until_it_is_acknowledged(drive, link, sta
     drive.command(Goal(0.0))
     link.stuck = True
     link.state |= state
-    with pytest.raises(DriveError, match=words):
-        drive.command(Goal(0.001))
+    fails(DriveError, words, drive.command, Goal(0.001))
     assert not link.state["enabled"]
     assert not drive.enabled
     assert words.split()[0] in drive.fault
     link.state |= {"fault": "", "temperature": 30.0, "torque": 0.0, "angle": 0.0}
     for refused in (drive.enable, lambda: drive.command(Goal(0.0))):
-        with pytest.raises(DriveError, match=words.split()[0]):
-            refused()
+        fails(DriveError, words.split()[0], refused)
     drive.acknowledge()
     drive.enable()
     drive.command(Goal(0.0))
@@ -292,8 +283,7 @@ def test_what_a_disturbance_may_show_once_is_latched_when_it_lasts(link, state, 
             link.now += pause
             drive.command(Goal(0.0))
         link.now += pause
-        with pytest.raises(DriveError, match=words):
-            drive.command(Goal(0.0))
+        fails(DriveError, words, drive.command, Goal(0.0))
         assert not link.state["enabled"]
 
 
@@ -301,8 +291,7 @@ def test_a_fault_that_lasts_cannot_be_acknowledged(drive, link):
     link.clear = lambda: None
     link.state["fault"] = "over voltage (34)"
     for call in (drive.read, drive.acknowledge):
-        with pytest.raises(DriveError, match="over voltage"):
-            call()
+        fails(DriveError, "over voltage", call)
     assert drive.fault
 
 
@@ -332,8 +321,7 @@ def test_a_late_state_reports_its_time(drive, link):
 def test_a_lost_link_switches_off(drive, link):
     drive.command(Goal(0.0))
     link.fails = silent(60)
-    with pytest.raises(DriveError, match="no valid reply for"):
-        stream(drive, 60 * [Goal(0.0)])
+    fails(DriveError, "no valid reply for", stream, drive, 60 * [Goal(0.0)])
     assert not link.state["enabled"]
 
 
@@ -345,8 +333,7 @@ def test_with_a_long_watchdog_the_link_may_be_silent_for_longer(link):
         link.fails = silent(150)
         stream(drive, 30 * [Goal(0.0)])  # 5 ms each
         assert link.state["enabled"]
-        with pytest.raises(DriveError, match="no valid reply for 20"):
-            stream(drive, 30 * [Goal(0.0)])
+        fails(DriveError, "no valid reply for 20", stream, drive, 30 * [Goal(0.0)])
 
 
 def test_one_lost_reply_after_a_pause_is_no_lost_link(link):
@@ -376,8 +363,7 @@ def test_what_a_link_refuses_is_named_once(link):
 @pytest.mark.parametrize("error", [OSError("unplugged"), RuntimeError("a bug"), IndexError()])
 def test_a_link_that_breaks_is_a_fault(drive, link, error):
     link.fails = [error]
-    with pytest.raises(DriveError, match="link broke"):
-        drive.command(Goal(0.0))
+    fails(DriveError, "link broke", drive.command, Goal(0.0))
     assert not link.state["enabled"]
 
 
@@ -390,8 +376,7 @@ def test_torque_off_is_repeated_until_it_is_confirmed(drive, link):
 
 def test_torque_that_does_not_go_off_is_reported(drive, link):
     link.obstinate = True
-    with pytest.raises(DriveError, match=r"did not confirm.*0.1 s.*Cut its power"):
-        drive.off()
+    fails(DriveError, r"did not confirm.*0.1 s.*Cut its power", drive.off)
     assert drive.enabled
     link.obstinate = False
 
@@ -403,8 +388,7 @@ def test_an_error_of_the_drive_is_not_hidden_by_that_of_its_end(link):
             link.fails = silent(10_000)
             stream(drive, 100 * [Goal(0.0)])
 
-    with pytest.raises(DriveError, match=r"no valid reply.*did not confirm"):
-        lose()
+    fails(DriveError, r"no valid reply.*did not confirm", lose)
     assert not link.opened
 
 
@@ -498,8 +482,7 @@ def test_another_thread_stops_it_and_signals_stay_with_the_main_thread(drive, li
     thread.start()
     thread.join()
     assert not link.state["enabled"]
-    with pytest.raises(DriveError, match="torque is off"):
-        drive.command(Goal(0.0))
+    fails(DriveError, "torque is off", drive.command, Goal(0.0))
 
 
 def test_a_drive_may_be_closed_by_another_thread_and_connected_again(link):

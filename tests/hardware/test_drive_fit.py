@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import FileProblem
 from hyperflex.hardware import (
     DriveFit,
     DriveModel,
@@ -19,6 +19,7 @@ from hyperflex.hardware import (
 )
 from hyperflex.planning import MotorLimits, Uncertainty
 from tests.hardware.twin import Truth, drawn, record_of
+from tests.refusals import refuses
 
 
 @pytest.fixture(scope="module")
@@ -144,12 +145,10 @@ def test_a_file_gives_the_same_drive(fit, tmp_path):
     again = DriveFit.from_toml(tmp_path / "drive.toml")
     assert (again.values, again.intervals, again.model) == (fit.values, fit.intervals, fit.model)
     (tmp_path / "other.toml").write_text("[drive]\nvalues = 3\n")
-    with pytest.raises(InvalidInput, match="no identified drive"):
-        DriveFit.from_toml(tmp_path / "other.toml")
+    refuses("no identified drive", DriveFit.from_toml, tmp_path / "other.toml")
     with pytest.raises(FileProblem):
         DriveFit.from_toml(tmp_path / "none.toml")
-    with pytest.raises(InvalidInput, match="no record"):
-        again.plot()
+    refuses("no record", again.plot)
     assert len(fit.plot().axes) == 3
 
 
@@ -162,15 +161,12 @@ def test_the_test_motion_keeps_to_its_limits():
     assert np.abs(motion.rate(t)).max() <= 6.0
     assert np.abs(motion.acceleration(t)).max() <= 60.0
     assert motion.angle(t[-1:])[0] == pytest.approx(0.1)
-    with pytest.raises(InvalidInput, match="no room"):
-        plan_test_motion(MotorLimits(angles=(-0.1, 0.2)), 0.0)
+    refuses("no room", plan_test_motion, MotorLimits(angles=(-0.1, 0.2)), 0.0)
 
 
 def test_zero_file(tmp_path):
     DriveZero(1.5, -1, "moteus:/dev/ttyACM0").to_toml(tmp_path / "zero.toml")
     assert DriveZero.from_toml(tmp_path / "zero.toml") == DriveZero(1.5, -1, "moteus:/dev/ttyACM0")
     (tmp_path / "other.toml").write_text("[zero]\nangle = 3\n")
-    with pytest.raises(InvalidInput, match="no zero of a drive"):
-        DriveZero.from_toml(tmp_path / "other.toml")
-    with pytest.raises(InvalidInput, match="direction"):
-        DriveZero(0.0, 2)
+    refuses("no zero of a drive", DriveZero.from_toml, tmp_path / "other.toml")
+    refuses("direction", DriveZero, 0.0, 2)

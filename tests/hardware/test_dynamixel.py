@@ -15,6 +15,7 @@ from hyperflex.hardware.drive import NoReply
 from hyperflex.hardware.emulate import DynamixelDevice
 from hyperflex.model import MotorLimits
 from tests.hardware.wire import Wire, be_patient, light_arm, opened, try_open
+from tests.refusals import fails
 
 LIMITS = MotorLimits(torque=1.5)
 COUNT = math.tau / 4096
@@ -189,8 +190,7 @@ def test_other_devices_and_silence_are_named():
     device = servo()
     with Wire(device) as wire:
         device._store(0, 2, 350)
-        with pytest.raises(DriveError, match=r"model number 350 is no servo of the X series"):
-            try_open(DynamixelLink(wire.port))
+        fails(DriveError, r"model number 350 is no servo of the X series", try_open, DynamixelLink(wire.port))
         wire.mute = True
         with pytest.raises(DriveError, match=r"does not answer at 1000000 baud, nor at 57600, .*Check its power"):
             try_open(DynamixelLink(wire.port))
@@ -201,8 +201,7 @@ def test_ports_that_cannot_be_opened():
         try_open(DynamixelLink("/dev/ttyNONE"))
     with Wire(servo()) as wire, link_to(wire) as link:
         assert not link.read().enabled
-        with pytest.raises(DriveError, match=r"another program uses the port"):
-            try_open(DynamixelLink(wire.port))
+        fails(DriveError, r"another program uses the port", try_open, DynamixelLink(wire.port))
     text = str(serial_port.open_problem("/dev/ttyUSB0", PermissionError(errno.EACCES, "Permission denied")))
     assert text.startswith("/dev/ttyUSB0: no permission. Join the group")
     assert "it cannot be opened (odd)" in str(serial_port.open_problem("/dev/ttyUSB0", ValueError("odd")))
@@ -220,5 +219,4 @@ def test_an_adapter_that_holds_replies_back_is_named(tmp_path, monkeypatch):
 
 def test_a_missing_package_is_named_with_its_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
-    with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[dynamixel\]'"):
-        try_open(DynamixelLink("/dev/ttyUSB0"))
+    fails(MissingPackage, r"pip install 'hyperflex\[dynamixel\]'", try_open, DynamixelLink("/dev/ttyUSB0"))

@@ -19,6 +19,7 @@ from hyperflex.hardware.emulate import Emulator, MotorModel, WireFaults
 from hyperflex.hardware.emulate.faults import FaultyWire
 from hyperflex.hardware.links import MAKES, emulated_device
 from tests.hardware.echo import Echo
+from tests.refusals import refuses
 
 ROPE = hf.Rope.uniform(length=0.6, mass=0.03, n_links=10, radius=0.0025, friction=5e-3)
 ARM = hf.Arm(length=0.105, mass=0.05, com=0.05, inertia=1e-4)
@@ -151,5 +152,4 @@ def test_each_fault_of_the_wire_occurs_as_often_as_requested_and_the_seed_repeat
 
 
 def test_probabilities_above_one_are_refused() -> None:
-    with pytest.raises(hf.InvalidInput, match="more than 1"):
-        WireFaults(lost=0.6, late=0.6)
+    refuses("more than 1", WireFaults, lost=0.6, late=0.6)

@@ -14,6 +14,7 @@ from hyperflex.hardware.emulate import MoteusDevice
 from hyperflex.model import MotorLimits
 from tests.hardware.rig import Rig
 from tests.hardware.servo import Servo
+from tests.refusals import fails
 
 # Of the page on the CAN protocol: position mode, 0.0096 turns, 0.072 turns/s, -1.76 N m; reads of 4 + 3 registers
 COMMAND = b"can send 8001 01000a07206000200150ff140400130d\n"
@@ -152,8 +153,7 @@ def test_a_controller_in_timeout_may_hold_with_torque_and_is_stopped_first(rig, 
     with drive:
         drive.set_zero(0.0)
         device._enter(11)
-        with pytest.raises(DriveError, match="torque off"):
-            drive.set_zero(0.0)
+        fails(DriveError, "torque off", drive.set_zero, 0.0)
         device._enter(0)
         assert drive.enable().enabled
         drive.command(Goal(0.0))
@@ -163,8 +163,7 @@ def test_a_controller_in_timeout_may_hold_with_torque_and_is_stopped_first(rig, 
 def test_a_controller_that_would_damp_or_hold_after_its_watchdog_is_refused(rig, device):
     device.timeout_mode = 12
     link = opened(rig)
-    with pytest.raises(DriveError, match=r"is 12, not 0\. Set it .*\?timeout_mode=12\.$"):
-        link.enable(MotorLimits())
+    fails(DriveError, r"is 12, not 0\. Set it .*\?timeout_mode=12\.$", link.enable, MotorLimits())
     link.close()
     assert device.mode == 0
     link = opened(rig, timeout_mode=12)
@@ -189,8 +188,7 @@ def test_after_an_error_in_a_callback_the_stop_still_arrives(rig, device):
     with Drive(link, MotorLimits()) as drive:
         drive.enable()
         link._loop.call_soon(lambda: 1 / 0)
-        with pytest.raises(DriveError, match=r"the port failed: division by zero.*Torque is off"):
-            drive.command(Goal(0.0))
+        fails(DriveError, r"the port failed: division by zero.*Torque is off", drive.command, Goal(0.0))
         assert device.mode == 0
 
 

@@ -17,6 +17,7 @@ from hyperflex.hardware.drive import NoReply
 from hyperflex.hardware.emulate import ODriveDevice
 from hyperflex.model import MotorLimits
 from tests.hardware.wire import Wire, be_patient, light_arm, opened, try_open
+from tests.refusals import fails
 
 LIMITS = MotorLimits(speed=40.0, torque=1.5)  # a step of half a radian is faster than an arm may be
 
@@ -105,8 +106,7 @@ def test_the_same_over_the_virtual_bus_of_python_can():
 def test_an_axis_whose_watchdog_is_not_armed_is_refused():
     device = axis(watchdog=0.0)
     with Wire(device) as wire, link_to(wire) as link:
-        with pytest.raises(DriveError, match=r"its watchdog did not stop it within 0.1 s. Set axis0.config.watchdog_"):
-            link.enable(LIMITS)
+        fails(DriveError, r"its watchdog did not stop it within 0.1 s. Set axis0.config.watchdog_", link.enable, LIMITS)
         wait_for(lambda: not device.plant.enabled)
 
 
@@ -122,15 +122,13 @@ def test_an_axis_in_fault_does_not_switch_its_torque_on():
 def test_a_limit_of_torque_needs_the_torque_constant_and_a_reported_torque():
     device = axis()
     with Wire(device) as wire, link_to(wire, torque_constant=0.0) as link:
-        with pytest.raises(DriveError, match=r"keeps no limit of torque .*\?torque_constant=0.05$"):
-            link.enable(LIMITS)
+        fails(DriveError, r"keeps no limit of torque .*\?torque_constant=0.05$", link.enable, LIMITS)
         link.torque_constant = 0.1
         wire.spoil = lambda reply: [reply.replace(b"t01C8", b"t01D8")]
         link._messages.clear()
         link._came = dict.fromkeys(link._came, -math.inf)
         wait_for(lambda: link._listen(0.01, lambda *_: link._beat > 0.0) and len(link._messages) > 1)
-        with pytest.raises(DriveError, match=r"does not report its torque.*torques_msg_rate_ms = 10"):
-            link.enable(LIMITS)
+        fails(DriveError, r"does not report its torque.*torques_msg_rate_ms = 10", link.enable, LIMITS)
     assert not device.plant.enabled
 
 
@@ -231,11 +229,9 @@ def test_after_a_lost_frame_goals_are_sent_and_states_come_again(monkeypatch):
     with Wire(device) as wire, link_to(wire) as link:
         wire.spoil = lambda reply: [] if b"t009" in reply else [reply]
         link.patience = 0.01
-        with pytest.raises(NoReply, match="no valid reply"):
-            link.read()
+        fails(NoReply, "no valid reply", link.read)
         wire.spoil = lambda reply: [reply]
-        with pytest.raises(NoReply, match="still missing"):
-            link.send(Goal(0.2))
+        fails(NoReply, "still missing", link.send, Goal(0.2))
         wait_for(lambda: device._goal.angle == pytest.approx(0.2))
         time.sleep(0.5)
         link.patience = 0.3
@@ -249,8 +245,7 @@ def test_without_heartbeat_nobody_knows_whether_it_is_armed(monkeypatch):
         monkeypatch.setattr(odrive, "SILENCE", 0.05)
         link.read()  # takes what was sent before from the queue
         time.sleep(0.5)
-        with pytest.raises(NoReply, match=r"no heartbeat for"):
-            link.read()
+        fails(NoReply, r"no heartbeat for", link.read)
 
 
 def test_what_an_axis_no_longer_tells_is_not_known(monkeypatch):
@@ -303,15 +298,12 @@ def test_rates_of_messages_that_do_not_serve_are_named(monkeypatch):
         try_open(ODriveLink(wire.port))
     with Wire(axis()) as wire:
         wire.spoil = lambda reply: [b"t00980000000000000000\r" + reply]
-        with pytest.raises(DriveError, match=r"estimates unasked. Set .*encoder_msg_rate_ms = 0"):
-            try_open(ODriveLink(wire.port))
+        fails(DriveError, r"estimates unasked. Set .*encoder_msg_rate_ms = 0", try_open, ODriveLink(wire.port))
 
 
 def test_interfaces_that_cannot_be_opened(monkeypatch):
-    with pytest.raises(DriveError, match=r"/dev/ttyNONE: there is no such port"):
-        try_open(ODriveLink("/dev/ttyNONE"))
+    fails(DriveError, r"/dev/ttyNONE: there is no such port", try_open, ODriveLink("/dev/ttyNONE"))
     with pytest.raises(DriveError, match=r"can77: no CAN interface of that name is ready .* sudo ip link set can77 up"):
         try_open(ODriveLink("can77"))
     monkeypatch.setitem(sys.modules, "can", None)
-    with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[odrive\]'"):
-        try_open(ODriveLink("can0"))
+    fails(MissingPackage, r"pip install 'hyperflex\[odrive\]'", try_open, ODriveLink("can0"))

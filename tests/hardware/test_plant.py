@@ -11,6 +11,7 @@ from hyperflex.hardware.emulate import MotorModel, Plant
 from hyperflex.model import unit_along
 from hyperflex.motion import Motion
 from tests.planning.known import CABLE, PEG, WINDS, problem
+from tests.refusals import refuses
 
 ARM = hf.Arm(length=0.105, mass=0.05, com=0.05, inertia=1e-4)
 
@@ -153,8 +154,7 @@ def test_the_motor_warms_with_the_square_of_its_torque_and_cools() -> None:
 
 
 def test_a_loop_that_its_sampling_makes_unstable_is_refused() -> None:
-    with pytest.raises(hf.InvalidInput, match="position loop is unstable"):
-        Plant(MotorModel(kd=5.0), None, ARM)
+    refuses("position loop is unstable", Plant, MotorModel(kd=5.0), None, ARM)
 
 
 @pytest.mark.parametrize("step", [pytest.param(1e-3, marks=pytest.mark.nightly), 2e-3])

@@ -5,9 +5,9 @@ import math
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
 from hyperflex.hardware import MotorData, check_motor, find_motor, motor_catalogue
 from hyperflex.motion import move_arm
+from tests.refusals import refuses
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, friction=5e-4)
 RPM = 60.0 / math.tau
@@ -63,9 +63,6 @@ def test_every_drive_of_the_catalogue_has_a_source():
 
 
 def test_what_cannot_be():
-    with pytest.raises(InvalidInput, match="not in the catalogue"):
-        find_motor("XYZ")
-    with pytest.raises(InvalidInput, match="too weak to hold"):
-        check_motor(MotorData("weak", 10.0, 0.1), CABLE)
-    with pytest.raises(InvalidInput, match="stall_torque"):
-        MotorData("wrong", 10.0, -1.0)
+    refuses("not in the catalogue", find_motor, "XYZ")
+    refuses("too weak to hold", check_motor, MotorData("weak", 10.0, 0.1), CABLE)
+    refuses("stall_torque", MotorData, "wrong", 10.0, -1.0)

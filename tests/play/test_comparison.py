@@ -9,8 +9,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.errors import InvalidInput
 from hyperflex.play.comparison import DRAWN, comparison_page
+from tests.refusals import refuses
 
 NOISE = 1e-3  # m
 
@@ -70,8 +70,7 @@ def test_angles_are_shown_as_joints(folder):
 
 
 def test_a_rope_of_other_links_is_refused(folder):
-    with pytest.raises(InvalidInput, match="different numbers of links"):
-        comparison_page(folder[0] / "markers.nc", folder[0] / "longer.toml")
+    refuses("different numbers of links", comparison_page, folder[0] / "markers.nc", folder[0] / "longer.toml")
 
 
 def test_the_browser_draws_rings_and_ropes(browser, folder, tmp_path):

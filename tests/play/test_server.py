@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import FileProblem
 from hyperflex.play import Folder, PlayServer, Session, Settings, planning_process
 from tests.planning.known import planned
+from tests.refusals import fails, refuses
 
 SMALL = {"links": 6, "target_solid": 0}
 PATIENCE = 60.0
@@ -171,10 +172,8 @@ def test_own_origins_and_allowed_hosts_are_answered(server, folder):
     with PlayServer(Folder(folder), allow=["lab.example:80"]) as other:
         assert get(other, Host="lab.example:80", Origin="http://lab.example:80")[0] == 200
         assert get(other, Host="lab.example:81")[0] == 403
-    with pytest.raises(InvalidInput, match="allow is no host"):
-        PlayServer(Folder(folder), allow=["["])
-    with pytest.raises(InvalidInput, match="no page can be shown"):
-        PlayServer(Folder(folder), port=server.port)
+    refuses("allow is no host", PlayServer, Folder(folder), allow=["["])
+    refuses("no page can be shown", PlayServer, Folder(folder), port=server.port)
 
 
 def test_frames_come_while_it_runs_and_none_move_while_it_is_paused(server, page):
@@ -265,8 +264,7 @@ def test_files_are_listed_opened_and_saved_within_the_folder(server, page, folde
     assert "seen, simulated" in (folder / "seen.html").read_text("utf-8")
     assert "there already" in page.ask(save="seen.nc")["error"]
     assert (folder / "notes.txt").read_text() == "mine"
-    with pytest.raises(FileProblem, match="no folder"):
-        Folder(folder / "missing")
+    fails(FileProblem, "no folder", Folder, folder / "missing")
 
 
 def test_pages_see_the_same_and_one_that_breaks_off_harms_none(server, page):
