@@ -18,9 +18,10 @@ TABLE = "[rope]\nn_links = 10\ntotal_length = 1.0\ntotal_mass = 0.05\n"
         hf.move_arm(0.0, 1.0, 0.5, "minimum-jerk"),
         hf.arm_swings(0.7, 0.3, "ramp", "over").shifted(0.25),
         hf.sampled_motion([0.0, 0.1, 0.3], [0.0, 1 / 3, 0.1]),
+        hf.arm_strokes([0.1, 1.2], 0.6, "ramp", "over", ramp=0.2, made=1),
         hf.arm_swings().then(hf.hold_arm(float(hf.arm_swings().angle(3.0))), 3.0),
     ],
-    ids=["hold", "move", "swings", "sampled", "joined"],
+    ids=["hold", "move", "swings", "sampled", "strokes", "joined"],
 )
 def test_setup_round_trip(motion, tmp_path):
     setup = hf.Setup(ROPE, motion, hf.Arm(0.1, pivot=(0.5, 1.0)), duration=1.5, q0=[0.1, 0.2, 1 / 3])

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.motion import from_spec, to_spec
 from tests.refusals import refuses
 
 
@@ -35,8 +34,3 @@ def test_half_turns_may_follow_each_other_at_once_and_none_is_a_rest():
 def test_overlap_and_times_before_zero_are_refused():
     refuses("half turn 1 starts before half turn 0 ends", hf.arm_strokes, [0.0, 0.5])
     refuses("starts", hf.arm_strokes, [-0.1])
-
-
-def test_round_trip_through_a_table():
-    motion = hf.arm_strokes([0.1, 1.2], 0.6, "ramp", "over", ramp=0.2, made=1)
-    assert from_spec(to_spec(motion)) == motion

@@ -1,10 +1,8 @@
 """One linearly implicit Euler step in SIMD lanes against the dense solve: states side by side."""
 
-import numba
 import numpy as np
 import pytest
 
-from hyperflex.core import compiler
 from hyperflex.core.chain import lanes as ln
 from tests.core.helpers import chain_of
 from tests.reference import dense
@@ -63,13 +61,3 @@ def test_regularized_friction_is_viscous_friction_that_dissipates_alike():
     # a vector of rate and tolerance has its sine and cosine; 1e-14: rounding
     torque = own * rate + dry * np.sin(np.arctan2(rate, tolerance))
     np.testing.assert_allclose(link[:, ln.VISCOUS] * rate[:, None], np.tile(torque[:, None], 16), rtol=1e-14)
-
-
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="without machine code there is no stack to align")
-@pytest.mark.parametrize("width", [ln.COLUMNS, ln.MEMBERS], ids=["columns", "members"])
-def test_the_stack_of_loops_over_lanes_begins_at_a_cache_line(width):
-    # Else packed numbers on it cross cache lines in every second process, by chance, which costs a tenth of the speed.
-    signature = tuple(map(numba.typeof, (width, ln.MORE, *ln.rows(width, 3))))
-    ln.advance.part.compile(signature)
-    module = ln.advance.part.overloads[signature].library._get_module_for_linking()
-    assert f"alignstack={compiler.CACHE_LINE}" in str(module)

@@ -1,10 +1,7 @@
 """The tangent of one Euler step against differences of the dense step in extended precision; packed instructions."""
 
-import platform
-import re
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -197,20 +194,3 @@ def test_stuck_joints_move_as_one():
             # A friction of 1e7 N m s lets a joint slip by 1e-9 of what it would; the acceleration of the base that
             # the step's length multiplies adds no more.
             np.testing.assert_allclose(got[j, d, : 2 * n], want, rtol=0.0, atol=1e-7 * np.abs(want).max())
-
-
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-@pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="names of instructions are those of x86")
-@pytest.mark.parametrize("sources", [None, tg.STATE, tg.ALL], ids=["prepare", "state", "all"])
-@pytest.mark.nightly
-def test_the_compiler_makes_packed_instructions(sources):
-    kernel = tg.prepare if sources is None else tg.step
-    fresh = numba.jit(**kernel.targetoptions)(kernel.py_func)  # code from the cache cannot be inspected
-    lanes, reaction = numba.float64[::1], numba.typeof(MUTUAL)
-    more = numba.float64[:, :, ::1], numba.float64[::1]
-    fresh.compile((reaction, lanes) if sources is None else (reaction, numba.typeof(sources), lanes, *more))
-    code = next(iter(fresh.inspect_asm().values()))
-    packed, single = (len(re.findall(rf"\bv?(?:mul|fn?madd\d+|fn?msub\d+){kind}\b", code)) for kind in ("pd", "sd"))
-    # all arithmetic of the loops over lanes; a few single products belong to addresses and tails
-    assert packed > 40
-    assert packed > 5 * single

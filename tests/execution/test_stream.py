@@ -16,7 +16,7 @@ import hyperflex as hf
 from hyperflex.errors import DriveError, InvalidInput
 from hyperflex.execution import record_test_motion
 from hyperflex.execution.stream import MotionStream
-from hyperflex.hardware import Drive, Goal
+from hyperflex.hardware import Drive
 from hyperflex.motion import hold_arm, move_arm
 from tests.execution.ideal_link import IdealLink, ideal_drive
 from tests.refusals import fails, refuses
@@ -207,19 +207,6 @@ def test_the_process_ended_by_sigterm_switches_the_torque_off(tmp_path: Path) ->
         os.kill(stream.pid, signal.SIGTERM)
         fails(DriveError, "ended by a signal", wait, stream)
     assert lines(tmp_path / "notes") == ["open", "on", "off", "closed"]
-
-
-def test_a_goal_between_two_breaks_is_the_polynomials() -> None:
-    from hyperflex.execution.stream import Path as Numbers
-
-    coef = np.zeros((2, 4, 6))
-    coef[:, 0, :3] = [[0.0, 1.0, 0.0], [1.0, 0.0, -0.5]]
-    motion = hf.Motion(np.array([0.0, 1.0, 2.0]), coef, np.ones(3, bool))
-    path = Numbers(motion, np.array([0.0, 1.0]), np.array([0.4, 0.8]))
-    assert path.goal(-1.0) == Goal(0.0)
-    assert path.goal(0.5) == Goal(0.5, 1.0, pytest.approx(0.6))
-    assert path.goal(1.5) == Goal(1.0 - 0.125, -0.5)
-    assert path.goal(3.0) == Goal(0.5)
 
 
 def test_a_test_motion_is_recorded_and_the_torque_is_off_after_it(tmp_path: Path) -> None:

@@ -20,11 +20,18 @@ def rope(friction: float = 3e-4) -> hf.Rope:
     return hf.Rope.uniform(length=0.6, mass=0.03, n_links=10, radius=0.0025, friction=friction)
 
 
+def driven(model: MotorModel, *goal: float, on: hf.Rope | None = None, **imposed: object) -> Plant:
+    """A plant whose torque is on, with a goal and what is imposed on it."""
+    plant = Plant(model, on, ARM)
+    plant.impose(**imposed)
+    plant.set_enabled(True)
+    plant.set_goal(Goal(*goal))
+    return plant
+
+
 def test_a_goal_is_reached_and_held_against_the_weight_of_arm_and_rope() -> None:
     model = MotorModel()
-    plant = Plant(model, rope(friction=5e-3), ARM)  # soon at rest
-    plant.set_enabled(True)
-    plant.set_goal(Goal(1.0))
+    plant = driven(model, 1.0, on=rope(friction=5e-3))  # soon at rest
     plant.advance(10.0)
     weight = 9.81 * (0.05 * 0.05 + 0.03 * 0.105) * math.sin(plant.angle)
     assert abs(plant.rate) < 1e-3
@@ -64,14 +71,10 @@ def test_dry_friction_holds_an_arm_that_it_can_hold_and_no_other() -> None:
 
 
 def test_readings_are_as_noisy_as_requested_and_the_motion_is_not() -> None:
-    quiet, noisy = (
-        Plant(MotorModel(angle_noise=a, rate_noise=10.0 * a, torque_noise=a), None, ARM) for a in (0.0, 1e-3)
-    )
+    quiet, noisy = (driven(MotorModel(angle_noise=a, rate_noise=10.0 * a, torque_noise=a), 0.5) for a in (0.0, 1e-3))
     read = []
     for k in range(1000):
         for plant in (quiet, noisy):
-            plant.set_enabled(True)
-            plant.set_goal(Goal(0.5))
             plant.advance(1e-3 * (k + 1))
         read.append([noisy.angle - quiet.angle, noisy.rate - quiet.rate, noisy.torque - quiet.torque])
     assert noisy.arm_angle == pytest.approx(quiet.arm_angle, abs=1e-2)
@@ -99,9 +102,7 @@ def test_torque_and_speed_keep_to_controller_and_supply() -> None:
 def test_goals_act_after_the_latency_and_advance_with_their_rate_only_where_the_drive_does_so() -> None:
     ends = []
     for extrapolates in (False, True):
-        plant = Plant(MotorModel(latency=0.02, extrapolates=extrapolates), None, ARM)
-        plant.set_enabled(True)
-        plant.set_goal(Goal(0.0, rate=1.0))
+        plant = driven(MotorModel(latency=0.02, extrapolates=extrapolates), 0.0, 1.0)
         plant.advance(0.02)
         assert plant.angle == 0.0
         plant.advance(0.52)
@@ -121,19 +122,14 @@ def test_backlash_leaves_the_arm_free_between_the_teeth() -> None:
 
 
 def test_a_hard_stop_holds_the_arm_and_the_motor_pushes_at_its_limit() -> None:
-    plant = Plant(MotorModel(max_torque=0.5), rope(), ARM)
-    plant.impose(stops=(-3.0, 0.8))
-    plant.set_enabled(True)
-    plant.set_goal(Goal(1.5))
+    plant = driven(MotorModel(max_torque=0.5), 1.5, on=rope(), stops=(-3.0, 0.8))
     plant.advance(1.0)
     assert plant.arm_angle == pytest.approx(0.8, abs=0.02)
     assert plant.torque == 0.5
 
 
 def test_a_jump_of_the_encoder_turns_the_motor_back_by_as_much() -> None:
-    plant = Plant(MotorModel(), None, ARM)
-    plant.set_enabled(True)
-    plant.set_goal(Goal(0.0))
+    plant = driven(MotorModel(), 0.0)
     plant.impose(encoder_turns=1.0)
     assert plant.angle == pytest.approx(2.0 * math.pi)
     plant.advance(2.0)
@@ -141,11 +137,7 @@ def test_a_jump_of_the_encoder_turns_the_motor_back_by_as_much() -> None:
 
 
 def test_the_motor_warms_with_the_square_of_its_torque_and_cools() -> None:
-    model = MotorModel(heating=10.0, cooling_time=1.0, max_torque=0.5)
-    plant = Plant(model, None, ARM)
-    plant.impose(stops=(-1.0, 0.0))
-    plant.set_enabled(True)
-    plant.set_goal(Goal(1.0))
+    plant = driven(MotorModel(heating=10.0, cooling_time=1.0, max_torque=0.5), 1.0, stops=(-1.0, 0.0))
     plant.advance(8.0)
     assert plant.temperature == pytest.approx(25.0 + 10.0 * 0.5**2, abs=0.01)
     plant.set_enabled(False)
