@@ -80,10 +80,12 @@ def test_nothing_but_the_extras_needs_their_packages(tmp_path):
         "import hyperflex.cli.app\n"
         "try:\n    run.dataset\nexcept ImportError as error:\n    print(error)\n"
         "try:\n    from hyperflex.vision import Camera\nexcept ImportError as error:\n    print(error)\n"
+        "try:\n    import hyperflex.envs\nexcept ImportError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert [line.split("'")[1] for line in done.stdout.splitlines()] == ["hyperflex[xarray]", "hyperflex[vision]"]
+    named = [line.split("'")[1] for line in done.stdout.splitlines()]
+    assert named == ["hyperflex[xarray]", "hyperflex[vision]", "hyperflex[gym]"]
 
 
 def test_the_package_works_without_the_modules_that_windows_lacks(tmp_path):

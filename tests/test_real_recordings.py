@@ -4,6 +4,7 @@ The guesses know the link lengths and nothing else: uniform rods of equal mass, 
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,9 +103,14 @@ def test_single_pendulum(data_dir):
     assert (result.residual_rms < 4.3e-3).all()  # what the independent fit left without free initial states
 
 
-def double(data_dir: Path, run: int, masses: tuple[float, ...] = (0.1, 0.1)) -> Identification:
+def filmed(data_dir: Path, begin: float, end: float, run: int = 16) -> Recording:
+    """Markers of a double pendulum at its pivot, its middle joint and its end."""
     path = data_dir / "ibm_double_pendulum" / f"run{run:02d}_500Hz.csv"
-    recording = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 30.0)
+    return read_recording(path, time_unit="s", unit="m", y_axis="up").window(begin, end)
+
+
+def double(data_dir: Path, run: int, masses: tuple[float, ...] = (0.1, 0.1)) -> Identification:
+    recording = filmed(data_dir, 10.0, 30.0, run)
     guess = Rope(length=recording.link_lengths(), mass=masses, friction=1e-5)
     return identify(recording, guess, [*FREE, "gravity_angle"], options=FitOptions(window=0.2, train=np.inf))
 
@@ -134,8 +140,7 @@ def test_double_pendulum_from_video_markers(data_dir):
 
 def test_a_real_double_pendulum_tells_where_gravity_points(data_dir):
     """A clock that is wrong besides leaves a little less of a thrown pendulum, and no camera is a quarter turn off."""
-    path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
-    right = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 13.0).decimate(5)
+    right = filmed(data_dir, 10.0, 13.0).decimate(5)
     x, y = np.moveaxis(right.data.reshape(right.t.size, -1, 2), 2, 0)
     wrong = Recording(right.t, np.stack([-y, x], axis=2).reshape(right.t.size, -1), kind="markers")
     guess = Rope(length=right.link_lengths(), mass=0.1, friction=1e-5)
@@ -143,18 +148,19 @@ def test_a_real_double_pendulum_tells_where_gravity_points(data_dir):
     assert found.findings[0].kind is Kind.AXES_SWAPPED
 
 
+def from_markers(every: Recording, first: int, arcs: Any, guess: dict[str, Any], options: FitOptions) -> Identification:
+    """Identify a double pendulum by the columns from `first` on of what was filmed, from a guess."""
+    seen = Recording(every.t, every.data[:, first:], kind="markers", noise=1e-3)
+    rope = Rope(length=every.link_lengths(), mass=0.1, **guess)
+    setup = RecordingSetup(arc_lengths=arcs, origin=np.nanmedian(every.data[:, :2], axis=0))
+    return identify(seen, rope, ["inertia", "com", "friction"], setup=setup, options=options)
+
+
 def test_a_pendulum_is_found_from_its_two_markers_and_a_known_first_joint(data_dir):
     """The first link's angle shows; when it was taken for the second one's, a fit from the best guess ended at 6 mm."""
-    path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
-    every = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 16.0)
-    length = every.link_lengths()
-    seen = Recording(every.t, every.data[:, 2:], kind="markers", noise=1e-3)
-    guess = Rope(length=length, mass=0.1, inertia=[4e-5, 2e-5], com=[0.06, 0.02], friction=2e-5)
-    origin = np.nanmedian(every.data[:, :2], axis=0)
-    free, arcs = ["inertia", "com", "friction"], np.cumsum(length)
-    found = identify(
-        seen, guess, free, setup=RecordingSetup(arc_lengths=arcs, origin=origin), options=FitOptions(intervals=None)
-    )
+    every = filmed(data_dir, 10.0, 16.0)
+    guess = {"inertia": [4e-5, 2e-5], "com": [0.06, 0.02], "friction": 2e-5}
+    found = from_markers(every, 2, np.cumsum(every.link_lengths()), guess, options=FitOptions(intervals=None))
     assert found.success
     assert found.residual_rms_all < 6e-4  # m; the camera's own noise is about 0.3 mm
     np.testing.assert_allclose(figures(found)[0], [0.0905, 0.00686, 0.1019], rtol=0.02)
@@ -162,20 +168,10 @@ def test_a_pendulum_is_found_from_its_two_markers_and_a_known_first_joint(data_d
 
 def test_a_pendulum_is_found_from_its_tip_alone(data_dir):
     """A guess up to 2.5 times off; windows whose shape was taken for its mirror image led to 12 mm and wrong ratios."""
-    path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
-    every = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 15.0)
-    length = every.link_lengths()
-    seen = Recording(every.t, every.data[:, 4:], kind="markers", noise=1e-3)
-    guess = Rope(length=length, mass=0.1, inertia=[7.2e-5, 1.88e-4], com=[0.037, 0.047], friction=[6.6e-5, 1.2e-5])
-    origin = np.nanmedian(every.data[:, :2], axis=0)
-    free, arcs = ["inertia", "com", "friction"], [length.sum()]
-    found = identify(
-        seen,
-        guess,
-        free,
-        setup=RecordingSetup(arc_lengths=arcs, origin=origin),
-        options=FitOptions(train=np.inf, intervals=None),
-    )
+    every = filmed(data_dir, 10.0, 15.0)
+    guess = {"inertia": [7.2e-5, 1.88e-4], "com": [0.037, 0.047], "friction": [6.6e-5, 1.2e-5]}
+    arcs, options = [every.link_lengths().sum()], FitOptions(train=np.inf, intervals=None)
+    found = from_markers(every, 4, arcs, guess, options=options)
     assert found.success
     assert found.residual_rms_all < 5e-4  # m; 0.46 mm is the best known, of 20 guesses
     np.testing.assert_allclose(figures(found)[0], [0.0906, 0.00694, 0.1033], rtol=0.02)
@@ -183,8 +179,7 @@ def test_a_pendulum_is_found_from_its_tip_alone(data_dir):
 
 def test_a_little_more_data_hardly_moves_standard_deviations(data_dir):
     """What is left of run 16 wanders slowly, and each window's state absorbs most of that."""
-    path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
-    recording = read_recording(path, time_unit="s", unit="m", y_axis="up").window(0.0, 15.0)
+    recording = filmed(data_dir, 0.0, 15.0)
     guess = Rope(length=[0.0917, 0.0701], mass=[0.05, 0.03], friction=1e-5)
     free = ["inertia", "com", "friction", "gravity_angle"]
     short, long = (

@@ -111,7 +111,9 @@ def test_netcdf_keeps_every_bit(tmp_path):
         assert type(back.state.checkpoint[name]) is type(value)
 
 
-def test_missing_empty_and_truncated_files_are_named(tmp_path):
+def test_missing_empty_truncated_and_foreign_files_are_named(tmp_path):
+    import xarray as xr
+
     path = tmp_path / "run.nc"
     fails(FileProblem, r"no NetCDF-4 file .*run\.nc", read_trajectory, path)
     made_up().to_netcdf(path)
@@ -121,12 +123,6 @@ def test_missing_empty_and_truncated_files_are_named(tmp_path):
         fails(FileProblem, r"cut off|empty|no NetCDF-4", read_trajectory, path)
     path.write_text("t,th1\n0,0\n")
     refuses("no NetCDF-4", read_trajectory, path)
-
-
-def test_foreign_netcdf_is_refused(tmp_path):
-    import xarray as xr
-
-    path = tmp_path / "other.nc"
     xr.Dataset({"q": ("time", [1.0])}).to_netcdf(path, engine="h5netcdf")
     refuses("not a hyperflex trajectory", read_trajectory, path)
 

@@ -25,14 +25,17 @@ def test_a_run_shows_the_round_pegs_and_survives_its_file(tmp_path):
     np.testing.assert_array_equal(run.peg_rate[:, 0], 0.0)
     run.to_netcdf(tmp_path / "run.nc")
     again = hf.read_trajectory(tmp_path / "run.nc")
-    for name in ("peg_angle", "peg_rate"):
+    for name in ("contact_force", "contact_loss", "peg_angle", "peg_rate"):
         np.testing.assert_array_equal(getattr(again, name), getattr(run, name))
+    for name in ("peg_angle", "peg_rate"):
         np.testing.assert_array_equal(getattr(again.state, name), getattr(run.state, name))
         assert again.dataset[name].dims == ("time", "peg")
+    assert "contact_force" in again.dataset
     assert set(again.setup.pegs) == set(run.setup.pegs)
     # From the file, too, the run continues to the last bit.
     onwards = [fallen(duration=0.1, state=one.state, q0=None) for one in (run, again)]
     np.testing.assert_array_equal(onwards[0].peg_rate, onwards[1].peg_rate)
+    np.testing.assert_array_equal(onwards[0].q, onwards[1].q)
     np.testing.assert_array_equal(onwards[0].peg_angle[0], run.peg_angle[-1])
 
 
@@ -52,8 +55,10 @@ def test_members_of_a_batch_are_runs_of_their_own():
 
 
 def test_pegs_survive_their_file():
-    pegs = (POST, PULLEY)
-    assert hf.Setup.loads(hf.Setup(CABLE, pegs=pegs).dumps()).pegs == pegs
+    setup = hf.Setup(CABLE, pegs=(POST, PULLEY), contact_step=1e-4, tip_force=(0.1, -0.2))
+    again = hf.Setup.loads(setup.dumps())
+    assert (again.pegs, again.contact_step, again.tip_force) == (setup.pegs, 1e-4, (0.1, -0.2))
+    refuses("different numbers of pegs", hf.Setup.loads, setup.dumps().replace("x = [0.6, 0.0]", "x = 0.6"))
     assert "bearing" not in hf.Setup(CABLE, pegs=[POST]).dumps()
     one = hf.Setup(CABLE, pegs=[PULLEY]).dumps().replace("inertia = [1e-05]", "inertia = 1e-05")
     assert hf.Setup.loads(one).pegs == (PULLEY,)

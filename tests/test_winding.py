@@ -39,26 +39,6 @@ def test_what_contact_cannot_do_is_refused(what, words):
     refuses(words, hf.simulate, rope, **{"duration": 0.1, "pegs": [PEG], **how})
 
 
-def test_a_set_up_with_pegs_survives_its_file(tmp_path):
-    setup = hf.Setup(cable(), pegs=[PEG, hf.Peg(-0.5, -0.2, 0.05)], contact_step=1e-4, tip_force=(0.1, -0.2))
-    again = hf.Setup.loads(setup.dumps())
-    assert (again.pegs, again.contact_step, again.tip_force) == (setup.pegs, 1e-4, (0.1, -0.2))
-    one = setup.dumps().replace("x = [0.6, -0.5]", "x = 0.6")
-    refuses("different numbers of pegs", hf.Setup.loads, one)
-
-
-def test_a_run_survives_its_file_and_continues(tmp_path):
-    run = hf.simulate(cable(n_links=20), duration=0.6, q0=np.full(20, 1.4), pegs=[PEG])
-    run.to_netcdf(tmp_path / "run.nc")
-    again = hf.read_trajectory(tmp_path / "run.nc")
-    np.testing.assert_array_equal(again.contact_force, run.contact_force)
-    np.testing.assert_array_equal(again.contact_loss, run.contact_loss)
-    assert again.setup.pegs == (PEG,)
-    assert "contact_force" in again.dataset
-    onwards = [hf.simulate(cable(n_links=20), duration=0.1, state=s, pegs=[PEG]).q for s in (run.state, again.state)]
-    np.testing.assert_array_equal(*onwards)
-
-
 def test_a_finer_rope_is_the_same_rope():
     rope = cable(n_links=10, stiffness=1e-3, tip_mass=0.01)
     fine = hf.refine_rope(rope, [PEG])

@@ -93,17 +93,6 @@ def test_a_signal_at_the_very_end_of_a_call_leaves_the_next_one_alone():
     assert idle([2]) == [2]
 
 
-def test_another_error_that_hides_an_interrupt_comes_out_as_one() -> None:
-    @interruptible()
-    def fails():
-        swallowed()
-        raise ValueError
-
-    with pytest.raises(hf.Interrupted) as stop:
-        fails()
-    assert stop.value.partial is None
-
-
 def test_what_a_library_swallows_comes_out_at_the_end_of_the_call():
     calls = []
 
