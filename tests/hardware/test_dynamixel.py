@@ -50,19 +50,6 @@ def test_a_value_that_looks_like_a_header_is_stuffed_on_the_way_there_and_back()
         assert link._get(116, 4) == header
 
 
-def test_the_device_ignores_noise_damaged_packets_and_other_ids():
-    device = servo()
-    ping = bytes.fromhex("FF FF FD 00 01 03 00 01 19 4E")
-    assert device.handle(b"\xff\xff\x00noise" + ping[:4]) == b""
-    assert device.handle(ping[4:])[4:8] == b"\x01\x07\x00\x55"
-    device._table[68] = 1
-    assert device.handle(ping[:-1] + b"\x4f") == b""
-    assert device.handle(ping[:4] + b"\x02" + ping[5:]) == b""
-    assert device.handle(ping[:5] + b"\x00\x02" + ping[7:]) == b""  # the rest of a longer packet never comes
-    device.tick(0.01)
-    assert device.handle(ping) != b""
-
-
 # ---------------------------------------------------------------------- the link
 
 
