@@ -115,7 +115,7 @@ def carry_out(tmp_path: Path) -> CarryOut:
 
 def test_a_run_brings_the_arm_to_its_start_and_follows_the_motion(carry_out: CarryOut, notes, tmp_path: Path) -> None:
     said = list[str]()
-    run = carry_out(SeenRope(PLAN), say=said.append)
+    run = carry_out(SeenRope(PLAN, rate=0.3), say=said.append)  # estimated rates alone do not make a rope swing
     sent = run.log.column("sent")
     cast = sent >= 0.0
     assert run.log.column("goal_angle")[cast] == pytest.approx(MOTION.angle(sent[cast]), abs=1e-9)
@@ -160,10 +160,6 @@ def test_what_is_not_cast(carry_out: CarryOut, notes, rope, link, message: str, 
 def test_a_motion_beyond_the_drives_limits_moves_nothing(carry_out: CarryOut, tmp_path: Path) -> None:
     refuses(r"fast|speed|rate", carry_out, None, limits=hf.MotorLimits(speed=0.5))
     assert not (tmp_path / "notes").exists()
-
-
-def test_estimated_rates_alone_do_not_make_a_rope_swing(carry_out: CarryOut) -> None:
-    assert len(carry_out(SeenRope(PLAN, rate=0.3)).log.rows) > 0
 
 
 def test_the_user_is_asked_after_the_drive_was_read_and_before_its_torque_is_on(carry_out: CarryOut, notes) -> None:

@@ -47,6 +47,11 @@ def test_what_would_fill_the_memory_is_refused_before_it_is_begun():
         hf.simulate_batch([ROPE] * 1000, duration=1.0, t_eval=np.linspace(0.0, 1.0, 20_000), keep=["q", "qd"])
     with pytest.raises(InvalidInput, match=r"derivatives of 4 links by 5 parameters at 1000001 outputs"):
         hf.sensitivities(ROPE, duration=1e4, wrt=["friction[:]", "tip_mass"])
+    t = np.arange(300_000) / 100.0
+    many = hf.Recording(t, np.random.default_rng(1).normal(0.0, 0.1, (t.size, 10)))
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, friction=0.0)
+    words = r"fit of 20 parameters of 10 links to 2400000 values would fill.*Free fewer"
+    refuses(words, hf.identify, many, rope, ["friction", "inertia"])
     assert hf.simulate(ROPE, duration=0.1).success
 
 
@@ -180,20 +185,12 @@ def test_a_fit_ends_when_its_time_budget_is_over():
     assert found.held_out is None
 
 
-@pytest.mark.usefixtures("one_gibibyte")
-def test_a_fit_that_would_fill_the_memory_is_refused_before_it_is_begun():
-    t = np.arange(300_000) / 100.0
-    many = hf.Recording(t, np.random.default_rng(1).normal(0.0, 0.1, (t.size, 10)))
-    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, friction=0.0)
-    with pytest.raises(
-        InvalidInput, match=r"fit of 20 parameters of 10 links to 2400000 values would fill.*Free fewer"
-    ):
-        hf.identify(many, rope, ["friction", "inertia"])
-
-
-def test_runge_kutta_with_thousands_of_links_is_refused():
-    with pytest.raises(InvalidInput, match=r"'rk4'.*got 5000. Allowed: up to 1000. Take method='extrapolation'"):
-        hf.simulate(LONG, duration=1.0, method="rk4", step=1e-3)
+def test_what_nobody_waits_for_is_refused():
+    """Runge-Kutta with thousands of links, and a cast that may swing for ever."""
+    words = r"'rk4'.*got 5000. Allowed: up to 1000. Take method='extrapolation'"
+    refuses(words, hf.simulate, LONG, duration=1.0, method="rk4", step=1e-3)
+    words, ever = r"time is longer than anybody swings.*got 10000000000\.0.*100 periods", hf.Conditions(time_limit=1e10)
+    refuses(words, hf.plan_cast, ROPE, hf.Arm(length=0.1), hf.Peg(0.3, -0.2, 0.03), conditions=ever)
 
 
 def test_a_peg_that_no_links_can_follow_is_refused(tmp_path, capsys):
@@ -208,11 +205,6 @@ def test_a_peg_that_no_links_can_follow_is_refused(tmp_path, capsys):
     place = ["--target", "0.3", "-0.2", "--radius", "1e-9", "-o", str(tmp_path / "planned")]
     assert run(["cast", "--rope", str(tmp_path / "rope.toml"), *place]) == 2
     assert "too many links" in capsys.readouterr().err
-
-
-def test_a_cast_may_not_swing_for_ever():
-    with pytest.raises(InvalidInput, match=r"time is longer than anybody swings.*got 10000000000\.0.*100 periods"):
-        hf.plan_cast(ROPE, hf.Arm(length=0.1), hf.Peg(0.3, -0.2, 0.03), conditions=hf.Conditions(time_limit=1e10))
 
 
 # ---- progress where nobody watches
