@@ -30,6 +30,15 @@ def test_runs_and_recordings_go_to_mcap(hyperflex_json, tmp_path):
         np.testing.assert_array_equal(hf.read_recording(tmp_path / f"{name}.mcap").data, run.q)
 
 
+def test_what_a_recording_does_not_declare_is_given_by_options(hyperflex, tmp_path):
+    (tmp_path / "swing.csv").write_text("t,th1\n0,0\n1,2\n")
+    declared = ("--time-unit", "ms", "--unit", "deg")
+    assert hyperflex("export", tmp_path / "swing.csv", "-o", tmp_path / "swing.mcap", *declared)[0] == 0
+    found = hf.read_recording(tmp_path / "swing.mcap")
+    np.testing.assert_allclose(found.data[:, 0], np.radians([0.0, 2.0]))
+    np.testing.assert_allclose(found.t, [0.0, 1e-3])
+
+
 @pytest.mark.parametrize(
     ("source", "out", "named"),
     [

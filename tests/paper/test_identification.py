@@ -5,8 +5,15 @@ import pytest
 
 from hyperflex import files
 from hyperflex.paper import Claim, identification, reproduce, verdicts
-from hyperflex.paper.identification import SMALL, WIDE, record
+from hyperflex.paper.identification import PART, SMALL, SWINGS, WIDE, methods, record, revised
 from hyperflex.report import BLUE, RED
+
+
+@pytest.fixture
+def few_counts(monkeypatch):
+    """Fig. 6 with two counts in place of nine, and no finer chain: seconds in place of half a minute."""
+    monkeypatch.setattr(identification, "COUNTS", (22, 81))
+    monkeypatch.setattr(identification, "CURVES", {SMALL: BLUE, WIDE: RED})
 
 
 def test_fig5_shows_circles_where_it_was_measured_and_what_is_left():
@@ -20,6 +27,32 @@ def test_fig5_shows_circles_where_it_was_measured_and_what_is_left():
     table = identification.fig5()
     away = table.columns["measured_5"] - table.columns["calculated_5"]
     assert 1e3 * np.sqrt(np.mean(away**2)) == pytest.approx(revised_left, rel=1e-3)
+
+
+@pytest.mark.nightly
+def test_fig6_has_a_curve_for_each_swing_and_the_papers_two_values(few_counts):
+    axis = identification.draw_fig6().axes[0]
+    drawn = {line.get_label(): line for line in axis.get_lines()}
+    table = identification.fig6()
+    for swing in SWINGS:
+        np.testing.assert_array_equal(drawn[swing.title].get_ydata(), table.columns[f"error_{swing.key}"])
+    np.testing.assert_array_equal(drawn["the paper"].get_xydata(), [[22, 0.046], [81, 0.040]])
+    assert axis.get_ylim()[0] == 0.0
+
+
+@pytest.mark.nightly
+def test_tables_hold_the_rounds_and_the_methods():
+    rounds, compared = identification.table1(), identification.table2()
+    own = (rounds.columns["angle"] == SMALL.angle) & (rounds.columns["data_links"] == SMALL.links)
+    np.testing.assert_array_equal(rounds.columns["inertia"][own], [each.inertia for each in revised(SMALL).rounds])
+    own = (compared.columns["angle"] == SMALL.angle) & (compared.columns["data_links"] == SMALL.links)
+    np.testing.assert_array_equal(compared.columns["error"][own], [each.error for each in methods(SMALL)])
+    assert compared.notes["methods"].startswith("0: NF; 1: CM; 2: IR")
+    assert "1.61 s" in compared.notes["periods"]
+    cells = PART.items["table1"].sections()[0].table.rows
+    assert cells[0] == ("the paper", "0", "5.09", "1.26", "", "4.64")
+    assert any(row[1] == "std" for row in cells)
+    assert ("the paper", "NF", "102", "", "", "16.3") in PART.items["table2"].sections()[0].table.rows
 
 
 def test_both_parts_go_to_one_page_in_the_papers_order(tmp_path):
