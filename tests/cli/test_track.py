@@ -1,6 +1,7 @@
 """``hyperflex watch`` and ``track``: ropes and bars, what programs get from them, videos as bad as they come."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -192,6 +193,19 @@ def test_a_raw_stream_is_refused(refused, folder, tmp_path, command):
 def test_options_that_cannot_be(refused, folder, tmp_path, command, options, message):
     assert message in refused(*words(command, folder / "swing.mp4", folder, tmp_path / "out.nc", *options))
     assert not (tmp_path / "out.nc").exists()
+
+
+def test_what_was_never_seen_and_what_was_estimated_is_reported(hyperflex, folder, tmp_path):
+    arguments = words(
+        "track", folder / "swing.mp4", folder, tmp_path / "out.nc", "--estimate", "scale=0.02,length=0.02"
+    )
+    arguments[arguments.index("--arc-lengths") + 1] = ",".join(map(str, [0.1, *ARCS]))
+    code, out, _ = hyperflex(*arguments)
+    assert code == 0
+    assert re.search(r"markers +8\n", out)
+    assert "the marker at 0.1 m was never seen: check its arc length and colour, or omit it from --arc-lengths" in out
+    assert "applied to the places of all frames: scale" in out
+    assert "of the rope, not of the places. To identify it: lengths in the rope's file times" in out
 
 
 @pytest.mark.parametrize("scale", [150.0, 260.0])
