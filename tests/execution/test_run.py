@@ -267,13 +267,6 @@ def test_a_closed_loop_that_hangs_stops_the_run(
     assert notes() == SWITCHED_OFF
 
 
-def test_a_fault_in_the_middle_ends_the_run_and_reports_it(carry_out: CarryOut) -> None:
-    run = carry_out(SeenRope(PLAN), fault_after=450)
-    assert "over-temperature" in run.message
-    assert not run.success
-    assert run.log.rows.size
-
-
 def test_an_off_that_is_not_confirmed_keeps_the_log(carry_out: CarryOut) -> None:
     run = carry_out(SeenRope(PLAN), stuck=True)
     assert "The drive did not confirm that its torque is off." in run.message

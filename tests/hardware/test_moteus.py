@@ -64,6 +64,14 @@ def crc(data):
     return remainder
 
 
+def test_after_a_checksum_all_lines_need_one(device):
+    good = COMMAND[:-1] + b" *%02X\n" % crc(COMMAND[:-1] + b" ")
+    assert device.handle(good).startswith(b"OK")
+    for bad in (COMMAND, good.replace(b"6000", b"6001")):
+        assert device.handle(bad).startswith(b"ERR checksum")
+    assert len(device.plant.goals) == 1
+
+
 def test_frames_for_others_and_frames_that_are_cut_off_change_nothing(device):
     device.handle(COMMAND.replace(b"8001", b"8002"))
     device.handle(COMMAND.replace(b"0150ff140400130d", b"01"))
