@@ -139,6 +139,18 @@ def test_ctrl_c_keeps_the_best_so_far(hyperflex, hyperflex_json, swing, ended, m
         assert ("usable" in page, "data:image/png" in page) == (True, False)  # figures take seconds
 
 
+def test_ctrl_c_while_the_page_is_drawn_leaves_the_rope(hyperflex_json, swing, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hyperflex.report.identification.page.residual_figure", interrupted)
+    code, result = hyperflex_json(*words("found", *FRICTION))
+    assert (code, result["error"], result["success"]) == (130, "interrupted", True)
+    assert {path.name for path in (swing / "found").iterdir()} == PARTS - {"report.html"}
+    assert (sorted(result["files"]), result["missing"]) == (["figures", "rope"], "the page")
+    assert result["values"]["friction"]
+
+
 def test_a_fit_that_did_not_converge_is_written_marked_and_exits_with_3(hyperflex_json, swing, ended):
     ended(converged=False)
     code, result = hyperflex_json(*words("rope.toml", *FRICTION))

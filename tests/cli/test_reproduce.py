@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from hyperflex.paper import casting
+from hyperflex.paper.part import Item
+
 
 def test_reproduce_writes_files_and_verdicts(hyperflex, hyperflex_json, tmp_path):
     code, out, _ = hyperflex("reproduce", "fig9", "-o", tmp_path / "paper")
@@ -23,6 +26,19 @@ def test_an_unknown_figure_is_refused(hyperflex_json, tmp_path):
     assert code == 2
     assert "fig14" in result["error"]
     assert not (tmp_path / "paper").exists()
+
+
+def test_ctrl_c_while_drawing_leaves_the_figures_that_are_done(hyperflex_json, tmp_path, monkeypatch):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(casting.PART.items, "fig10", Item(casting.PART.items["fig10"].table, interrupted))
+    (tmp_path / "report.html").write_text("an earlier run's")
+    code, result = hyperflex_json("reproduce", "fig9", "fig10", "-o", tmp_path)
+    assert (code, result["error"]) == (130, "interrupted")
+    assert sorted(result["files"]) == sorted(path.name for path in tmp_path.iterdir()) == ["fig9.csv", "fig9.png"]
+    assert "the claims" in result["missing"]
+    assert str(tmp_path / "fig9.png") in result["message"]
 
 
 @pytest.mark.nightly

@@ -64,12 +64,24 @@ def crc(data):
     return remainder
 
 
+def test_a_command_may_come_in_pieces(device):
+    assert device.handle(COMMAND[:20]) == b""
+    assert device.handle(COMMAND[20:]).startswith(b"OK")
+    assert len(device.plant.goals) == 1
+
+
 def test_after_a_checksum_all_lines_need_one(device):
     good = COMMAND[:-1] + b" *%02X\n" % crc(COMMAND[:-1] + b" ")
     assert device.handle(good).startswith(b"OK")
     for bad in (COMMAND, good.replace(b"6000", b"6001")):
         assert device.handle(bad).startswith(b"ERR checksum")
     assert len(device.plant.goals) == 1
+
+
+@pytest.mark.parametrize("line", [b"conf get id.id", b"can send 8001 0g", b"can send", b"can send zz 01", b"\xff\xfe"])
+def test_other_lines_are_errors(device, line):
+    assert device.handle(line + b"\n").startswith(b"ERR")
+    assert device.plant.goals == []
 
 
 def test_frames_for_others_and_frames_that_are_cut_off_change_nothing(device):
