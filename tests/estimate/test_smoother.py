@@ -119,14 +119,8 @@ def residuals(variables: Array, fitted: Interval) -> Array:
     for k, frame in enumerate(fitted.frames):
         if seen_before is not None:
             rope = PENDULUM.replace(friction=PENDULUM.friction * (1.0 + x[4]))
-            run = hf.simulate(
-                rope,
-                duration=frame.seen.t - seen_before,
-                q0=x[:2],
-                qd0=x[2:4],
-                tol=1e-9,
-                t_eval=[frame.seen.t - seen_before],
-            )
+            t_eval = [frame.seen.t - seen_before]
+            run = hf.simulate(rope, duration=frame.seen.t - seen_before, q0=x[:2], qd0=x[2:4], tol=1e-9, t_eval=t_eval)
             x = np.concatenate([run.q[-1], run.qd[-1], x[4:]]) + frame.noise.T @ noises[k - 1]
         place = PENDULUM.joints(x[:2], np.zeros(2))[1:]
         terms.append(((frame.seen.places - place)[frame.used] / 2e-3).ravel())
@@ -174,7 +168,6 @@ def test_a_long_horizon_is_the_smoother():
     horizon = MovingHorizon(PENDULUM, ARCS, frames=20, starts=1)
     whole = smooth(horizon, observations)
     fitted = horizon.horizon
-    assert fitted is not None
     assert len(fitted.frames) == len(whole.states) == 8
     std = np.sqrt(np.diag(whole.states[-1].covariance))
     gap = np.concatenate([whole.states[-1].q, whole.states[-1].qd]) - fitted.x

@@ -1,15 +1,13 @@
 """From a rendered video of a finer rope to its markers, and to the rope (simulated throughout)."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.cli.app import run
 from hyperflex.errors import Interrupted, InvalidInput
-from hyperflex.estimate import MarkerMeasurement, MovingHorizon, Observations, RopeFilter, RopeTracker, track_video
+from hyperflex.estimate import MarkerMeasurement, Observations, RopeFilter, RopeTracker, track_video
 from hyperflex.files import read_netcdf
 from hyperflex.vision import (
     Camera,
@@ -111,42 +109,6 @@ def test_a_rope_that_begins_elsewhere_is_an_error_after_a_second_of_frames(video
         assert wrong.look(frame).state is None
     with pytest.raises(InvalidInput, match="does not begin at its first joint"):
         [wrong.look(frame) for frame in frames[40:]]
-
-
-@pytest.mark.nightly  # eight frames of one: test_curve.py
-def test_a_tracker_on_a_moving_horizon(video):
-    """In place of the filter: the markers seen, and where they must be in the blackout."""
-    path, truth = video
-    follower, ends = tracker(path, truth, MovingHorizon, 20), np.linspace(0.0, 2.0, 101)
-    found = track_video(path, follower)
-    assert found.seen > 0.86  # 7 % are in the blackout
-    swing, last = free_swing(0, 4.0), follower.estimator.state
-    joints = swing.joints[round(last.t * 600.0)]
-    true = np.stack([np.interp(ARCS, ends, joints[:, c]) for c in (0, 1)], axis=1)
-    places = follower.camera.locate(follower.estimator.markers()[0])
-    assert np.linalg.norm(places - true, axis=1).max() < 0.01
-
-
-@pytest.mark.nightly  # the demo goes the same way
-def test_a_video_becomes_a_rope(video, tmp_path, capsys):
-    """track, then identify: friction and inertia of the rope that was filmed, from a guess that is 30 % off."""
-    path, truth = video
-    rope(12).to_toml(tmp_path / "rope.toml")
-    camera(exposure=0.005, readout=0.02).write(tmp_path / "camera.toml")
-    u, v = truth.pixels[0, 3].tolist()
-    named = ["--rope", tmp_path / "rope.toml", "--camera", tmp_path / "camera.toml", "-o", tmp_path / "markers.nc"]
-    words = ["track", path, *named, "--arc-lengths", ",".join(map(str, ARCS)), "--click", f"{u},{v}", "--json"]
-    assert run([str(word) for word in [*words, "--estimate", "scale=0.02"]]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["frames"] == stamps().size
-    assert result["seen"] > 0.86  # 7 % are in the blackout
-    assert abs(result["estimated"]["scale"]["value"]) < 5e-3  # it is right, and gravity shows it; 12 links for 100
-    recording = hf.read_recording(tmp_path / "markers.nc")
-    guess = rope(12).replace(friction=1.3 * rope(12).friction)
-    setup = hf.RecordingSetup(arc_lengths=ARCS, origin=(0.0, 0.0))
-    result = hf.identify(recording, guess, ["friction:factor"], setup=setup)
-    assert result.success
-    assert result.rope.friction[3] == pytest.approx(rope(12).friction[3], rel=0.2)
 
 
 @pytest.mark.parametrize(("slower", "said"), [(1.0, None), (4.0, "time stamps")])

@@ -7,10 +7,11 @@ import pytest
 from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
 from hyperflex.identification import Kind
 from hyperflex.identification.declarations.held import DRIFT
 from hyperflex.identification.model import ANGLES
+from tests.identification.twins import QUICK
+from tests.refusals import refuses
 
 GUESS = SINGLE.replace(inertia=1e-3, friction=5e-4)
 
@@ -39,7 +40,7 @@ def real_single(data_dir: Path, factor: float = 1.0, drift: float = 0.0) -> tupl
 @pytest.mark.nightly
 def test_a_real_pendulum_read_too_small_or_too_large(data_dir, factor, free):
     t, q, guess = real_single(data_dir, factor)
-    found = hf.identify(hf.Recording(t, q), guess, free, options=hf.FitOptions(intervals=None))
+    found = hf.identify(hf.Recording(t, q), guess, free, options=QUICK)
     assert told(found) == pytest.approx(1.0 / factor, rel=0.01)
     assert not found.has(Kind.DRIFT)
     assert ANGLES not in found.settings["free"]
@@ -49,9 +50,7 @@ def test_a_real_pendulum_read_too_small_or_too_large(data_dir, factor, free):
 def test_a_pendulum_read_too_small_or_too_large(factor):
     """Noise hides most of it, and J/p1 is 2 % off; a spring only makes a pendulum faster, and does the same then."""
     t, q = swing(SINGLE, [1.0])
-    found = hf.identify(
-        hf.Recording(t, factor * noisy(q)), GUESS, ["inertia", "friction"], options=hf.FitOptions(intervals=None)
-    )
+    found = hf.identify(hf.Recording(t, factor * noisy(q)), GUESS, ["inertia", "friction"], options=QUICK)
     assert told(found) == pytest.approx(1.0 / factor, rel=0.01)
     assert ("stiffness" in str(found.findings[0].values)) == (factor > 1.0)
 
@@ -61,7 +60,7 @@ def test_a_pendulum_read_too_small_or_too_large(factor):
 def test_a_double_pendulum_shows_a_small_factor(factor):
     t, q = swing(DOUBLE, [0.9, 0.6])
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
-    found = hf.identify(hf.Recording(t, factor * noisy(q)), guess, FREE, options=hf.FitOptions(intervals=None))
+    found = hf.identify(hf.Recording(t, factor * noisy(q)), guess, FREE, options=QUICK)
     assert found.has(Kind.ANGLE_SCALE)
     test = next(each for each in found.score_tests if each.name == ANGLES)
     assert test.values[0] == pytest.approx(factor, abs=2e-3)
@@ -69,7 +68,7 @@ def test_a_double_pendulum_shows_a_small_factor(factor):
 
 def test_a_clock_that_drifts_keeps_its_name(data_dir):
     t, q, guess = real_single(data_dir, drift=0.02)
-    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction"], options=hf.FitOptions(intervals=None))
+    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction"], options=QUICK)
     assert found.findings[0].kind is Kind.DRIFT
     gains = {each.name: each.gain for each in found.score_tests}
     assert gains[DRIFT] > gains[ANGLES]
@@ -79,12 +78,10 @@ def test_a_spring_keeps_its_name():
     """One of a single pendulum does exactly, to third order in the angle, what angles read too large do."""
     t, q = swing(DOUBLE.replace(stiffness=[0.02, 0.01]), [0.9, 0.6])
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
-    found = hf.identify(hf.Recording(t, noisy(q)), guess, FREE, options=hf.FitOptions(intervals=None))
+    found = hf.identify(hf.Recording(t, noisy(q)), guess, FREE, options=QUICK)
     assert found.findings[0].values["name"] == "'stiffness'"
     t, q = swing(SINGLE.replace(stiffness=0.02), [1.0])
-    found = hf.identify(
-        hf.Recording(t, noisy(q)), GUESS, ["inertia", "friction"], options=hf.FitOptions(intervals=None)
-    )
+    found = hf.identify(hf.Recording(t, noisy(q)), GUESS, ["inertia", "friction"], options=QUICK)
     first = found.findings[0]
     assert {first.kind} | set(first.values["alike"]) >= {Kind.ANGLE_SCALE, "'stiffness'"}  # which is first, noise tells
 
@@ -93,9 +90,7 @@ def test_a_spring_keeps_its_name():
 def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir, more):
     """J/p1 would be 17 % off, by nine standard deviations."""
     t, q, guess = real_single(data_dir, 1.1)
-    found = hf.identify(
-        hf.Recording(t, q), guess, ["inertia", "friction", "stiffness", *more], options=hf.FitOptions(intervals=None)
-    )
+    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction", "stiffness", *more], options=QUICK)
     assert found.findings[0].kind is Kind.SPRING_OR_ANGLES
     assert found.findings[0].values["factor"] == pytest.approx(0.91, abs=0.02)
     assert not found.has(Kind.CLOCK)
@@ -104,9 +99,6 @@ def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir, more)
 def test_places_have_no_such_factor_and_none_can_be_free():
     t, q = swing(DOUBLE, [0.9, 0.6], 3.0)
     places = np.stack([DOUBLE.joints(row, np.zeros(2)) for row in q]).reshape(t.size, -1)
-    found = hf.identify(
-        hf.Recording(t, noisy(places, 5e-4), kind="markers"), DOUBLE, FREE, options=hf.FitOptions(intervals=None)
-    )
+    found = hf.identify(hf.Recording(t, noisy(places, 5e-4), kind="markers"), DOUBLE, FREE, options=QUICK)
     assert ANGLES not in {each.name for each in found.score_tests}
-    with pytest.raises(InvalidInput, match="unknown name"):
-        hf.identify(hf.Recording(t, q), DOUBLE, [*FREE, ANGLES])
+    refuses("unknown name", hf.identify, hf.Recording(t, q), DOUBLE, [*FREE, ANGLES])

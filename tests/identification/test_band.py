@@ -11,6 +11,7 @@ from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import PredictionUncertainty, prediction_std
 from tests.faults.interrupting import left_by
+from tests.identification.twins import WHOLE
 
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
 NOISE = 2e-3
@@ -31,9 +32,7 @@ def window(y: Array, prior: Array | None = None) -> Window:
 def predicted(model: Plant, x: Array, seen: Window) -> Array:
     """Return the prediction (20, 2) from a newly fitted state."""
     found = fit_state(model, x, seen, seen.guess)
-    assert found is not None
     result = model.predict(x, np.append(T[0], AHEAD), found[0])
-    assert result is not None
     return result[1:]
 
 
@@ -47,7 +46,6 @@ def test_an_error_of_the_parameters_moves_state_and_prediction(swing):
     model, seen = plant(), window(swing)
     x = model.parameters.start
     found = fit_state(model, x, seen, seen.guess)
-    assert found is not None
     covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
     uncertainty = PredictionUncertainty(covariance, np.full(2, 1e-9), 1.0)
     ours = prediction_std(model, x, seen, found, AHEAD, uncertainty)
@@ -62,7 +60,6 @@ def test_noise_of_the_window_and_of_the_sample_itself(swing):
     model, seen = plant(), window(swing)
     x = model.parameters.start
     found = fit_state(model, x, seen, seen.guess)
-    assert found is not None
     noise = np.array([1e-3, 3e-3])
     ours = prediction_std(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 1.0))
     rng = np.random.default_rng(1)
@@ -80,7 +77,6 @@ def test_a_prior_holds_the_state(swing):
     x = model.parameters.start
     uncertainty = PredictionUncertainty(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
     found = fit_state(model, x, free, free.guess)
-    assert found is not None
     assert (
         prediction_std(model, x, held, found, AHEAD, uncertainty)
         < prediction_std(model, x, free, found, AHEAD, uncertainty)
@@ -107,7 +103,6 @@ def recorded(seed: int) -> hf.Recording:
 def test_the_band_holds_what_it_says():
     result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], options=hf.FitOptions(train=5.0))
     held = result.held_out
-    assert held is not None
     assert held.std.shape == held.measured.shape
     # 1800 values, errors of the 18 states shared by 100 each: 95 % within about 1.5 %, three times that is allowed.
     assert abs(held.inside - 0.95) < 0.045
@@ -120,13 +115,8 @@ def test_outliers_do_not_widen_the_band():
     rng = np.random.default_rng(9)
     spoilt = clean.data + np.where(rng.random(clean.data.shape) < 0.05, 0.3, 0.0)
     spoilt[clean.t > 5.0] = clean.data[clean.t > 5.0]
-    result = identify(
-        hf.Recording(clean.t, spoilt),
-        ROPE.replace(friction=1e-3),
-        ["friction"],
-        options=hf.FitOptions(train=5.0, loss="cauchy"),
-    )
-    assert result.held_out is not None
+    options = hf.FitOptions(train=5.0, loss="cauchy")
+    result = identify(hf.Recording(clean.t, spoilt), ROPE.replace(friction=1e-3), ["friction"], options=options)
     assert np.median(result.held_out.std) < 1.5 * NOISE  # 0.07 with the outliers as noise
 
 
@@ -138,14 +128,9 @@ def test_a_rope_with_few_markers_is_predicted_to_its_noise():
     places = run.joints[:, [2, 4, 6, 8]] + np.array([0.3, -0.1])
     data = places.reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers", noise=1e-3)
-    result = identify(
-        recording,
-        rope.replace(friction=1e-3),
-        ["friction:shared"],
-        setup=hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8]),
-        options=hf.FitOptions(train=2.4),
-    )
-    assert result.held_out is not None
+    setup = hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8])
+    guess = rope.replace(friction=1e-3)
+    result = identify(recording, guess, ["friction:shared"], setup=setup, options=hf.FitOptions(train=2.4))
     assert (
         result.held_out.rms < 3e-3
     ).all()  # noise of 1 mm and what a state on 12 samples adds; 0.1 m without weights
@@ -175,8 +160,6 @@ def test_markers_without_given_noise_are_not_outweighed_by_the_prior():
     data = run.joints[:, [2, 4, 6, 8]].reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers")
     places = hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0])
-    result = identify(
-        recording, rope.replace(friction=1e-3), ["friction:shared"], setup=places, options=hf.FitOptions(train=np.inf)
-    )
+    result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], setup=places, options=WHOLE)
     assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.std["friction"]).all()
     assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in std beats errors in m

@@ -8,13 +8,14 @@ from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification import Kind
+from tests.identification.twins import QUICK
 
 GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
 
 def fitted(true: hf.Rope, guess: hf.Rope, free: Sequence[str], clock: float = 1.0) -> hf.Identification:
     t, q = swing(true, np.linspace(0.9, 0.6, true.n_links))
-    return hf.identify(hf.Recording(clock * t, noisy(q)), guess, free, options=hf.FitOptions(intervals=None))
+    return hf.identify(hf.Recording(clock * t, noisy(q)), guess, free, options=QUICK)
 
 
 def causes(found: hf.Identification) -> tuple[hf.identification.Finding, ...]:
@@ -67,9 +68,7 @@ def test_deviations_grow_with_a_clock_that_is_off_also_beside_a_drag_of_nearly_n
     inertia = np.array([0.1687, 0.1644, 0.0377])  # over p1, by other parts of the recording
     stds = []
     for clock in (1.005, 1.01):
-        found = hf.identify(
-            hf.Recording(clock * part.t, part.data), guess, [*FREE, "drag"], options=hf.FitOptions(intervals=None)
-        )
+        found = hf.identify(hf.Recording(clock * part.t, part.data), guess, [*FREE, "drag"], options=QUICK)
         stds.append(found.ratio_std["J/p1"])
         assert (np.abs(found.ratios["J/p1"] - inertia) < 2.0 * stds[-1]).all()
     assert (stds[1] > stds[0]).all()
@@ -82,7 +81,7 @@ def test_a_wrong_clock_is_reported_with_a_wrong_fixed_mass():
     run = hf.simulate(true, duration=10.0, t_eval=t, q0=[3.0, 2.5], qd0=[5.0, -8.0], tol=1e-8)
     places = run.joints.reshape(t.size, -1)
     seen = hf.Recording(t / 0.93, noisy(places, 2e-4), kind="markers")
-    found = hf.identify(seen, true.replace(mass=[0.05, 0.03], friction=1e-5), options=hf.FitOptions(intervals=None))
+    found = hf.identify(seen, true.replace(mass=[0.05, 0.03], friction=1e-5), options=QUICK)
     (clock,) = [each for each in causes(found) if each.kind is Kind.CLOCK]
     assert clock.values["clock"] == pytest.approx(0.93, abs=0.005)
     assert clock.values["freed_with"] in (["'mass'"], ["'com'"])
@@ -108,7 +107,7 @@ def test_an_origin_that_is_wrong_is_named_for_a_marker_alone():
     seen = hf.Recording(t, noisy(run.joints[:, 1] + [0.3, 0.8], 1e-3), kind="markers")
     for x in (0.305, 0.3):
         setup = hf.RecordingSetup(arc_lengths=[0.6], origin=(x, 0.8))
-        found = hf.identify(seen, rope, setup=setup, options=hf.FitOptions(intervals=None))
+        found = hf.identify(seen, rope, setup=setup, options=QUICK)
         named = [each.values for each in found.findings if each.values.get("name") == "'origin_x'"]
         assert len(named) == (x != 0.3)
     assert found.grade == "usable for ratios"
@@ -121,6 +120,6 @@ def test_data_as_exact_as_the_simulation_are_a_fit_that_has_converged(noise):
     t = np.arange(401) / 100.0
     run = hf.simulate(true, duration=4.0, t_eval=t, q0=[0.6, 0.2], tol=1e-10)
     seen = hf.Recording(t, noisy(run.q, noise))
-    found = hf.identify(seen, true.replace(friction=1e-3), options=hf.FitOptions(intervals=None))
+    found = hf.identify(seen, true.replace(friction=1e-3), options=QUICK)
     assert found.grade == "usable for ratios"
     np.testing.assert_allclose(found.ratios["J/p1"], hf.identification.ratios(true)["J/p1"], rtol=1e-5)

@@ -5,6 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.identification import Kind
+from tests.identification.twins import QUICK
 
 T = np.arange(600) / 60.0
 NOISE = {"angles": 3e-3, "markers": 1e-3}  # rad, m
@@ -33,7 +34,7 @@ def swing(n, kind="angles", late=0.0, seed=0, amplitude=1.0, **more):
 
 def identified(n, data, kind="angles", **more):
     guess = rope(n).replace(friction=1e-3, inertia=1.2 * rope(n).inertia)
-    return hf.identify(hf.Recording(T, data, kind=kind), guess, options=hf.FitOptions(intervals=None), **more)
+    return hf.identify(hf.Recording(T, data, kind=kind), guess, options=QUICK, **more)
 
 
 def moved(data, column, size):
@@ -83,7 +84,7 @@ def test_smoothed_samples_are_named_first_and_free_no_spring(kind):
     data = swing(2, kind)
     smooth = np.stack([np.convolve(column, np.full(9, 1.0 / 9.0), "same") for column in data.T], axis=1)[4:-4]
     guess = rope(2).replace(friction=1e-3, inertia=1.2 * rope(2).inertia)
-    found = hf.identify(hf.Recording(T[4:-4], smooth, kind=kind), guess, options=hf.FitOptions(intervals=None))
+    found = hf.identify(hf.Recording(T[4:-4], smooth, kind=kind), guess, options=QUICK)
     first = found.findings[0]
     assert first.kind is Kind.SMOOTHED
     assert first.values["width"] == pytest.approx(9.0 / 60.0, rel=0.1)

@@ -14,6 +14,7 @@ from hyperflex.identification import FitOptions, RecordingSetup
 from hyperflex.identification import experiment_design as _design
 from hyperflex.identification.experiment_design import default_experiments, expected_information, variations
 from tests.faults.interrupting import left_by
+from tests.identification.twins import WHOLE
 from tests.refusals import refuses
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
@@ -29,9 +30,7 @@ def test_predicted_deviations_are_those_of_many_fits():
     values, stated = [], []
     for seed in range(40):
         noise = NOISE * np.random.default_rng(seed).standard_normal(run.q.shape)
-        found = identify(
-            Recording(SHORT.t, run.q + noise), SINGLE, ["inertia", "friction"], options=FitOptions(train=np.inf)
-        )
+        found = identify(Recording(SHORT.t, run.q + noise), SINGLE, ["inertia", "friction"], options=WHOLE)
         values.append([float(found.values[name][0]) for name in ("inertia", "friction")])
         parts = [(found.std[name][0], found.model_std[name][0]) for name in ("inertia", "friction")]
         stated.append([float(np.sqrt(std**2 - model**2)) for std, model in parts])  # what noise does
@@ -53,13 +52,8 @@ def test_markers_are_predicted_as_in_a_fit_of_positions():
     seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
     recording = Recording(look.t, seen, kind="markers", noise=1e-3)
     exact = {"length_std": 0.0, "clock_std": 0.0}
-    found = identify(
-        recording,
-        DOUBLE,
-        ["inertia", "friction"],
-        setup=RecordingSetup(arc_lengths=arc_lengths),
-        options=FitOptions(train=np.inf, **exact),
-    )
+    setup = RecordingSetup(arc_lengths=arc_lengths)
+    found = identify(recording, DOUBLE, ["inertia", "friction"], setup=setup, options=FitOptions(train=np.inf, **exact))
     np.testing.assert_allclose(found.std["inertia"], list(planned.std.values()), rtol=0.1)
 
 

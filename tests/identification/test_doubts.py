@@ -14,6 +14,7 @@ from hyperflex.identification.declarations.held import SCALES
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.symptoms import score_findings
 from hyperflex.identification.uncertainty.model_error import with_model_error
+from tests.identification.twins import EXACT, QUICK, WHOLE_QUICK
 
 ROPE = hf.Rope(length=[0.4, 0.2], mass=[0.15, 0.05], com=[0.21, 0.09], inertia=[2.2e-3, 2e-4], friction=[4e-4, 5e-5])
 GUESS = ROPE.replace(inertia=[1.5e-3, 3e-4], com=[0.2, 0.1], friction=1e-4)
@@ -24,9 +25,7 @@ def fitted(rope: hf.Rope, free: Sequence[str] | None, noise: float, drift: float
     """A fit of angles by a clock that goes too slowly, the more so the later."""
     q = hf.simulate(rope, duration=T[-1], t_eval=T, q0=[1.1, -0.4], tol=1e-9).q
     q = q + noise * np.random.default_rng(7).standard_normal(q.shape)
-    return hf.identify(
-        hf.Recording(T * (1.0 + drift * T / T[-1]), q), GUESS, free, options=hf.FitOptions(intervals=None)
-    )
+    return hf.identify(hf.Recording(T * (1.0 + drift * T / T[-1]), q), GUESS, free, options=QUICK)
 
 
 def severities(tests: list[ScoreTest]) -> dict[Kind, Severity]:
@@ -54,7 +53,7 @@ def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir):
         data_dir / "ibm_double_pendulum/run06_500Hz.csv", time_unit="s", unit="m", y_axis="up"
     )
     guess = hf.Rope(length=recording.link_lengths(), mass=0.1, friction=1e-5)
-    found = hf.identify(recording.window(26.0, 34.0), guess, options=hf.FitOptions(intervals=None))
+    found = hf.identify(recording.window(26.0, 34.0), guess, options=QUICK)
     assert found.grade == "usable for ratios"
     assert found.settings["free"][:3] == ["inertia", "friction", "com"]
     # of the whole recording, with its lengths and clock: benchmarks/results/wrong-input.md
@@ -90,7 +89,7 @@ def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless():
     found = hf.identify(case.recording, case.guess, case.free)
     assert (found.grade, found.findings[0].kind) == ("usable for ratios", Kind.CLOCK)
     assert found.intervals["J/p1[1]"].low < case.truth["J/p1[1]"] < found.intervals["J/p1[1]"].high
-    exact = hf.identify(case.recording, case.guess, case.free, options=hf.FitOptions(length_std=0.0, clock_std=0.0))
+    exact = hf.identify(case.recording, case.guess, case.free, options=EXACT)
     assert (exact.grade, exact.findings[0].kind) == ("do not use", Kind.CLOCK)
 
 
@@ -99,13 +98,7 @@ def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless():
 def test_stamps_that_come_late_are_named_where_links_turn_fast(number):
     """Deviations are so wide that ratios move by less; a turned camera or another arm explained a short fit as well."""
     case = KINDS["late"][0](np.random.default_rng([1, list(KINDS).index("late"), number]))
-    found = hf.identify(
-        case.recording,
-        case.guess,
-        case.free,
-        setup=case.setup,
-        options=hf.FitOptions(intervals=None, train=np.inf),
-    )
+    found = hf.identify(case.recording, case.guess, case.free, setup=case.setup, options=WHOLE_QUICK)
     assert found.converged
     first = found.findings[0]
     assert (found.grade, first.kind) == ("do not use", Kind.DELAY)
@@ -118,7 +111,7 @@ def test_stamps_that_come_late_are_named_where_links_turn_fast(number):
 def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock():
     rope = hf.Rope.uniform(1.0, 0.05, 8, friction=4e-4)
     t, q = swing(rope.replace(tip_mass=0.005), np.linspace(0.9, 0.6, 8))
-    found = hf.identify(hf.Recording(t, noisy(q)), rope.replace(friction=1e-3), options=hf.FitOptions(intervals=None))
+    found = hf.identify(hf.Recording(t, noisy(q)), rope.replace(friction=1e-3), options=QUICK)
     assert (found.grade, found.findings[0].values["name"]) == ("do not use", "'tip_mass'")
     assert found.score_tests[0].values[0] == pytest.approx(0.005, rel=0.01)
     assert found.score_tests[0].beyond == np.inf  # first moments of a rope with held masses have no deviation
@@ -159,12 +152,7 @@ def real_double(data_dir: Path, begin: float, end: float) -> tuple[hf.Recording,
 def test_a_clock_that_is_off_by_less_than_shows_is_in_the_deviations(data_dir, clock):
     """Residuals are not white; without that, J/p1 of link 0 is 7 deviations off by a clock that is 1.6 % off."""
     part, guess, truth = real_double(data_dir, 10.0, 16.0)
-    found = hf.identify(
-        hf.Recording(clock * part.t, part.data),
-        guess,
-        ["inertia", "com", "friction"],
-        options=hf.FitOptions(intervals=None),
-    )
+    found = hf.identify(hf.Recording(clock * part.t, part.data), guess, ["inertia", "com", "friction"], options=QUICK)
     assert found.grade == "usable for ratios", found.grade
     for which, value in truth.items():
         assert (np.abs(found.ratios[which] - value) <= 2.5 * found.ratio_std[which] + 1e-9).all()
@@ -176,8 +164,7 @@ def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir):
     path = data_dir / "ibm_double_pendulum" / "run06_500Hz.csv"
     part = hf.read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 18.0)
     guess = hf.Rope(length=part.link_lengths(), mass=0.1, friction=1e-5)
-    found = hf.identify(part, guess, ["inertia", "com", "friction"], options=hf.FitOptions(intervals=None))
-    assert found.held_out is not None
+    found = hf.identify(part, guess, ["inertia", "com", "friction"], options=QUICK)
     assert found.held_out.rms.max() > 4.0
     assert found.grade == "usable for ratios", found.grade
     assert (np.abs(found.ratios["J/p1"] - [0.0906, 0.00691]) < 2.0 * found.ratio_std["J/p1"]).all()
@@ -195,7 +182,7 @@ def test_short_recordings_that_are_right_are_not_refused(data_dir, name, begin, 
         part = every.window(begin, begin + duration)
     else:
         part, guess, truth = real_double(data_dir, begin, begin + duration)
-    found = hf.identify(part, guess, ["inertia", "com", "friction"], options=hf.FitOptions(intervals=None))
+    found = hf.identify(part, guess, ["inertia", "com", "friction"], options=QUICK)
     assert found.grade == "usable for ratios", found.grade
     for which, value in truth.items():
         assert (np.abs(found.ratios[which] - value) <= 3.0 * found.ratio_std[which] + 1e-9).all()

@@ -38,12 +38,8 @@ def within(found: hf.Identification, name: str, truth: float) -> bool:
 def test_drag_is_known_beside_joint_friction(windy):
     recording, arc_lengths = windy
     guess = CORD.replace(drag=0.0, friction=1e-4)
-    found = hf.identify(
-        recording,
-        guess,
-        ["friction:shared", "drag:shared"],
-        setup=hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0)),
-    )
+    setup = hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0))
+    found = hf.identify(recording, guess, ["friction:shared", "drag:shared"], setup=setup)
     assert found.success
     assert within(found, "drag:shared", DRAG)
     assert within(found, "friction:shared", CORD.friction[0])
@@ -91,7 +87,6 @@ def test_drag_is_distinguished_from_joint_friction(rope):
     )
     assert found.preferred == ("drag" if rope.drag.any() else "joint friction")
     both = found["both"].identification
-    assert both is not None
     # Without any joint friction the finer twin bends more sharply than ten links can: that moves drag by 3 %.
     assert both.values["drag"][0] == pytest.approx(rope.drag[0], rel=0.06, abs=4.0 * both.std["drag"][0])
     assert both.values["friction"][0] == pytest.approx(rope.friction[0], rel=0.06, abs=4.0 * both.std["friction"][0])

@@ -95,13 +95,8 @@ def test_the_length_of_a_string_follows_from_its_swing():
     guess = GUESS.replace(length=[1.05 * LENGTH], com=[1.05 * LENGTH])
     setup = hf.RecordingSetup(arc_lengths=[LENGTH], origin=(0.0, 0.0))
     whole = string(20)
-    found = hf.identify(
-        hf.Recording(whole.t, whole.data[:, 2:], kind="markers"),
-        guess,
-        ["length", "friction"],
-        setup=setup,
-        options=EXACT,
-    )
+    recording = hf.Recording(whole.t, whole.data[:, 2:], kind="markers")
+    found = hf.identify(recording, guess, ["length", "friction"], setup=setup, options=EXACT)
     assert LENGTH in found.intervals["length[0]"]
     assert found.std["length"][0] < 1e-3 * LENGTH
 

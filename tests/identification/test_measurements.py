@@ -7,10 +7,11 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, RecordingSetup, identify
 from hyperflex.identification.measurements import build_plant, measure
-from hyperflex.model import Arm, Rope
-from hyperflex.motion import arm_swings
+from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from tests.identification.twins import WHOLE
+from tests.refusals import refuses
 
 CABLE = Rope.uniform(1.0, 0.06, 12, radius=0.0025, friction=3e-4)
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -32,13 +33,8 @@ def test_fewer_markers_than_links_find_friction_within_its_interval():
     noise = NOISE * np.random.default_rng(2).standard_normal((t.size, 4, 2))
     places = seen(run.joints, CABLE, arc_lengths) + noise + np.array([0.4, 1.2])
     recording = Recording(t, places.reshape(t.size, -1), kind="markers", noise=NOISE)
-    found = identify(
-        recording,
-        CABLE.replace(friction=1e-3),
-        ["friction:shared"],
-        setup=RecordingSetup(arc_lengths=arc_lengths),
-        options=FitOptions(train=np.inf),
-    )
+    setup = RecordingSetup(arc_lengths=arc_lengths)
+    found = identify(recording, CABLE.replace(friction=1e-3), ["friction:shared"], setup=setup, options=WHOLE)
     assert found.success
     assert found.unit == "m"
     gap = abs(found.values["friction"][0] - 3e-4) / found.std["friction"][0]
@@ -84,13 +80,8 @@ def test_where_a_marker_sits_can_be_found():
     places = (seen(run.joints, CABLE, arc_lengths) + noise).reshape(t.size, -1)
     guess = arc_lengths + np.array([0.0, 0.0, 0.03, 0.0, 0.0])
     recording = Recording(t, places, kind="markers", noise=NOISE)
-    found = identify(
-        recording,
-        CABLE,
-        ["friction:shared", "arc[2]"],
-        setup=RecordingSetup(arc_lengths=guess, origin=(0.0, 0.0)),
-        options=FitOptions(train=np.inf),
-    )
+    setup = RecordingSetup(arc_lengths=guess, origin=(0.0, 0.0))
+    found = identify(recording, CABLE, ["friction:shared", "arc[2]"], setup=setup, options=WHOLE)
     assert found.success
     assert found.values["arc"].shape == (5,)
     assert abs(found.values["arc"][2] - 0.6) < 4.0 * found.std["arc"][2]
@@ -98,54 +89,12 @@ def test_where_a_marker_sits_can_be_found():
     assert found.values["arc"][3] == 0.8
 
 
-@pytest.mark.nightly
-def test_gaps_and_gross_outliers_move_nothing_by_three_deviations():
-    t = np.arange(801) / 100.0
-    run = simulate(DOUBLE, duration=8.0, t_eval=t, q0=[0.8, 1.2], qd0=[0.0, 0.0], tol=1e-9)
-    random = np.random.default_rng(5)
-    clean = run.q + NOISE * random.standard_normal(run.q.shape)
-    spoilt = clean.copy()
-    outlier = random.uniform(size=clean.shape) < 0.05
-    spoilt[outlier] += random.uniform(-1.5, 1.5, outlier.sum())
-    spoilt[random.uniform(size=clean.shape) < 0.3] = np.nan
-    guess = DOUBLE.replace(inertia=5e-4, friction=1e-3)
-    free = ["inertia", "friction"]
-    one = identify(Recording(t, clean), guess, free, options=FitOptions(train=np.inf))
-    other = identify(Recording(t, spoilt), guess, free, options=FitOptions(train=np.inf, loss="cauchy"))
-    assert other.success
-    for name in free:  # three of the clean run's deviations, as required
-        assert (np.abs(other.values[name] - one.values[name]) < 3.0 * one.std[name]).all()
-    ruled = identify(Recording(t, spoilt), guess, free, options=FitOptions(train=np.inf))
-    off = np.concatenate([np.abs(ruled.values[name] - one.values[name]) / one.std[name] for name in free])
-    assert off.max() > 10.0  # squares alone are ruled by the outliers
-
-
-def test_a_camera_with_its_own_clock():
-    cable = Rope.uniform(0.6, 0.05, 3, friction=2e-4)
-    arm, motion = Arm(0.1), arm_swings(t_move=0.5, t_rest=0.4)
-    t = np.linspace(0.0, 5.0, 301)
-    late = 0.018  # s: the motion begins so much later than the camera's clock says
-    run = simulate(cable, motion.shifted(late), arm=arm, duration=5.0, t_eval=t, tol=1e-9)
-    recording = Recording(t, run.q + NOISE * np.random.default_rng(3).standard_normal(run.q.shape))
-    found = identify(
-        recording,
-        cable.replace(friction=6e-4),
-        ["friction:shared", "delay"],
-        setup=RecordingSetup(motion=motion, arm=arm),
-    )
-    assert abs(found.values["delay"] - late) < 4.0 * found.std["delay"]
-    assert found.std["delay"] < 1e-3
-    assert abs(found.values["friction"][0] - 2e-4) < 4.0 * found.std["friction"][0]
-
-
 def test_a_taper_is_found_as_two_numbers():
     true = CABLE.replace(friction=3e-4 * np.exp(1.2 * (np.arange(12) + 0.5 - 6.0) / 12.0))
     t = np.arange(151) / 50.0
     run = simulate(true, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(4).standard_normal(run.q.shape))
-    found = identify(
-        recording, CABLE.replace(friction=2e-4), ["friction:factor", "friction:taper"], options=FitOptions(train=np.inf)
-    )
+    found = identify(recording, CABLE.replace(friction=2e-4), ["friction:factor", "friction:taper"], options=WHOLE)
     assert abs(found.values["friction:factor"] - 1.5) < 4.0 * found.std["friction:factor"]
     assert abs(found.values["friction:taper"] - 1.2) < 4.0 * found.std["friction:taper"]
     np.testing.assert_allclose(found.rope.friction, true.friction, rtol=0.1)
@@ -166,13 +115,11 @@ def test_bad_input_is_refused(change, match):
     recording = Recording(t, 0.3 * np.stack([np.cos(5.0 * t), np.cos(6.0 * t)], axis=1))
     free = change.get("free", ["friction"])
     setup = RecordingSetup(**{name: value for name, value in change.items() if name != "free"})
-    with pytest.raises(InvalidInput, match=match):
-        identify(recording, DOUBLE, free, setup=setup)
+    refuses(match, identify, recording, DOUBLE, free, setup=setup)
 
 
 def test_an_unknown_loss_is_refused():
-    with pytest.raises(InvalidInput, match="loss"):
-        FitOptions(loss="tukey")
+    refuses("loss", FitOptions, loss="tukey")
 
 
 @pytest.mark.parametrize("arc_lengths", [[0.2, 0.1], [-0.1, 0.2], [0.1, 0.9], [0.1]])
@@ -209,8 +156,7 @@ def test_a_rope_held_at_both_ends_is_not_called_reversed():
         identify(Recording(t, places.reshape(t.size, -1), kind="markers"), rope)
     run = simulate(DOUBLE, duration=t[-1], t_eval=t, q0=[0.8, 1.2], tol=1e-7)
     places = run.joints[:, ::-1] + 1e-4 * np.random.default_rng(0).standard_normal((t.size, 3, 2))
-    with pytest.raises(InvalidInput, match="The first marker moves"):
-        identify(Recording(t, places.reshape(t.size, -1), kind="markers"), DOUBLE)
+    refuses("The first marker moves", identify, Recording(t, places.reshape(t.size, -1), kind="markers"), DOUBLE)
 
 
 @pytest.mark.parametrize(("noise", "precision"), [(1e-2, 1e-7), (1e-4, 5e-9), (1e-9, 1e-9)])

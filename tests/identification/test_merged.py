@@ -8,6 +8,7 @@ import hyperflex as hf
 from hyperflex.identification.fit import averaged
 from hyperflex.identification.measurements import DENSEST, Measurements, measure, merged
 from hyperflex.identification.uncertainty.noise import Piece, channel_correlation
+from tests.identification.twins import EXACT
 
 RATE, PERIOD = 500.0, 1.2  # samples/s, s
 T = np.arange(5000) / RATE
@@ -86,7 +87,7 @@ def test_all_samples_of_500_frames_a_second_count():
         return hf.Recording(t, (angle + 2e-3 * np.random.default_rng(2).standard_normal(t.size))[:, None])
 
     guess = hf.Rope(length=[0.5], mass=[0.1], com=[0.5], inertia=[1e-4], friction=[1e-4])
-    exact = hf.FitOptions(length_std=0.0, clock_std=0.0)
+    exact = EXACT
     few, many = (hf.identify(swing(rate), guess, ["inertia", "friction"], options=exact) for rate in (100.0, 500.0))
     ratio = few.ratio_std["J/p1"][0] / many.ratio_std["J/p1"][0]
     assert ratio == pytest.approx(np.sqrt(5.0), rel=0.1)  # the noise of 500 values is known to 3 %

@@ -18,6 +18,7 @@ from hyperflex.motion import arm_swings
 from hyperflex.planning import RopePosterior
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from tests.identification.twins import EXACT, QUICK, WHOLE, WHOLE_QUICK
 
 LINKS, STIFFNESS = 15, 4.5e-3
 
@@ -60,9 +61,7 @@ def test_a_drive_tells_lengths_and_deviations_hold_them(factor):
     t, q = swing(DOUBLE, None, motion=motion, arm=arm)
     guess = longer(DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4), factor)
     recording = Recording(t, noisy(q), noise=2e-3)
-    found = identify(
-        recording, guess, FREE, setup=RecordingSetup(motion=motion, arm=arm), options=FitOptions(intervals=None)
-    )
+    found = identify(recording, guess, FREE, setup=RecordingSetup(motion=motion, arm=arm), options=QUICK)
     truth = ratios(DOUBLE)
     assert found.has(Kind.LENGTHS, Kind.CLOCK) == (factor != 1.0)
     assert np.all(np.abs(found.ratios["J/p1"] - truth["J/p1"]) < 1.96 * found.ratio_std["J/p1"])
@@ -106,7 +105,7 @@ def test_a_clock_is_in_the_deviation_of_a_single_pendulum():
 
 def test_ratios_of_what_was_held_have_no_error():
     case = KINDS["double"][0](np.random.default_rng(0))
-    found = identify(case.recording, case.guess, ["friction"], options=FitOptions(train=np.inf, intervals=None))
+    found = identify(case.recording, case.guess, ["friction"], options=WHOLE_QUICK)
     assert (found.ratio_std["J/p1"] == 0.0).all()
 
 
@@ -120,7 +119,7 @@ def fit_of_15_links(pieces: int) -> Identification:
     angles = chords(run.joints[:, ::pieces], np.random.default_rng(0), 3e-3)
     guess = chain.replace(friction=4e-4, stiffness=2.0 * chain.stiffness)
     free = ["friction:factor", "stiffness:factor"]
-    return identify(Recording(t, angles, noise=3e-3), guess, free, options=FitOptions(train=np.inf))
+    return identify(Recording(t, angles, noise=3e-3), guess, free, options=WHOLE)
 
 
 def test_a_rope_of_more_links_is_reported_and_its_stiffness_held():
@@ -149,11 +148,7 @@ def fit_of_four_links(n_links: int, drag: float, free: list[str] | None) -> Iden
     guess = Rope.uniform(length=0.8, mass=0.1, n_links=4, friction=8e-4)
     recording = Recording(t, places, kind="markers")
     return identify(
-        recording,
-        guess,
-        free,
-        setup=RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0]),
-        options=FitOptions(intervals=None),
+        recording, guess, free, setup=RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0]), options=QUICK
     )
 
 
@@ -194,7 +189,6 @@ def test_links_and_drag_are_reported_together():
 def test_links_that_may_be_too_long_count_by_their_probability():
     """Also below what other tests need to count, where residuals are not white."""
     basis = fit_of_four_links(4, 0.0, ["friction:shared"])._basis
-    assert basis is not None
     odd = replace(basis, information=replace(basis.information, whiteness=0.0))
     for excess_gain in (0.1, 0.5):
         test = ScoreTest("links", 0.3, np.array([16.0]), shift=np.array([0.2]), excess_gain=excess_gain)
@@ -205,7 +199,7 @@ def test_links_that_may_be_too_long_count_by_their_probability():
 def test_a_law_that_acts_as_inertia_does_counts_only_if_it_is_sure():
     """A spring of a size that chance gives it left nothing known: ratios 200 times as wide as by noise."""
     case = KINDS["length"][0](np.random.default_rng([1, 5, 3]))
-    basis = identify(case.recording, case.guess, case.free, options=FitOptions(length_std=0.0, clock_std=0.0))._basis
+    basis = identify(case.recording, case.guess, case.free, options=EXACT)._basis
     noise = basis.information.covariance
     springs = ScoreTest("stiffness", 0.01, np.ones(1), std=0.01, shift=np.zeros(len(noise)))
     for widths, counts in ((100.0, False), (1.0, True)):
@@ -233,8 +227,7 @@ def test_a_law_that_chance_gives_takes_no_more_than_there_is(seed):
 def test_what_a_law_leaves_less_known_of_a_friction_is_no_more_than_it_is():
     rope = Rope(length=[0.3], mass=[0.1], friction=2e-4)
     t, q = swing(rope, [0.8])
-    basis = identify(Recording(t, noisy(q)), rope, options=FitOptions(length_std=0.0, clock_std=0.0))._basis
-    assert basis is not None
+    basis = identify(Recording(t, noisy(q)), rope, options=EXACT)._basis
     size = len(basis.fit.x)
     drag = ScoreTest("drag", 0.1, np.ones(1), std=1.0, shift=np.zeros(size), added=100.0 * np.eye(size))
     model = with_model_error(basis, [replace(drag, excess_gain=0.95)], np.zeros(4)).information.model
@@ -249,9 +242,7 @@ def test_a_law_that_was_omitted_is_not_taken_for_links_that_are_too_long(left_ou
     t = np.arange(120) / 30.0
     run = simulate(rope.replace(**left_out), duration=t[-1], t_eval=t, q0=np.linspace(0.7, 1.1, 8), tol=1e-8)
     angles = run.q + 3e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = identify(
-        Recording(t, angles, noise=3e-3), rope, ["friction:shared"], options=FitOptions(train=np.inf, intervals=None)
-    )
+    found = identify(Recording(t, angles, noise=3e-3), rope, ["friction:shared"], options=WHOLE_QUICK)
     (test,) = (each for each in found.score_tests if each.name == "links")
     assert test.excess_gain < 0.5
     assert not found.has(Kind.LINKS_TOO_LONG)

@@ -12,6 +12,7 @@ from scipy.interpolate import make_splrep
 import hyperflex as hf
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup
 from hyperflex.identification.model import lumped
+from tests.identification.twins import WHOLE_QUICK
 from tests.reference.motors import Pendulum, single
 from tests.refusals import refuses
 
@@ -164,7 +165,7 @@ def test_a_default_com_that_scales_the_mass_is_reported_and_leaves_ratios(given:
     """A mass of 0.6 kg at 0.42 m seems 1.008 kg at the default of 0.25 m: the torque determines their product."""
     recording, current = recorded(ONE, 1, 3)
     guess = hf.Rope(length=[0.5], mass=[0.5], com=[0.42] if given else None, friction=0.02)
-    options = FitOptions(train=np.inf, intervals=None)
+    options = WHOLE_QUICK
     found = hf.identify(recording, guess, setup=RecordingSetup(torque=KT * current), options=options)
     assert found.rope.mass[0] * found.rope.com[0] == pytest.approx(0.6 * 0.42, rel=1e-2)
     assert found.grade == ("usable" if given else "usable for ratios")
@@ -178,5 +179,5 @@ def test_what_few_samples_leave_open_is_not_usable() -> None:
     recording, current = recorded(ONE, 1, 3)
     few = hf.Recording(recording.t[:40], recording.data[:40])
     guess, setup = hf.Rope(length=[0.5], mass=[0.6], friction=0.02), RecordingSetup(torque=KT * current[:40])
-    found = hf.identify(few, guess, setup=setup, options=FitOptions(train=np.inf, intervals=None))
+    found = hf.identify(few, guess, setup=setup, options=WHOLE_QUICK)
     assert found.findings[0].kind is Kind.NOTHING_KNOWN

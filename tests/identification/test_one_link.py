@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.identification import FitOptions, Kind, RecordingSetup
+from hyperflex.identification import Kind, RecordingSetup
 from hyperflex.identification.declarations.held import SCALES
 from hyperflex.identification.declarations.score_tests import ScoreTest, determined
 from hyperflex.identification.model import scales as parameter_scales
 from hyperflex.identification.pipeline import first_choice
 from hyperflex.identification.symptoms import score_findings
+from tests.identification.twins import QUICK, WHOLE_QUICK
 
 MOTION, ARM = hf.arm_swings(0.7, 0.4, "minimum-jerk"), hf.Arm(length=0.1)
 TRUE = hf.Rope(length=[0.3], mass=[0.1], com=[0.2], inertia=[8e-4], friction=[3e-4])
@@ -39,7 +40,7 @@ def test_lengths_that_move_nothing_are_not_spoken_of(seed):
     t, motion, true = np.arange(300) / 50.0, hf.hold_arm(0.5), hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4])
     run = hf.simulate(true, motion, arm=ARM, duration=float(t[-1]), t_eval=t, tol=1e-10, q0=[0.8])
     q = run.q + 2e-3 * np.random.default_rng(seed).standard_normal(run.q.shape)
-    setup, options = RecordingSetup(motion=motion, arm=ARM), FitOptions(intervals=None, train=np.inf)
+    setup, options = RecordingSetup(motion=motion, arm=ARM), WHOLE_QUICK
     guess = true.replace(friction=1e-3)
     found = hf.identify(hf.Recording(t, q), guess, ["com", "friction"], setup=setup, options=options)
     assert not found.has(Kind.LENGTHS)
@@ -89,12 +90,9 @@ def test_two_links_always_in_line_are_no_crash_and_ask_nothing_of_the_user():
     guess = hf.Rope([0.15, 0.15], [0.05, 0.05], friction=3e-4)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = hf.identify(
-            hf.Recording(t, np.column_stack([q, q])), guess, ["length", "friction"], options=FitOptions(intervals=None)
-        )
+        found = hf.identify(hf.Recording(t, np.column_stack([q, q])), guess, ["length", "friction"], options=QUICK)
     assert not found.has(Kind.LENGTHS)
     basis = found._basis
-    assert basis is not None
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # such as "rope length is 164 m: is it meant in mm?"
         far = basis.plant.parameters.rope(basis.fit.x + 7.0)

@@ -46,7 +46,6 @@ def plant(words: list[str], *, places: bool) -> Plant:
 def test_places_are_those_of_the_joints_and_the_points_between():
     it = plant(["friction"], places=True)
     seen = it.predict(it.parameters.start, T, STATE)
-    assert seen is not None
     run = simulate(
         ROPE,
         MOTION.shifted(-T[0]),
@@ -72,9 +71,7 @@ def test_derivatives_are_those_of_differences(places):
     it = plant(words, places=places)
     x = it.parameters.start + 0.05
     seen = it.jacobian(x, T, STATE)
-    assert seen is not None
     value = it.predict(x, T, STATE)
-    assert value is not None
     np.testing.assert_allclose(seen.channels, value, atol=1e-9)  # the same steps; only dense output in between
 
     def differences(step):

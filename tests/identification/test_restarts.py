@@ -11,6 +11,7 @@ from hyperflex.identification.fit import Window, fit
 from hyperflex.identification.measurements import build_plant, checked_measurements, measure
 from hyperflex.identification.model import Plant
 from hyperflex.identification.multi_start import MultiStart
+from tests.identification.twins import WHOLE_QUICK
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -33,7 +34,7 @@ def test_the_papers_recording_with_gaps_and_outliers(seed):
     rng = np.random.default_rng([seed, 45])
     clean = run.q + 0.01 * rng.standard_normal(run.q.shape)
     guess, free = PAPER.replace(inertia=5.09e-6, friction=1.26e-3), ["inertia:shared", "friction:shared"]
-    whole = hf.identify(hf.Recording(t, clean), guess, free, options=hf.FitOptions(train=np.inf, intervals=None))
+    whole = hf.identify(hf.Recording(t, clean), guess, free, options=WHOLE_QUICK)
     recording = hf.Recording(t, spoilt(rng, clean, 1.5))
     found = hf.identify(recording, guess, free, options=hf.FitOptions(train=np.inf, loss="cauchy", intervals=None))
     assert found.success
@@ -51,18 +52,12 @@ def test_windows_whose_first_states_outliers_spoilt(seed):
         spoilt(np.random.default_rng(seed), run.q + np.random.default_rng(seed).normal(0.0, 2e-3, run.q.shape), 2.0),
     )
     guess = PAIR.replace(friction=1e-3)
-    found = hf.identify(
-        recording,
-        guess,
-        setup=hf.RecordingSetup(motion=motion, arm=arm),
-        options=hf.FitOptions(loss="cauchy", train=np.inf, intervals=None),
-    )
+    options = hf.FitOptions(loss="cauchy", train=np.inf, intervals=None)
+    found = hf.identify(recording, guess, setup=hf.RecordingSetup(motion=motion, arm=arm), options=options)
     basis = found._basis
-    assert basis is not None
     for window, state in zip(basis.windows, basis.fit.states, strict=True):
         seen = basis.plant.predict(basis.fit.x, window.t, state)
         truth = run.q[np.searchsorted(run.t, window.t - 1e-9)]
-        assert seen is not None
         # some hundred values of 2 mrad tell a state to below 1 mrad; 10 mrad is no other minimum, which is 100s off
         assert np.sqrt(((seen - truth) ** 2).mean()) < 1e-2
     for name in ("inertia", "friction"):
@@ -77,13 +72,8 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there():
     noise = 2e-3 * np.random.default_rng([1, 3]).standard_normal(places.shape)
     recording = hf.Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=2e-3)
     guess, arc_lengths = rope.replace(friction=6e-4), [0.25, 0.5, 0.75, 1.0]
-    found = hf.identify(
-        recording,
-        guess,
-        ["friction:shared"],
-        setup=hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0)),
-        options=hf.FitOptions(train=np.inf, intervals=None),
-    )
+    setup = hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0))
+    found = hf.identify(recording, guess, ["friction:shared"], setup=setup, options=WHOLE_QUICK)
     assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.std["friction"][0]
 
 
@@ -107,7 +97,6 @@ def test_a_state_that_is_caught_is_started_elsewhere():
     basis = hf.identify(
         dry(), guess, ["friction", "dry_friction"], options=hf.FitOptions(window=1.2, train=np.inf, intervals=None)
     )._basis
-    assert basis is not None
     plant, windows, good = basis.plant, basis.windows, basis.fit
     states = list(good.states)
     states[1] = np.array([states[1][0] + 2.5, 0.0])

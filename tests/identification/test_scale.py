@@ -9,6 +9,7 @@ from hyperflex.identification.uncertainty.covariance import of_ratios
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from tests.identification.twins import WHOLE
 
 TRUE = Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 0.0])
 FREE = ["inertia", "com", "friction"]
@@ -23,7 +24,7 @@ def recording() -> Recording:
 
 def guessed(recording: Recording, factor: float) -> Identification:
     guess = TRUE.replace(mass=TRUE.mass * factor, inertia=1.3 * factor * TRUE.inertia, friction=1e-3 * factor)
-    return identify(recording, guess, FREE, options=FitOptions(train=np.inf))
+    return identify(recording, guess, FREE, options=WHOLE)
 
 
 def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(recording):
@@ -45,7 +46,6 @@ def test_what_grows_with_the_common_factor():
     free = ["inertia", "com", "friction", "gravity_angle"]
     parameters = Parameters(TRUE, parse(TRUE, free))
     common = scaling(parameters, parameters.start)
-    assert common is not None
     assert common[parameters.labels.index("friction[1]")] == 0.0  # 0 times any factor
     found = in_common_factor(parameters, parameters.start, common[:, None])
     assert [name for name, each in zip(parameters.labels, found, strict=True) if each] == [

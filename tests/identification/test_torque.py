@@ -26,6 +26,7 @@ from hyperflex.identification import FitOptions, Kind, RecordingSetup
 from hyperflex.identification.measurements import build_plant
 from hyperflex.identification.model import ANGLES, ARM_LENGTH, TORQUE, Plant, extended
 from hyperflex.sensors import MotorTorque
+from tests.identification.twins import QUICK
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
 from tests.refusals import refuses
@@ -165,12 +166,10 @@ def test_slopes_by_everything_are_those_of_whole_rollouts():
     swing = run(duration=1.3)
     state = np.concatenate([swing.q[30], swing.qd[30]])
     found = subject.jacobian(x, t, state)
-    assert found is not None
     assert found.channels.shape == (31, 3)
 
     def seen(k, h):
         result = subject.predict(x + h * np.eye(x.size)[k], t, state)
-        assert result is not None
         return result
 
     h = 3e-3
@@ -181,7 +180,6 @@ def test_slopes_by_everything_are_those_of_whole_rollouts():
 
     def begun(i, h):
         result = subject.predict(x, t, state + h * np.eye(4)[i])
-        assert result is not None
         return result
 
     for i in range(4):
@@ -193,7 +191,6 @@ def test_what_the_plant_sees_is_what_the_simulator_calls_motor_torque():
     swing = run()
     subject = plant(["mass"])
     seen = subject.predict(subject.parameters.start, swing.t[:60], np.concatenate([swing.q[0], swing.qd[0]]))
-    assert seen is not None
     # two runs of tolerances 1e-9 and 6e-8 m
     np.testing.assert_allclose(seen[:, 2], swing.motor_torque[:60], atol=1e-5 * np.abs(swing.motor_torque).max())
     assert replace(subject, torque=False).motor is None
@@ -224,13 +221,8 @@ def fit(*, torque: bool) -> Identification:
         return identify(recording, GUESS, SCALED, setup=RecordingSetup(motion=MOVE, arm=LIGHT))
     free = [*SCALED, "arm_inertia"]
     exact = {"length_std": 0.0, "clock_std": 0.0, "torque_std": 0.0}
-    return identify(
-        recording,
-        GUESS,
-        free,
-        setup=RecordingSetup(motion=MOVE, arm=LIGHT, torque=values, torque_noise=TORQUE_NOISE),
-        options=FitOptions(**exact),
-    )
+    setup = RecordingSetup(motion=MOVE, arm=LIGHT, torque=values, torque_noise=TORQUE_NOISE)
+    return identify(recording, GUESS, free, setup=setup, options=FitOptions(**exact))
 
 
 def test_without_the_torque_the_scale_is_unknown():
@@ -260,7 +252,6 @@ def test_what_is_left_of_the_torque_stands_beside_the_angles():
     assert found.residuals.shape[1] == found.residual_rms.size == 2
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.15)  # 3 std of 200 samples each
     assert found.torque_rms == pytest.approx(TORQUE_NOISE, rel=0.15)
-    assert found.torque_residuals is not None
     assert found.torque_residuals.shape == found.residual_t.shape
     assert found.summary()["torque_rms"] == found.torque_rms
     assert "torque error" in str(found)
@@ -272,7 +263,7 @@ def test_a_torque_of_the_wrong_sign_is_reported():
     """Masses then go where the torque is least, and angles alone still fit."""
     recording, values = measured()
     setup = RecordingSetup(motion=MOVE, arm=LIGHT, torque=-values, torque_noise=TORQUE_NOISE)
-    found = identify(recording, GUESS, [*SCALED, "arm_inertia"], setup=setup, options=FitOptions(intervals=None))
+    found = identify(recording, GUESS, [*SCALED, "arm_inertia"], setup=setup, options=QUICK)
     assert found.has(Kind.POOR_TORQUE)
     assert not found.success
 
@@ -288,13 +279,8 @@ def test_an_arm_that_has_more_inertia_than_declared_is_reported(inertia, kinds):
     measured: dict[str, Any] = {"torque": noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3, "motion": motion}
     recording = Recording(t, noisy(run.q), noise=2e-3)
     guess = DOUBLE.replace(inertia=5e-4, friction=3e-4)
-    found = identify(
-        recording,
-        guess,
-        ["mass", "inertia", "friction"],
-        setup=RecordingSetup(arm=Arm(length=0.1), **measured),
-        options=FitOptions(intervals=None),
-    )
+    setup = RecordingSetup(arm=Arm(length=0.1), **measured)
+    found = identify(recording, guess, ["mass", "inertia", "friction"], setup=setup, options=QUICK)
     assert found.findings[0].kind in kinds
     assert found.has(Kind.ARM_INERTIA)
     assert (found.grade == "do not use") == (inertia == 1e-3)
@@ -309,13 +295,8 @@ def driven(*, length: float = 1.0, arm: float = 1.0, clock: float = 1.0, scale: 
     recording = Recording(clock * t, noisy(run.q), noise=2e-3)
     guess = longer(DOUBLE.replace(inertia=5e-4, friction=3e-4), length)
     motion = arm_swings(0.7 * clock, 0.4 * clock, "minimum-jerk")
-    return identify(
-        recording,
-        guess,
-        SCALED,
-        setup=RecordingSetup(motion=motion, arm=Arm(length=0.1 * arm), **measured),
-        options=FitOptions(intervals=None, **exact),
-    )
+    setup = RecordingSetup(motion=motion, arm=Arm(length=0.1 * arm), **measured)
+    return identify(recording, guess, SCALED, setup=setup, options=FitOptions(intervals=None, **exact))
 
 
 def off(found: Identification) -> float:
@@ -357,10 +338,8 @@ def test_gaps_in_the_torque_and_a_held_out_part():
     free = [*SCALED, "arm_inertia"]
     setup = RecordingSetup(motion=MOVE, arm=LIGHT, torque=torque, torque_noise=TORQUE_NOISE)
     found = identify(recording, GUESS, free, setup=setup, options=FitOptions(train=3.4))
-    assert found.held_out is not None
     assert found.held_out.rms.shape == (2,)  # of the angles: nothing is predicted of the torque
     np.testing.assert_allclose(found.held_out.rms, NOISE, rtol=0.5)  # 50 samples, and the error of the state
-    assert found.torque_residuals is not None
     assert np.isnan(found.torque_residuals).sum() >= 50
     assert (np.abs(found.values["mass"] - ROPE.mass) < 4.0 * found.std["mass"]).all()
 
@@ -375,8 +354,7 @@ def test_models_are_compared_with_the_torque():
 
 
 def test_noise_of_a_torque_that_drives_is_refused():
-    with pytest.raises(InvalidInput, match=r"that is fitted.*torque_std"):
-        RecordingSetup(torque=np.zeros(3), torque_noise=1e-3)
+    refuses(r"that is fitted.*torque_std", RecordingSetup, torque=np.zeros(3), torque_noise=1e-3)
 
 
 def test_torque_that_cannot_be_used_is_refused():
@@ -390,18 +368,11 @@ def test_torque_that_cannot_be_used_is_refused():
         ({**arm, "torque": torque, "torque_noise": 0.0}, "torque_noise"),
         ({**arm, "torque": np.full(torque.size, np.nan), "torque_noise": 1e-3}, "no value at all"),
     ):
-        with pytest.raises(InvalidInput, match=message):
-            identify(recording, GUESS, SCALED, setup=RecordingSetup(**options))
+        refuses(message, identify, recording, GUESS, SCALED, setup=RecordingSetup(**options))
     with pytest.raises(InvalidInput, match="noise of the recording"):
         identify(bare, GUESS, SCALED, setup=RecordingSetup(torque=torque, torque_noise=1e-3, **arm))
-    refuses(
-        "no torque of an arm's motor is measured",
-        identify,
-        recording,
-        GUESS,
-        ["arm_inertia"],
-        setup=RecordingSetup(**arm),
-    )
+    setup = RecordingSetup(**arm)
+    refuses("no torque of an arm's motor is measured", identify, recording, GUESS, ["arm_inertia"], setup=setup)
 
 
 def test_an_arm_that_is_held_tells_the_scale_as_well():

@@ -23,6 +23,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording, read_recording
 from hyperflex.simulation import simulate
 from tests.identification.linear import autoregressive, fitted, waves
+from tests.identification.twins import QUICK
 
 
 def piece(residual: Array, basis: Array | None = None) -> Piece:
@@ -148,9 +149,7 @@ def test_gaps_cost_a_real_recording_as_much_as_they_hide(data_dir):
     fifth = np.where(np.random.default_rng(3).random(seen.data.shape) < 0.2, np.nan, seen.data)
     total, noise = [], []
     for data in (seen.data, one, fifth):
-        found = identify(
-            Recording(seen.t, data), guess, ["inertia", "com", "friction"], options=FitOptions(intervals=None)
-        )
+        found = identify(Recording(seen.t, data), guess, ["inertia", "com", "friction"], options=QUICK)
         total.append(found.ratio_std["J/p1"])
         noise.append(np.sqrt(found.ratio_std["J/p1"] ** 2 - found.ratio_model_std["J/p1"] ** 2))
     for std in (total, noise):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
 
-from hyperflex.errors import InvalidInput
 from hyperflex.identification import Finding, Identification, Kind, identify, ratios
 from hyperflex.identification.model import Parameter, Parameters, parse
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from tests.refusals import refuses
 
 FRICTION, NOISE, N = 4e-4, 5e-3, 8
 ROPE = Rope.uniform(length=1.0, mass=0.05, n_links=N, friction=FRICTION)
@@ -98,10 +98,8 @@ def test_inner_is_one_value_of_all_links_but_the_first():
     assert both.labels == ("friction[0]", "friction:inner")
     x = both.start + np.array([0.0, 0.5])
     np.testing.assert_allclose(both.rope(x).friction, [FRICTION, *[both.values(x)[1]] * (N - 1)])
-    with pytest.raises(InvalidInput, match="there is one link"):
-        parse(Rope(length=[1.0], mass=0.1), ["friction:inner"])
-    with pytest.raises(InvalidInput, match="the same thing twice"):
-        parse(ROPE, ["friction[1]", "friction:inner"])
+    refuses("there is one link", parse, Rope(length=[1.0], mass=0.1), ["friction:inner"])
+    refuses("the same thing twice", parse, ROPE, ["friction[1]", "friction:inner"])
 
 
 @pytest.mark.nightly

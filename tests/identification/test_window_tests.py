@@ -11,12 +11,13 @@ import hyperflex as hf
 from hyperflex.identification import Kind
 from hyperflex.identification.declarations.held import DRIFT
 from hyperflex.identification.declarations.score_tests import Scores
+from tests.identification.twins import QUICK
 
 GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
 
 def identified(t: Array, q: Array, guess: hf.Rope = GUESS, free: tuple[str, ...] | None = FREE) -> hf.Identification:
-    return hf.identify(hf.Recording(t, noisy(q)), guess, free, options=hf.FitOptions(intervals=None))
+    return hf.identify(hf.Recording(t, noisy(q)), guess, free, options=QUICK)
 
 
 def in_turn(ropes: list[hf.Rope], q0: list[float], duration: float) -> tuple[Array, Array]:
@@ -97,7 +98,7 @@ def test_windows_that_tell_less_and_less_disagree_by_chance_as_rarely_as_said():
 @pytest.mark.parametrize("seed", range(2))
 def test_a_clock_that_does_not_drift_is_not_reported(seed):
     t, q = swing(DOUBLE, [0.9, 0.6], 12.0)
-    found = hf.identify(hf.Recording(t, noisy(q, 2e-3, seed)), GUESS, FREE, options=hf.FitOptions(intervals=None))
+    found = hf.identify(hf.Recording(t, noisy(q, 2e-3, seed)), GUESS, FREE, options=QUICK)
     assert abs(drift(found)) < 2e-3
     assert not found.has(Kind.DRIFT, Kind.WINDOWS_DISAGREE, Kind.RESISTANCE_CHANGES)
 

@@ -22,7 +22,6 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     """Return a plan that succeeds, or one whose peak is 30 mm away from the target."""
     problem = Problem(ROPE, ARM, MotorLimits(), 4.0)
     peak = verify_whip(problem, TipTarget(0.0, 0.0, 0.0, 1.0), MOVES.motion(problem.limits), NEAR)
-    assert peak is not None
     place = peak.place + ([0.0004, 0.0003] if meets else [0.018, 0.024])
     way = {"direction": float(np.arctan2(*peak.velocity[::-1])) + 0.1, "angle_tolerance": 0.3}
     target = TipTarget(*place, least_speed=0.9 * peak.speed, **({} if any_direction else way))

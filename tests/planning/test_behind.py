@@ -18,6 +18,7 @@ from hyperflex.planning.verification import verified_setup
 from hyperflex.report import CastReport
 from hyperflex.winding import TOUCH
 from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
+from tests.refusals import refuses
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=30, radius=0.003, friction=2e-4)
 ARM, TARGET, BEFORE = hf.Arm(length=0.2), hf.Peg(-0.5, -0.7, 0.03), hf.Peg(-0.25, -0.35, 0.03)
@@ -60,7 +61,6 @@ def test_a_touch_that_does_not_last_is_none():
 
 def test_a_cast_that_does_not_run_behind_a_peg_fails_and_reports_which():
     run = planned().run
-    assert run is not None
     stop = float(planned().motion.breaks[-1])
     taut = run.joints[-1, 0] + 0.5 * (np.array([PEG.x, PEG.y]) - run.joints[-1, 0])
     lies = run.joints[-1][np.hypot(*(run.joints[-1] - taut).T).argmin()]
@@ -147,31 +147,22 @@ def test_a_setup_file_tells_what_to_run_behind(tmp_path):
     with pytest.warns(UserWarning, match="links of 40 mm near the peg"):
         assert hf.Setup.from_toml(path).pegs == (TARGET,)  # a run leaves it alone
     path.write_text(text + "\n[behind]\nx = -0.25\nspeed = 1.0\n", "utf-8")
-    with pytest.raises(InvalidInput, match="speed"):
-        source.read({}, {})
+    refuses("speed", source.read, {}, {})
 
 
 def test_what_cannot_be_run_behind_is_refused():
     who = replace(problem(), criteria=hf.WindCriteria(behind=[BEFORE]))
     for each in (hf.Wall(-0.3, -0.3, -0.3, -0.5), hf.Peg(-0.3, -0.4, 0.03, inertia=1e-4)):
-        with pytest.raises(InvalidInput, match="led behind fixed pegs alone"):
-            replace(problem(), criteria=hf.WindCriteria(behind=[each]))
-    with pytest.raises(InvalidInput, match="behind holds something else"):
-        hf.plan_cast(CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=BEFORE))
+        refuses("led behind fixed pegs alone", replace, problem(), criteria=hf.WindCriteria(behind=[each]))
+    refuses("behind holds something else", hf.plan_cast, CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=BEFORE))
     with pytest.raises(InvalidInput, match="turning arm hits the peg"):
         hf.plan_cast(CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=[hf.Peg(0.1, 0.1, 0.01)]))
     with pytest.raises(InvalidInput, match=r"begins in the peg at \(-0.2, -0.5\) m and the peg at \(0.2, -0.5\) m"):
         hf.plan_cast(
             CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=[hf.Peg(side, -0.5, 0.03) for side in (-0.2, 0.2)])
         )
-    with pytest.raises(InvalidInput, match="is given twice"):
-        replace(who, criteria=hf.WindCriteria(behind=[BEFORE, BEFORE]))
-    with pytest.raises(InvalidInput, match="is an obstacle, too"):
-        replace(who, obstacles=[BEFORE])
-    blocked = {"criteria": hf.WindCriteria(behind=[hf.Peg(-0.2, -0.5, 0.03)])}
-    blocked |= {"conditions": hf.Conditions(obstacles=[hf.Peg(0.2, -0.5, 0.03)])}
-    with pytest.raises(InvalidInput, match=r"begins in the peg at \(-0.2, -0.5\) m and the peg at \(0.2, -0.5\) m"):
-        hf.plan_cast(CORD, ARM, TARGET, **blocked)
+    refuses("is given twice", replace, who, criteria=hf.WindCriteria(behind=[BEFORE, BEFORE]))
+    refuses("is an obstacle, too", replace, who, obstacles=[BEFORE])
     asked = {"criteria": hf.WindCriteria(behind=[BEFORE]), "uncertainty": Uncertainty()}
     for words, call in (
         ("a plan with an uncertainty", lambda: hf.plan_cast(CORD, ARM, TARGET, **asked)),
@@ -184,8 +175,7 @@ def test_what_cannot_be_run_behind_is_refused():
         ("a plan that is followed", lambda: hf.follow_plan(replace(planned(), problem=who), None)),
         ("a whip", lambda: build_whip_map(who, swings=1)),
     ):
-        with pytest.raises(InvalidInput, match=f"^{words} takes no pegs that the rope is to run behind"):
-            call()
+        refuses(f"^{words} takes no pegs that the rope is to run behind", call)
 
 
 def test_the_way_round_counts_as_the_way_to_the_target():

@@ -13,7 +13,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.errors import Interrupted, InvalidInput
+from hyperflex.errors import Interrupted
 from hyperflex.model import with_links
 from hyperflex.planning import (
     CastPlan,
@@ -28,7 +28,6 @@ from hyperflex.planning import (
     casting,
     estimate_success_probability,
     plan_cast,
-    read_plan,
     read_reach_map,
     replan_cast,
     scaled_rope,
@@ -36,15 +35,14 @@ from hyperflex.planning import (
 )
 from hyperflex.planning.casting import CastRequest, fewer_turns, plan_each
 from hyperflex.planning.ensemble import SPARE, margin, repeatable
-from hyperflex.planning.outcome import TOO_LONG, too_long
 from hyperflex.planning.rollouts import MODEL, RolloutBatch, fly_to_strikes
 from hyperflex.planning.swings import DELAY, Strike
 from hyperflex.planning.tasks.wind import WindTask, pumped
 from tests.planning.known import planned
+from tests.refusals import refuses
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, radius=0.002, friction=2e-4)
 ARM, PEG = hf.Arm(length=0.15), hf.Peg(-0.5, -0.7, 0.03)
-LOW = hf.Peg(-0.25, -0.6, 0.03)
 FAR = hf.Peg(-1.3, -0.55, 0.03)  # out of reach
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 
@@ -82,16 +80,6 @@ def test_a_plan_continues_from_states_that_were_measured(cast):
     assert found.moves.begins_with(seen[0][0])
     assert found.outcome.run.t[-1] < cast.outcome.run.t[-1]  # from there on
     assert verify_cast(problem, PEG, found.motion).success
-
-
-def test_a_cast_goes_through_its_file(cast, tmp_path):
-    cast.to_toml(tmp_path / "plan.toml")
-    again = read_plan(tmp_path / "plan.toml")
-    assert isinstance(again, CastPlan)
-    assert again.margin == cast.margin
-    assert again.problem == cast.problem
-    assert np.array_equal(again.moves.ends, cast.moves.ends)
-    assert np.array_equal(again.moves.rests, cast.moves.rests)
 
 
 def test_a_search_starts_from_plans_for_targets_near_by(cast):
@@ -232,19 +220,10 @@ def test_no_time_is_stated():
     assert "(mu 0)" in plan_cast(CORD, ARM, replace(PEG, mu=0.0), time_budget=1e-9).message
 
 
-@pytest.mark.parametrize(
-    ("target", "message"),
-    [
-        (hf.Peg(2.5, 0.0, 0.03), "the rope ends 0.36 m short"),
-        (hf.Peg(0.0, 1.9, 0.03), "remains beyond the target"),
-        (hf.Peg(0.05, -0.05, 0.02), "inside the arm's circle"),
-    ],
-)
-def test_targets_out_of_reach_are_reported_before_a_search(target, message):
-    plan = plan_cast(CABLE, hf.Arm(length=0.105), target)
-    assert plan.runs == 0
-    assert not plan.success
-    assert any(each in plan.message for each in message.split("|"))
+def test_a_target_out_of_reach_is_reported_before_a_search():
+    plan = plan_cast(CABLE, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
+    assert (plan.runs, plan.success) == (0, False)
+    assert "the rope ends 0.36 m short" in plan.message
 
 
 def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned():
@@ -270,8 +249,7 @@ def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned():
     ],
 )
 def test_arguments_of_another_kind_are_refused(change, message):
-    with pytest.raises(InvalidInput, match=message):
-        plan_cast(**{"rope": CORD, "arm": ARM, "target": PEG, **change})
+    refuses(message, plan_cast, **{"rope": CORD, "arm": ARM, "target": PEG, **change})
 
 
 @pytest.mark.parametrize(
@@ -279,18 +257,14 @@ def test_arguments_of_another_kind_are_refused(change, message):
     [
         (WindCriteria, {"turns": 0.4}, "turns are not those of a wound rope"),
         (WindCriteria, {"settle": 11.0}, "settle is longer"),
-        (WindCriteria, {"max_slip": 0.0}, "max_slip"),
         (WindCriteria, {"holding_force": 1.0, "behind": [PEG]}, "a holding force takes no pegs"),
         (Conditions, {"side": 2}, "side of the arm"),
         (Conditions, {"state0": hf.RopeState(0.0, np.zeros(15), np.zeros(15))}, "side of the arm"),
         (Conditions, {"clearance": -1.0}, "clearance"),
-        (SearchOptions, {"seed": -1}, "seed"),
-        (SearchOptions, {"threads": 0}, "threads"),
     ],
 )
 def test_options_out_of_range_are_refused(kind, change, message):
-    with pytest.raises(InvalidInput, match=message):
-        kind(**change)
+    refuses(message, kind, **change)
 
 
 def test_criteria_are_required_of_a_run():
@@ -353,15 +327,6 @@ def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():
             batch = RolloutBatch.from_start(problem, [problem.rope], [PEG], [motion])
             times.append(float(fly_to_strikes(problem, PEG, batch, budget).t[0]))
         assert times == pytest.approx([one.t] * 3, abs=DELAY)  # the agreement that the search requires of two chains
-    best = task.rollout(found[:2], budget)
-    assert len(best) == 2
-    assert all(each.moves.ends.size > one.moves.ends.size for each, one in zip(best, found, strict=False))
-    for one in (found[0], best[0]):  # without its own last moves, and with them
-        others = [each for _ in range(3) for each in task.other_ends(one).follow]
-        assert len({str(each.parameters.tolist()) for each in others}) == len(others) > 1
-        made = one.moves.cut(one.t, task.problem.limits)
-        assert all(each.begins_with(made) for each in others)
-        assert all(each.starts(task.problem.limits)[made.ends.size] > one.t for each in others)
 
 
 def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agree_on():
@@ -414,8 +379,7 @@ def test_a_reach_map_reads_back_equal(tmp_path):
     again = read_reach_map(tmp_path / "map.nc")
     assert again.problem == found.problem
     assert np.array_equal(again.status, found.status)
-    with pytest.raises(InvalidInput, match="not increasing"):
-        build_reach_map(CORD, ARM, grid=TargetGrid(x=[1.0, 0.5]))
+    refuses("not increasing", build_reach_map, CORD, ARM, grid=TargetGrid(x=[1.0, 0.5]))
 
 
 def test_a_plan_that_fails_by_its_turns_reports_how_many_it_keeps():
@@ -430,15 +394,3 @@ def test_a_plan_that_fails_by_its_turns_reports_how_many_it_keeps():
     assert fewer_turns(plan) == ()  # it succeeds
     slips = replace(failed.problem, criteria=replace(more, max_slip=1e-9))
     assert fewer_turns(replace(failed, problem=slips)) == ()  # fewer turns do not help
-
-
-def test_a_run_that_a_busy_machine_made_late_reports_it():
-    """A budget whose clock runs faster than the processor: others had it."""
-    ticks = iter(range(0, 900, 9))
-    late = too_long(Budget(1.0, clock=lambda: float(next(ticks))))
-    assert late.startswith(TOO_LONG)
-    assert "this machine is busy" in late
-    alone = Budget(1.0, clock=time.process_time)
-    while alone.elapsed < 1.01:
-        pass
-    assert too_long(alone) == TOO_LONG

@@ -16,6 +16,7 @@ from hyperflex.planning import Problem, SearchOptions, SuccessProbability, Uncer
 from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_scores
 from tests.planning.known import PEG, WINDS, planned, problem, simulated_strikes
 from tests.planning.test_uncertainty import NONE
+from tests.refusals import refuses
 
 CAST_SETUP = problem()
 
@@ -56,8 +57,7 @@ def test_what_is_no_count_is_refused():
     for won, draws in ((2, 1), (-1, 4), (1, 0)):
         with pytest.raises(InvalidInput):
             SuccessProbability(won, draws)
-    with pytest.raises(InvalidInput, match="samples"):
-        estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=0)
+    refuses("samples", estimate_success_probability, CAST_SETUP, PEG, WINDS, samples=0)
 
 
 def test_without_samples_nothing_is_known():
@@ -93,7 +93,6 @@ def test_a_rope_that_comes_too_near_its_arm_while_it_winds_fails():
 
 def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_fails():
     run, worlds = planned().run, NONE.sample(1, CAST_SETUP, PEG)
-    assert run is not None
     x, strike = run.joints[..., 0], float(simulated_strikes(CAST_SETUP, PEG, [WINDS]).t[0])
     # Walls that the rope is 20 mm into at most: on the right before the strike alone, on the left after it alone
     right, left = float(x.max()) - 0.02, float(x.min()) + 0.02

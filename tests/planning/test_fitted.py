@@ -119,7 +119,6 @@ def test_a_file_contains_the_findings_of_the_fit(tmp_path):
     path = tmp_path / "rope.toml"
     files.write_toml(path, {"rope": ROPE.table(), "identification": told})
     read = RopePosterior.from_toml(path)
-    assert read is not None
     assert ropes(read, 5) == ropes(RopePosterior.from_identification(fit), 5)
     assert read.fitted_properties == ("friction", "mass", "length")
     lengths = np.log([rope.total_length for rope in ropes(read, 400)])

@@ -79,8 +79,6 @@ def test_the_strike_begins_the_longest_stay(touched, begins):
 def test_contact_and_bend_are_those_of_the_run():
     """By the places of the joints, in place of angles."""
     cast = planned().outcome
-    assert cast is not None
-    assert cast.run is not None
     run = cast.run
     links = np.diff(run.joints, axis=1) / np.linalg.norm(np.diff(run.joints, axis=1), axis=2)[..., None]
     bend = np.arccos(np.clip((links[:, 1:] * links[:, :-1]).sum(axis=2), -1.0, 1.0)).max()

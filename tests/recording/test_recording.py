@@ -91,7 +91,6 @@ def test_what_cannot_be_used_is_refused(change, match):
 def test_uneven_times_gaps_and_noise_are_fine():
     recording = Recording([0.0, 0.1, 0.5], [[0.1, 1.0], [NAN, 1.1], [0.3, 1.2]], noise=[1e-3, 2e-3])
     assert (recording.n_links, recording.gaps, recording.duration) == (2, 1, 0.5)
-    assert recording.noise is not None
     np.testing.assert_array_equal(recording.noise, [[1e-3, 2e-3]] * 3)
     assert "1 gaps" in repr(recording)
 
@@ -118,7 +117,6 @@ def test_markers_give_back_the_angles_through_whole_turns():
     found = recording.angles()
     np.testing.assert_allclose(found.data, angles, atol=1e-12)  # rounding of sin, cos and atan2 only
     np.testing.assert_allclose(recording.link_lengths(), [0.2, 0.1], rtol=1e-12)  # likewise
-    assert found.noise is not None
     # Equal noise of both ends, whichever way the link points: sqrt(2) * 1 mm over its length.
     np.testing.assert_allclose(found.noise, np.broadcast_to([math.sqrt(2e-6) / 0.2, math.sqrt(2e-6) / 0.1], (201, 2)))
     assert found.angles() is found
@@ -165,8 +163,6 @@ def test_csv_conversions(tmp_path):
     recording = read_recording(
         path, time_unit="ms", unit="deg", zero="up", sense="-x", angles="relative", noise=math.degrees(1e-3)
     )
-    assert recording.rates is not None
-    assert recording.noise is not None
     np.testing.assert_allclose(recording.t, t, atol=1e-15)  # rounding
     np.testing.assert_allclose(recording.data, data, atol=1e-13)  # rounding of some ten operations
     np.testing.assert_allclose(recording.rates, rates, atol=1e-12)
@@ -197,7 +193,6 @@ def test_csv_notes_declare_wrapping_and_noise(tmp_path):
     path = csv(tmp_path, "t,th1", table, notes)
     found = read_recording(path)
     np.testing.assert_allclose(found.data[:, 0], angle, atol=1e-12)  # rounding
-    assert found.noise is not None
     np.testing.assert_array_equal(found.noise, 0.01)
     assert read_recording(path, noise=0.01, wrapped=True).noise is not None
     for argument in ({"noise": 0.02}, {"wrapped": False}):
@@ -205,7 +200,6 @@ def test_csv_notes_declare_wrapping_and_noise(tmp_path):
     refuses("noise twice", read_recording, csv(tmp_path, "t,th1,std_th1", np.column_stack([table, t + 1.0]), notes))
     two = csv(tmp_path, "t,th1,th2", np.column_stack([t, angle, angle]), notes.replace("0.01", "0.01, 0.02"))
     noise = read_recording(two).noise
-    assert noise is not None
     np.testing.assert_array_equal(noise[7], [0.01, 0.02])
 
 
@@ -247,7 +241,6 @@ def test_csv_markers_in_pixels_and_frames(tmp_path):
     )
     np.testing.assert_allclose(recording.t, t, atol=1e-15)  # rounding
     np.testing.assert_allclose(recording.data, markers, atol=1e-15)  # rounding
-    assert recording.noise is not None
     np.testing.assert_allclose(recording.noise, 5e-4)
 
 
@@ -261,7 +254,6 @@ def test_csv_columns_by_name_and_noise_columns(tmp_path):
     assert named.name == "lab"
     path = csv(tmp_path, "t,th0,th1,std_th0,std_th1", np.column_stack([t, data, np.full((t.size, 2), 2e-3)]))
     noisy = read_recording(path, time_unit="s", unit="rad")
-    assert noisy.noise is not None
     np.testing.assert_array_equal(noisy.noise, 2e-3)
 
 
@@ -451,7 +443,6 @@ def mat(tmp_path: Path, content: dict[str, Any]) -> Path:
 def test_mat_pieces_are_joined(tmp_path, n):
     t, data, rates = swing(n, 403)
     recording = read_recording(mat(tmp_path, mat_content(n)))
-    assert recording.rates is not None
     np.testing.assert_array_equal(recording.t, t)
     np.testing.assert_allclose(recording.data, data, atol=1e-15)  # pi added and taken away
     np.testing.assert_array_equal(recording.rates, rates)

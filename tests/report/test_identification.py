@@ -22,13 +22,10 @@ from hyperflex.report.identification.figures import (
 from hyperflex.report.identification.page import identification_page, write_identification
 from hyperflex.report.identification.tables import (
     described,
-    fit_table,
     numbers,
     parameters_table,
     predicted,
     ratios_table,
-    recording_table,
-    rope_table,
     ties,
 )
 from hyperflex.report.units import rounded
@@ -265,7 +262,6 @@ def test_what_errs_together_is_named(swing):
 
 def test_ratios_omit_fixed_values_and_join_equal_ones(swing, markers):
     table = ratios_table(swing[1])
-    assert table is not None
     free = ["J/p1[0]", "J/p1[1]", "p/p1[1]", "c/p1[0]", "c/p1[1]"]
     assert [f"{name}[{link}]" for name, link, *_ in table.rows] == free
     alike = changed(markers[1], ratios={"c/p1": np.full(6, 0.1)}, ratio_std={"c/p1": np.full(6, 0.01)})
@@ -275,22 +271,6 @@ def test_ratios_omit_fixed_values_and_join_equal_ones(swing, markers):
     assert ratios_table(wide).rows[0][4] == "0 to 0.30"
     held = changed(markers[1], ratio_std={name: np.zeros(6) for name in markers[1].ratios})
     assert ratios_table(held) is None
-
-
-def test_the_set_up_is_reported(swing, markers):
-    recording, found = markers
-    told = dict(recording_table(recording, found).rows)
-    assert told["samples"] == "60, every 30 ms (33.33 a second)"
-    assert told["gaps"].startswith("6 missing")
-    assert told["noise of a sample"] == "1\u00a0mm, as declared"
-    fitted = dict(fit_table(found).rows)
-    assert fitted["fixed"] == "length, mass, com, inertia"
-    assert fitted["markers at"] == "0.2, 0.4, 0.6 m along the rope"
-    assert "markers at" not in told
-    at_joints = dict(recording_table(recording, swing[1]).rows)  # a result without places along the rope
-    assert at_joints["markers at"] == "the joints, the first at the pivot"
-    table = rope_table(swing[1].rope, swing[1])
-    assert table.header == ("link", "length, mm", "mass, g", "com*, mm", "inertia*, kg mm²", "friction*, mN m s/rad")
 
 
 # ---- figures

@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
 from hyperflex.report.pictures import animate, strobe_figure
 from hyperflex.report.scene import Overlay, last_sweep, shapes
 from hyperflex.report.style import png
@@ -16,6 +15,7 @@ from hyperflex.vision import VideoReader
 from tests.planning.known import PEG as TARGET
 from tests.planning.known import planned
 from tests.planning.known_whip import planned_whip
+from tests.refusals import refuses
 
 
 def opened(content: bytes) -> Image.Image:
@@ -78,8 +78,7 @@ def test_strobe_shows_the_time_of_each_colour_and_hides_no_wraps(short_cast):
     [({"count": 1}, "count"), ({"start": 9.0}, "no part of the run"), ({"end": np.nan}, "not finite")],
 )
 def test_strobe_refuses(short_cast, arguments, message):
-    with pytest.raises(InvalidInput, match=message):
-        strobe_figure(short_cast, **arguments)
+    refuses(message, strobe_figure, short_cast, **arguments)
 
 
 def test_shapes_between_samples_are_those_of_a_finer_run(short_cast):
@@ -206,6 +205,5 @@ def test_a_film_as_a_video_has_the_same_frames_in_time(short_cast, tmp_path):
     ],
 )
 def test_a_film_refuses(short_cast, tmp_path, name, arguments, message):
-    with pytest.raises(InvalidInput, match=message):
-        animate(short_cast, tmp_path / name, **arguments)
+    refuses(message, animate, short_cast, tmp_path / name, **arguments)
     assert list(tmp_path.iterdir()) == []

@@ -92,13 +92,6 @@ def test_a_plan_without_moves_is_a_page_with_the_reason(tmp_path, kind, made):
     assert unreachable().measure_holding_force() is None
 
 
-def test_a_rule_of_thumb_is_named_whatever_its_message():
-    high, words = hf.Peg(0.0, 1.0, 0.03), replace(unreachable().feasibility, impossible=False, message="too high")
-    report = CastReport(replace(unreachable(), target=high, feasibility=words, message="too high"))
-    assert "by a rule of thumb too high" in report.verdict
-    assert "--skip-feasibility" in " ".join(report.advice)
-
-
 @pytest.mark.parametrize(
     ("made", "reason"),
     [
@@ -115,20 +108,6 @@ def test_a_plan_that_fails_reports_it_first(tmp_path, made, reason):
     assert f"In short No cast that winds and holds was found: {reason}" in page
     assert "A planned cast" not in page
     assert "verified by simulation" not in page
-
-
-@pytest.mark.parametrize("made", [late, stopped, lambda: stopped(None)], ids=["late", "stopped", "no throw"])
-def test_a_search_that_did_not_end_invents_no_results_and_advises_to_continue(tmp_path, made):
-    plan = made()
-    path = CastReport(plan).write(tmp_path)["page"]
-    page = words_of(path)
-    assert ("not known strike, turns and hold" in page) == (plan.moves is not None)
-    assert 'class="bad"' not in path.read_text("utf-8")
-    for invented in ("never", "0.00", "does not stay", "Nearest", "No place was found"):
-        assert invented not in page
-    assert "the target itself is in reach" in page
-    assert "another --seed" in page
-    assert f"took {plan.seconds:.0f} s and 4321 simulated runs" in page
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
 from hyperflex.report import CastReport, WhipReport, player_html
 from hyperflex.report.player import MOST_FRAMES
 from tests.planning.known import planned
 from tests.planning.known_whip import planned_whip
+from tests.refusals import refuses
 
 LARGEST = 1.5e6  # bytes of a page of 10 s, 50 links, 60 Hz
 PRECISE = 1e-4  # m
@@ -211,5 +211,4 @@ def test_a_long_run_has_no_more_frames_than_others():
     [({"frame_rate": 0.0}, "frame_rate"), ({"speed": -1.0}, "speed"), ({"end": 99.0}, "end=99 is no part of the run")],
 )
 def test_a_page_refuses(cast, options, told):
-    with pytest.raises(InvalidInput, match=told):
-        player_html(cast[0], **options)
+    refuses(told, player_html, cast[0], **options)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hyperflex import InvalidInput
 from hyperflex.vision import Bar, BarDetector, Camera, Renderer, RopeMotion, Scene
+from tests.refusals import refuses
 
 DARK, BLUE = (75.0, 60.0, 63.0), (223.0, 84.0, 30.0)
 LENGTHS = np.array([0.205, 0.179])
@@ -39,5 +39,4 @@ def test_a_hidden_bar_is_nan():
 )
 def test_colours_that_cannot_be_told_are_refused(colours, message):
     wall = np.tile(np.uint8([124, 144, 164]), (332, 316, 1))
-    with pytest.raises(InvalidInput, match=message):
-        BarDetector(colours).find(wall)
+    refuses(message, BarDetector(colours).find, wall)

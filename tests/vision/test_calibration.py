@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from hyperflex import InvalidInput
 from hyperflex.vision import Board, VideoWriter, calibrate_camera, read_camera
 from hyperflex.vision.renderer.boards import DISTORTION, MATRIX, SIZE, board_poses, render_board
 from tests.cli.conftest import hyperflex, hyperflex_json  # noqa: F401 fixtures
+from tests.refusals import refuses
 
 CHARUCO = Board((8, 6), 0.03, 0.0225)  # even rows: new and legacy patterns differ
 CHESSBOARD = Board((9, 7), 0.025)
@@ -71,8 +71,7 @@ REFUSED = {  # pictures, the board that is declared, and what is said
 
 @pytest.mark.parametrize(("views", "board", "message"), REFUSED.values(), ids=REFUSED.keys())
 def test_views_that_do_not_fit_are_refused(views, board, message):
-    with pytest.raises(InvalidInput, match=message):
-        calibrate_camera(views(), Board(*board))
+    refuses(message, calibrate_camera, views(), Board(*board))
 
 
 @pytest.mark.parametrize(
@@ -87,8 +86,7 @@ def test_views_that_do_not_fit_are_refused(views, board, message):
     ],
 )
 def test_boards_that_cannot_be_are_refused(arguments, message):
-    with pytest.raises(InvalidInput, match=message):
-        Board(*arguments)
+    refuses(message, Board, *arguments)
 
 
 def test_command_on_a_video(hyperflex, hyperflex_json, tmp_path):  # noqa: F811

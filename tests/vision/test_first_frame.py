@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hyperflex import InvalidInput
 from hyperflex.vision import (
     Camera,
     NoRope,
@@ -21,6 +20,7 @@ from hyperflex.vision import (
 from hyperflex.vision.first_frame import _check_beyond, _check_end, _check_seen
 from hyperflex.vision.look import Cover, rope_along
 from hyperflex.vision.ridges import Mixture, Path, Ridges, _apart, _best_of_cells
+from tests.refusals import refuses
 
 LINKS, LENGTH = 60, 1.0  # m
 CAMERA = Camera.facing((480, 360), pixels_per_metre=260.0, origin=(230.0, 40.0), exposure=0.004)
@@ -260,8 +260,7 @@ def test_a_path_that_begins_on_the_wall_shows_no_rope():
     """150 px of wall before 80 px of rope."""
     image, truth = shown(bent())
     wall = np.linspace(truth[0] - np.array([150.0, 0.0]), truth[0], 150, endpoint=False)
-    with pytest.raises(InvalidInput, match="along the path"):
-        rope_along(image, np.concatenate([wall, truth[:60]]))
+    refuses("along the path", rope_along, image, np.concatenate([wall, truth[:60]]))
 
 
 def second(motion):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hyperflex import InvalidInput
 from hyperflex.vision import Camera, Renderer, RopeLook, Scene
 from hyperflex.vision.look import places_across
+from tests.refusals import refuses
 from tests.vision.ropes import swinging
 
 ARCS = np.linspace(0.0, 2.0, 200)
@@ -74,8 +74,7 @@ def test_a_look_follows_light_that_rises_slowly():
 @pytest.mark.parametrize("name", LOOKS)
 def test_a_curve_without_a_rope_has_no_look(name):
     images, curve = filmed(**LOOKS[name])
-    with pytest.raises(InvalidInput, match="stand out"):
-        RopeLook.from_curve(images[0], curve + np.array([60.0, 0.0]))
+    refuses("stand out", RopeLook.from_curve, images[0], curve + np.array([60.0, 0.0]))
 
 
 def test_a_calibrated_width_is_kept():
@@ -85,5 +84,4 @@ def test_a_calibrated_width_is_kept():
 
 def test_a_point_is_no_curve():
     """As is left of a faint rope that ends where it begins."""
-    with pytest.raises(InvalidInput, match="no line"):
-        RopeLook.from_curve(np.full((40, 40, 3), 128, np.uint8), [[20.0, 20.0]])
+    refuses("no line", RopeLook.from_curve, np.full((40, 40, 3), 128, np.uint8), [[20.0, 20.0]])

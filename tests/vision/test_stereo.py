@@ -9,6 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.vision import Camera, stereo_recording
+from tests.refusals import refuses
 
 TILT = math.radians(2.0)
 
@@ -63,12 +64,8 @@ def test_two_cameras_show_the_tilt_and_the_plane(swing):
 def test_what_does_not_fit_is_refused(swing):
     _, places = swing
     left, right = viewed(places)
-    with pytest.raises(hf.InvalidInput, match="do not meet"):
-        stereo_recording(left, replace(right, t=right.t + 0.2), *CAMERAS)
+    refuses("do not meet", stereo_recording, left, replace(right, t=right.t + 0.2), *CAMERAS)
     near = CAMERAS[0], camera(0.41)
-    with pytest.raises(hf.InvalidInput, match="degrees between the cameras"):
-        stereo_recording(*viewed(places, near), *near)
-    with pytest.raises(hf.InvalidInput, match="do not fit each other"):
-        stereo_recording(left, replace(right, data=right.data[:, 2:]), *CAMERAS)
-    with pytest.raises(hf.InvalidInput, match="does not know the swing plane"):
-        stereo_recording(left, right, CAMERAS[0], Camera.pinhole((640, 480)))
+    refuses("degrees between the cameras", stereo_recording, *viewed(places, near), *near)
+    refuses("do not fit each other", stereo_recording, left, replace(right, data=right.data[:, 2:]), *CAMERAS)
+    refuses("does not know the swing plane", stereo_recording, left, right, CAMERAS[0], Camera.pinhole((640, 480)))

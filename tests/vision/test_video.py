@@ -11,6 +11,7 @@ import pytest
 
 from hyperflex import FileProblem, InvalidInput
 from hyperflex.vision import LiveCamera, VideoReader, VideoWriter
+from tests.refusals import refuses
 
 SIZE = (160, 120)
 TIMES = 0.3 + 0.033 * np.arange(60) + 0.012 * np.sin(np.arange(60))  # a rate that varies
@@ -156,8 +157,7 @@ def test_an_odd_size_is_made_even(tmp_path):
 
 
 def test_another_suffix_is_refused(tmp_path):
-    with pytest.raises(InvalidInput, match="mp4"):
-        VideoWriter(tmp_path / "out.avi", SIZE)
+    refuses("mp4", VideoWriter, tmp_path / "out.avi", SIZE)
 
 
 def test_real_video(data_dir):
