@@ -120,24 +120,37 @@ def test_outliers_do_not_widen_the_band():
     assert np.median(result.held_out.std) < 1.5 * NOISE  # 0.07 with the outliers as noise
 
 
+EIGHT = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
+ARCS = [0.2, 0.4, 0.6, 0.8]
+
+
+def four_markers(frames: int, origin: tuple[float, float], noise: float | None) -> hf.Recording:
+    """Every second joint of eight links, with 1 mm of noise."""
+    t = np.arange(frames) * 0.04
+    run = hf.simulate(EIGHT, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
+    places = (run.joints[:, [2, 4, 6, 8]] + np.array(origin)).reshape(t.size, -1)
+    return hf.Recording(t, places + np.random.default_rng(3).normal(0.0, 1e-3, (frames, 8)), "markers", noise=noise)
+
+
 def test_a_rope_with_few_markers_is_predicted_to_its_noise():
     """The prior of its shape must not outweigh the markers."""
-    rope = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
-    t = np.arange(100) * 0.04
-    run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
-    places = run.joints[:, [2, 4, 6, 8]] + np.array([0.3, -0.1])
-    data = places.reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
-    recording = hf.Recording(t, data, kind="markers", noise=1e-3)
-    setup = hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8])
-    guess = rope.replace(friction=1e-3)
-    result = identify(recording, guess, ["friction:shared"], setup=setup, options=hf.FitOptions(train=2.4))
-    assert (
-        result.held_out.rms < 3e-3
-    ).all()  # noise of 1 mm and what a state on 12 samples adds; 0.1 m without weights
+    setup, guess = hf.RecordingSetup(arc_lengths=ARCS), EIGHT.replace(friction=1e-3)
+    recording, options = four_markers(100, (0.3, -0.1), 1e-3), hf.FitOptions(train=2.4)
+    result = identify(recording, guess, ["friction:shared"], setup=setup, options=options)
+    # noise of 1 mm and what a state on 12 samples adds; 0.1 m without weights
+    assert (result.held_out.rms < 3e-3).all()
     # Where the camera sees the first joint, told in its own frame.
     for name, truth in (("origin_x", 0.3), ("origin_y", -0.1)):
         assert abs(result.values[name] - truth) < 4.0 * result.std[name]
         assert result.std[name] < 2e-3
+
+
+def test_markers_without_given_noise_are_not_outweighed_by_the_prior():
+    places, guess = hf.RecordingSetup(arc_lengths=ARCS, origin=[0.0, 0.0]), EIGHT.replace(friction=1e-3)
+    recording = four_markers(60, (0.0, 0.0), None)
+    result = identify(recording, guess, ["friction:shared"], setup=places, options=WHOLE)
+    assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.std["friction"]).all()
+    assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in std beats errors in m
 
 
 def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch):
@@ -151,15 +164,3 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch):
     assert result.status == "interrupted"
     assert result.held_out is None
     assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.std["friction"]).all()
-
-
-def test_markers_without_given_noise_are_not_outweighed_by_the_prior():
-    rope = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
-    t = np.arange(60) * 0.04
-    run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
-    data = run.joints[:, [2, 4, 6, 8]].reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
-    recording = hf.Recording(t, data, kind="markers")
-    places = hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0])
-    result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], setup=places, options=WHOLE)
-    assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.std["friction"]).all()
-    assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in std beats errors in m

@@ -1,9 +1,9 @@
 """When a fit is called poor."""
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
+import pytest
 
 from hyperflex.checks import Array
 from hyperflex.identification import Kind
@@ -40,36 +40,35 @@ def shown(seen: list[Window], residuals: Array, *, white: bool = False, loss: Lo
     return [each.kind for each in (*_of_fit(basis), *_of_noise(basis, []))]
 
 
-def poor(*given: Any, **how: Any) -> bool:
-    return Kind.POOR_FIT in shown(*given, **how)
-
-
-def test_a_fit_is_poor_that_leaves_a_third_of_the_motion():
-    residuals = left(0.1)
-    assert not poor(windows(), residuals, white=True)
-    assert poor(windows(), residuals)  # right fits of real pendulums leave a tenth of that
-    assert not poor(windows(), 0.3 * residuals)
-
-
-def test_outliers_alone_make_no_fit_poor_where_the_loss_leaves_them_out():
-    residuals = left(0.02)
+def outliers(residuals: Array) -> Array:
     residuals[::20] += 3.0  # one in twenty, rms 0.67
-    assert poor(windows(), residuals)
-    assert not any(poor(windows(), residuals, loss=name) for name in ("huber", "cauchy"))
-    assert poor(windows(), left(0.4), loss="cauchy")
+    return residuals
 
 
-def test_a_fit_down_to_the_declared_noise_is_not_poor_however_little_moves():
-    still = windows(2e-3, moves=4e-3)
-    assert not poor(still, left(2.04e-3), white=True)
-    assert poor(still, left(4e-3), white=True)  # twice what was declared, and all of the motion
-    assert poor(windows(None, moves=4e-3), left(2.04e-3))  # nothing was declared
-
-
-def test_declared_noise_excuses_no_errors_of_the_model_beyond_a_fifth_of_the_motion():
-    assert not poor(windows(0.2), left(0.15))  # not white, but little
-    assert poor(windows(0.5), left(0.4))
-    assert not poor(windows(0.5), left(0.4), white=True)
+@pytest.mark.parametrize(
+    ("seen", "residuals", "how", "poor"),
+    [
+        # a fit is poor that leaves a third of the motion; right fits of real pendulums leave a tenth of that
+        (windows(), left(0.1), {"white": True}, False),
+        (windows(), left(0.1), {}, True),
+        (windows(), left(0.03), {}, False),
+        # outliers alone make none poor where the loss leaves them out
+        (windows(), outliers(left(0.02)), {}, True),
+        (windows(), outliers(left(0.02)), {"loss": "huber"}, False),
+        (windows(), outliers(left(0.02)), {"loss": "cauchy"}, False),
+        (windows(), left(0.4), {"loss": "cauchy"}, True),
+        # down to the declared noise it is not, however little moves; twice that is, and what was not declared
+        (windows(2e-3, moves=4e-3), left(2.04e-3), {"white": True}, False),
+        (windows(2e-3, moves=4e-3), left(4e-3), {"white": True}, True),
+        (windows(None, moves=4e-3), left(2.04e-3), {}, True),
+        # declared noise excuses no errors of the model beyond a fifth of the motion
+        (windows(0.2), left(0.15), {}, False),
+        (windows(0.5), left(0.4), {}, True),
+        (windows(0.5), left(0.4), {"white": True}, False),
+    ],
+)
+def test_when_a_fit_is_poor(seen, residuals, how, poor):
+    assert (Kind.POOR_FIT in shown(seen, residuals, **how)) == poor
 
 
 def test_noise_declared_far_too_large_is_found():

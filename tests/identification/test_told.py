@@ -148,37 +148,6 @@ def test_what_comes_after_the_fit_keeps_to_its_time():
             work()
 
 
-@pytest.mark.parametrize(
-    ("kind", "values", "words"),
-    [
-        (
-            Kind.POORLY_DETERMINED,
-            {"parts": {"J/p1[0]": 0.243, "c/p1": 20.0}, "others": "ratios"},
-            "determined: J/p1[0] (std 24 %), c/p1 (std 1000 % and more). Their",
-        ),
-        (Kind.HELD_SCALE, {"moved": 0.0}, "No motion tests these. Use"),
-        (Kind.HELD_SCALE, {"moved": 0.03}, "these (1 % of a centre of mass moves ratios by up to 3 %). Use"),
-        (Kind.HELD_SCALE, {"moved": 3e-7}, "moves ratios by less than 0.001 %). Use"),
-        (Kind.UNEXPLAINED, {"times": 107.0}, "are 110 times as large"),
-        (Kind.CHOSEN, {"usual": ["inertia"], "added": {}, "rivals": ""}, "shows it: none. Name"),
-        (
-            Kind.CHOSEN,
-            {"usual": ["inertia"], "added": {"drag": 0.12}, "rivals": ""},
-            "it: drag (12 % of the residuals' squares). Name",
-        ),
-        (Kind.NOT_CONVERGED, {"ended": ""}, "The fit has not converged. Values"),
-        (Kind.COMBINATION, {"count": 1, "names": ["mass"], "lost": []}, "not known either: none. Fix"),
-        (
-            Kind.DRIFT,
-            {"drift": 0.1, "moved": 0.1, "alike": {"'drag'": np.nan, "clock or lengths": 1.024}},
-            "these remove as much: 'drag', clock or lengths (1.02).",
-        ),
-    ],
-)
-def test_findings_hold_numbers_and_their_texts_words(kind, values, words):
-    assert words in text(Finding(kind, values=values, gain=0.1 * ("alike" in values)))
-
-
 def test_ratios_of_which_none_is_known_are_not_to_be_used():
     """Half a second of strong noise: intervals contain the truth and 0, and are useless."""
     q = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8]).q[:30]

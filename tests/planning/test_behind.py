@@ -153,8 +153,8 @@ def test_a_setup_file_tells_what_to_run_behind(tmp_path):
 def test_what_cannot_be_run_behind_is_refused():
     who = replace(problem(), criteria=hf.WindCriteria(behind=[BEFORE]))
     for each in (hf.Wall(-0.3, -0.3, -0.3, -0.5), hf.Peg(-0.3, -0.4, 0.03, inertia=1e-4)):
-        refuses("led behind fixed pegs alone", replace, problem(), criteria=hf.WindCriteria(behind=[each]))
-    refuses("behind holds something else", hf.plan_cast, CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=BEFORE))
+        refuses("led behind fixed pegs alone", hf.WindCriteria, behind=[each])
+    refuses("behind holds something else", hf.WindCriteria, behind=BEFORE)
     with pytest.raises(InvalidInput, match="turning arm hits the peg"):
         hf.plan_cast(CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=[hf.Peg(0.1, 0.1, 0.01)]))
     with pytest.raises(InvalidInput, match=r"begins in the peg at \(-0.2, -0.5\) m and the peg at \(0.2, -0.5\) m"):

@@ -13,26 +13,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.errors import Interrupted
-from hyperflex.model import with_links
-from hyperflex.planning import (
-    CastPlan,
-    Conditions,
-    MotorLimits,
-    Moves,
-    Problem,
-    SearchOptions,
-    TargetGrid,
-    WindCriteria,
-    build_reach_map,
-    casting,
-    estimate_success_probability,
-    plan_cast,
-    read_reach_map,
-    replan_cast,
-    scaled_rope,
-    verify_cast,
-)
+from hyperflex.planning import Moves, casting, estimate_success_probability, replan_cast, scaled_rope, verify_cast
 from hyperflex.planning.casting import CastRequest, fewer_turns, plan_each
 from hyperflex.planning.ensemble import SPARE, margin, repeatable
 from hyperflex.planning.rollouts import MODEL, RolloutBatch, fly_to_strikes
@@ -53,8 +34,8 @@ def processor(seconds: float) -> Budget:
 
 
 @pytest.fixture(scope="module")
-def cast() -> CastPlan:
-    return plan_cast(CORD, ARM, PEG, time_budget=processor(60.0), on_plan=lambda plan: True)
+def cast() -> hf.CastPlan:
+    return hf.plan_cast(CORD, ARM, PEG, time_budget=processor(60.0), on_plan=lambda plan: True)
 
 
 def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
@@ -62,7 +43,7 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     assert not cast.message
     assert cast.margin >= 0.0
     assert cast.runs > 0
-    finer = Problem(with_links(CORD, 38), ARM)
+    finer = hf.Problem(hf.with_links(CORD, 38), ARM)
     assert verify_cast(finer, PEG, cast.motion, contact_step=1e-4).success
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
 
@@ -74,7 +55,12 @@ def test_a_plan_continues_from_states_that_were_measured(cast):
     run = hf.simulate(problem.rope, cast.motion, arm=ARM, duration=stops[-1], t_eval=[0.0, *stops])
     seen = [(moves.first(k), hf.RopeState(t, run.q[k], run.qd[k])) for k, t in enumerate(stops, 1)]
     found = replan_cast(
-        replace(cast, problem=problem), [moves], seen, anew=False, time_budget=processor(30.0), options=SearchOptions()
+        replace(cast, problem=problem),
+        [moves],
+        seen,
+        anew=False,
+        time_budget=processor(30.0),
+        options=hf.SearchOptions(),
     )
     assert found.success, found.message
     assert found.moves.begins_with(seen[0][0])
@@ -84,26 +70,26 @@ def test_a_plan_continues_from_states_that_were_measured(cast):
 
 def test_a_search_starts_from_plans_for_targets_near_by(cast):
     near = replace(PEG, x=PEG.x + 0.004)
-    options = SearchOptions(start_from=[cast], members=0)
-    again = plan_cast(CORD, ARM, near, time_budget=processor(30.0), options=options, on_plan=lambda plan: True)
+    options = hf.SearchOptions(start_from=[cast], members=0)
+    again = hf.plan_cast(CORD, ARM, near, time_budget=processor(30.0), options=options, on_plan=lambda plan: True)
     assert again.success
     assert again.runs < 20
 
 
 def test_many_targets_are_planned_in_their_order(cast):
-    options = SearchOptions(start_from=[cast], threads=1)
+    options = hf.SearchOptions(start_from=[cast], threads=1)
     targets = [replace(PEG, y=9.0), PEG]
-    plans = plan_cast(CORD, ARM, targets, time_budget=30.0, options=options, on_plan=lambda plan: True)
+    plans = hf.plan_cast(CORD, ARM, targets, time_budget=30.0, options=options, on_plan=lambda plan: True)
     assert [plan.target for plan in plans] == targets
     assert [plan.success for plan in plans] == [False, True]
     with ProcessPoolExecutor(1) as executor:
-        some = plan_cast(CORD, ARM, targets[:1], options=replace(options, executor=executor))
+        some = hf.plan_cast(CORD, ARM, targets[:1], options=replace(options, executor=executor))
     assert [plan.message for plan in some] == [plans[0].message]
 
 
 def test_the_same_seed_draws_the_same_moves():
     def drawn(seed):
-        task, found = WindTask(Problem(CORD, ARM), PEG, SearchOptions(seed=seed, threads=1)), []
+        task, found = WindTask(hf.Problem(CORD, ARM), PEG, hf.SearchOptions(seed=seed, threads=1)), []
         while not found:
             found = task.sample([], Budget(threads=1))
         return [float(one.moves.rests.sum()) for one in found]
@@ -112,8 +98,8 @@ def test_the_same_seed_draws_the_same_moves():
 
 
 def test_ctrl_c_leaves_the_best_plan():
-    with pytest.raises(Interrupted) as caught:
-        plan_cast(CORD, ARM, PEG, time_budget=60.0, on_plan=lambda plan: os.kill(os.getpid(), signal.SIGINT))
+    with pytest.raises(hf.Interrupted) as caught:
+        hf.plan_cast(CORD, ARM, PEG, time_budget=60.0, on_plan=lambda plan: os.kill(os.getpid(), signal.SIGINT))
     plan = caught.value.partial
     assert plan.success
     assert plan.interrupted
@@ -128,8 +114,10 @@ def test_ctrl_c_before_anything_was_found_is_distinguished_from_the_end_of_the_t
             os.kill(os.getpid(), signal.SIGINT)
         return time.monotonic()
 
-    with pytest.raises(Interrupted) as caught:
-        plan_cast(CABLE, hf.Arm(length=0.105), hf.Peg(1.0, 0.3, 0.03), time_budget=Budget(60.0, threads=1, clock=clock))
+    with pytest.raises(hf.Interrupted) as caught:
+        hf.plan_cast(
+            CABLE, hf.Arm(length=0.105), hf.Peg(1.0, 0.3, 0.03), time_budget=Budget(60.0, threads=1, clock=clock)
+        )
     plan = caught.value.partial
     assert (plan.moves, plan.message) == (None, "interrupted before a plan was found")
 
@@ -139,8 +127,8 @@ def test_an_interrupted_plan_of_a_worker_is_filed_under_its_own_target():
         raise KeyboardInterrupt
 
     with ThreadPoolExecutor(1) as pool:
-        options = SearchOptions(executor=pool, chunk_size=2, threads=1)
-        given = MotorLimits(), WindCriteria(), Conditions(), None, 60.0, options, interrupt
+        options = hf.SearchOptions(executor=pool, chunk_size=2, threads=1)
+        given = hf.MotorLimits(), hf.WindCriteria(), hf.Conditions(), None, 60.0, options, interrupt
         plans, stop = plan_each(CastRequest(CORD, ARM, *given), [FAR, PEG])
     assert stop.received
     assert {number: plan.target for number, plan in plans.items()} == {1: PEG}
@@ -148,7 +136,7 @@ def test_an_interrupted_plan_of_a_worker_is_filed_under_its_own_target():
 
 def test_targets_and_fallbacks_share_a_budget_that_is_given():
     slippery = [hf.Peg(x, -0.7, 0.03, 0.02) for x in (-0.5, 0.5)]
-    plans = plan_cast(CORD, ARM, slippery, time_budget=processor(2.0))
+    plans = hf.plan_cast(CORD, ARM, slippery, time_budget=processor(2.0))
     assert all(
         plan.runs and 0.3 < plan.seconds < 1.8 for plan in plans
     )  # neither takes it all; the first loads kernels
@@ -156,8 +144,8 @@ def test_targets_and_fallbacks_share_a_budget_that_is_given():
 
 def test_a_fallback_that_fails_is_none():
     """No place for so thick a peg has twice the rope that is needed, so that all are planned for."""
-    plan = plan_cast(
-        CORD, ARM, hf.Peg(-1.3, -0.55, 0.06), time_budget=1e-9, options=SearchOptions(fallback=True, threads=1)
+    plan = hf.plan_cast(
+        CORD, ARM, hf.Peg(-1.3, -0.55, 0.06), time_budget=1e-9, options=hf.SearchOptions(fallback=True, threads=1)
     )
     assert plan.message.startswith("out of reach")
     assert plan.fallback is None
@@ -170,25 +158,25 @@ def test_ctrl_c_as_a_search_for_a_fallback_begins_leaves_the_failed_plan(monkeyp
         return WindTask(problem, peg, *given)
 
     monkeypatch.setattr(casting, "WindTask", begun)
-    with pytest.raises(Interrupted) as caught:
-        plan_cast(CORD, ARM, FAR, options=SearchOptions(fallback=True))
+    with pytest.raises(hf.Interrupted) as caught:
+        hf.plan_cast(CORD, ARM, FAR, options=hf.SearchOptions(fallback=True))
     plan = caught.value.partial
     assert plan.message.startswith("out of reach")
     assert (plan.interrupted, plan.fallback.plan) == (True, None)
 
 
 def test_a_motor_that_turns_to_one_side_alone_swings_the_rope_up():
-    left = MotorLimits(angles=(-3.14, 0.0))
-    plan = plan_cast(CORD, ARM, PEG, left, time_budget=processor(20.0), on_plan=lambda plan: True)
+    left = hf.MotorLimits(angles=(-3.14, 0.0))
+    plan = hf.plan_cast(CORD, ARM, PEG, left, time_budget=processor(20.0), on_plan=lambda plan: True)
     assert plan.success
     angles = plan.moves.angles(left)
     assert -3.14 <= angles.min() < angles.max() <= 0.0
 
 
 def test_a_search_without_a_strike_counts_its_runs():
-    options = SearchOptions(threads=1)
-    slow, target = MotorLimits(speed=2.0), hf.Peg(-0.8, -1.0, 0.04)
-    plan = plan_cast(CABLE, hf.Arm(length=0.105), target, slow, time_budget=processor(1.0), options=options)
+    options = hf.SearchOptions(threads=1)
+    slow, target = hf.MotorLimits(speed=2.0), hf.Peg(-0.8, -1.0, 0.04)
+    plan = hf.plan_cast(CABLE, hf.Arm(length=0.105), target, slow, time_budget=processor(1.0), options=options)
     assert plan.runs > 0
     assert plan.message == "no moves were found that strike it"
 
@@ -198,8 +186,12 @@ def test_a_search_without_a_strike_counts_its_runs():
     [(0.3, 2.6, r"turns at most, 2\.6 required"), (0.0, 1.25, r"moves wind the rope.*comes off")],
 )
 def test_a_search_that_fails_reports_how_far_the_rope_winds(mu, turns, message):
-    target, criteria, options = replace(PEG, mu=mu), WindCriteria(turns=turns), SearchOptions(skip_feasibility=True)
-    plan = plan_cast(CORD, ARM, target, criteria=criteria, time_budget=processor(2.0), options=options)
+    target, criteria, options = (
+        replace(PEG, mu=mu),
+        hf.WindCriteria(turns=turns),
+        hf.SearchOptions(skip_feasibility=True),
+    )
+    plan = hf.plan_cast(CORD, ARM, target, criteria=criteria, time_budget=processor(2.0), options=options)
     assert re.search(message, plan.message)
 
 
@@ -208,26 +200,26 @@ def test_places_and_ropes_that_the_planner_tries_are_not_asked_about():
         warnings.simplefilter("always")
         wrong = hf.Peg(-800.0, -1000.0, 40.0)
         assert len(seen) == 2
-        assert not plan_cast(CORD, ARM, wrong).success
+        assert not hf.plan_cast(CORD, ARM, wrong).success
     assert len(seen) == 2
 
 
 def test_no_time_is_stated():
-    plan = plan_cast(CORD, ARM, PEG, time_budget=1e-9)
+    plan = hf.plan_cast(CORD, ARM, PEG, time_budget=1e-9)
     assert not plan.success
     assert "time budget" in plan.message
     assert "friction" not in plan.message
-    assert "(mu 0)" in plan_cast(CORD, ARM, replace(PEG, mu=0.0), time_budget=1e-9).message
+    assert "(mu 0)" in hf.plan_cast(CORD, ARM, replace(PEG, mu=0.0), time_budget=1e-9).message
 
 
 def test_a_target_out_of_reach_is_reported_before_a_search():
-    plan = plan_cast(CABLE, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
+    plan = hf.plan_cast(CABLE, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
     assert (plan.runs, plan.success) == (0, False)
     assert "the rope ends 0.36 m short" in plan.message
 
 
 def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned():
-    plan = plan_cast(CORD, ARM, FAR, time_budget=processor(60.0), options=SearchOptions(fallback=True))
+    plan = hf.plan_cast(CORD, ARM, FAR, time_budget=processor(60.0), options=hf.SearchOptions(fallback=True))
     assert plan.message.startswith("out of reach")
     assert plan.remedies
     assert plan.fallback.plan.success
@@ -243,24 +235,24 @@ def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned():
         ({"target": "there"}, "target is not a peg"),
         ({"target": (2.5, 0.0, 0.03)}, r"target is not a peg: got \(2.5, 0.0, 0.03\)"),
         ({"target": hf.Peg(0.5, -0.5, 0.03, inertia=1e-3)}, "fixed targets"),
-        ({"criteria": Conditions()}, "criteria is no WindCriteria"),
+        ({"criteria": hf.Conditions()}, "criteria is no WindCriteria"),
         ({"uncertainty": 0.1}, "uncertainty is no "),
         ({"time_budget": -1.0}, "time_budget"),
     ],
 )
 def test_arguments_of_another_kind_are_refused(change, message):
-    refuses(message, plan_cast, **{"rope": CORD, "arm": ARM, "target": PEG, **change})
+    refuses(message, hf.plan_cast, **{"rope": CORD, "arm": ARM, "target": PEG, **change})
 
 
 @pytest.mark.parametrize(
     ("kind", "change", "message"),
     [
-        (WindCriteria, {"turns": 0.4}, "turns are not those of a wound rope"),
-        (WindCriteria, {"settle": 11.0}, "settle is longer"),
-        (WindCriteria, {"holding_force": 1.0, "behind": [PEG]}, "a holding force takes no pegs"),
-        (Conditions, {"side": 2}, "side of the arm"),
-        (Conditions, {"state0": hf.RopeState(0.0, np.zeros(15), np.zeros(15))}, "side of the arm"),
-        (Conditions, {"clearance": -1.0}, "clearance"),
+        (hf.WindCriteria, {"turns": 0.4}, "turns are not those of a wound rope"),
+        (hf.WindCriteria, {"settle": 11.0}, "settle is longer"),
+        (hf.WindCriteria, {"holding_force": 1.0, "behind": [PEG]}, "a holding force takes no pegs"),
+        (hf.Conditions, {"side": 2}, "side of the arm"),
+        (hf.Conditions, {"state0": hf.RopeState(0.0, np.zeros(15), np.zeros(15))}, "side of the arm"),
+        (hf.Conditions, {"clearance": -1.0}, "clearance"),
     ],
 )
 def test_options_out_of_range_are_refused(kind, change, message):
@@ -270,14 +262,14 @@ def test_options_out_of_range_are_refused(kind, change, message):
 def test_criteria_are_required_of_a_run():
     plan = planned()
     motion = plan.motion
-    for criteria in (WindCriteria(turns=9.0), WindCriteria(contact=40.0), WindCriteria(max_slip=1e-9)):
+    for criteria in (hf.WindCriteria(turns=9.0), hf.WindCriteria(contact=40.0), hf.WindCriteria(max_slip=1e-9)):
         assert not verify_cast(replace(plan.problem, criteria=criteria), plan.target, motion).success
 
 
 @pytest.mark.nightly
 def test_a_robust_plan_states_how_often_it_succeeds():
     known = hf.Uncertainty(length=0.002, mass=0.0, friction=0.02, mu=0.0, lag=0.0, timing=1e-3, place=1e-3)
-    plan = plan_cast(CORD, ARM, PEG, uncertainty=known, time_budget=processor(25.0))
+    plan = hf.plan_cast(CORD, ARM, PEG, uncertainty=known, time_budget=processor(25.0))
     chance = plan.success_probability
     assert plan.success
     assert chance.samples > 0
@@ -285,13 +277,13 @@ def test_a_robust_plan_states_how_often_it_succeeds():
     low, high = chance.interval
     assert low <= chance.estimate <= high
     other = estimate_success_probability(
-        plan.problem, PEG, plan.moves, known, samples=16, options=SearchOptions(seed=5, threads=1)
+        plan.problem, PEG, plan.moves, known, samples=16, options=hf.SearchOptions(seed=5, threads=1)
     )
     assert abs(other.estimate - chance.estimate) <= 0.5
 
 
 def test_the_margin_is_the_least_of_what_is_to_spare():
-    outcome, criteria = planned().outcome, WindCriteria()
+    outcome, criteria = planned().outcome, hf.WindCriteria()
     outcome = replace(outcome, turns=-2.0, slip=0.0, load_ratio=0.5, spare_clearance=1.0, tip_hangs=True, folded=False)
     assert margin(criteria, outcome, outcome) == pytest.approx(1.0 / SPARE.slip)
     for change, value in (
@@ -316,7 +308,7 @@ def test_runs_that_disagree_leave_the_cast_to_chance():
 
 
 def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():
-    task = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1))
+    task = WindTask(hf.Problem(CORD, ARM), PEG, hf.SearchOptions(threads=1))
     budget, found = Budget(threads=1), []
     while not found:
         found = task.sample([], budget)
@@ -331,7 +323,9 @@ def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():
 
 def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agree_on():
     rope = hf.Rope.uniform(length=2.5, mass=0.2, n_links=20, radius=0.004, friction=1e-5)
-    search = WindTask(Problem(rope, hf.Arm(length=0.25)), hf.Peg(1.0, -0.3, 0.03), SearchOptions(threads=1)).search
+    search = WindTask(
+        hf.Problem(rope, hf.Arm(length=0.25)), hf.Peg(1.0, -0.3, 0.03), hf.SearchOptions(threads=1)
+    ).search
     found = [one for _ in range(12) for one in search.extend(Budget(threads=1))]
     assert found
     assert all(abs(one.states[0].t - one.states[1].t) <= DELAY for one in found)
@@ -346,17 +340,17 @@ def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agr
 
 
 def test_a_strike_after_the_time_limit_does_not_count():
-    problem, budget, found = Problem(CORD, ARM), Budget(threads=1), list[Strike]()
-    search = WindTask(problem, PEG, SearchOptions(threads=1)).search
+    problem, budget, found = hf.Problem(CORD, ARM), Budget(threads=1), list[Strike]()
+    search = WindTask(problem, PEG, hf.SearchOptions(threads=1)).search
     while not found:
         found = search.extend(budget)
     for limit, count in ((found[0].t + 0.2, 1), (found[0].t - 0.2, 0)):
-        limited = WindTask(replace(problem, time=limit), PEG, SearchOptions(threads=1)).search
+        limited = WindTask(replace(problem, time=limit), PEG, hf.SearchOptions(threads=1)).search
         assert len(limited.start([found[0].moves], budget)) == count
 
 
 def test_swings_of_a_rope_with_dry_friction_are_nearly_those_of_stiction_in_a_search_and_exact_elsewhere():
-    dry = Problem(CORD.replace(dry_friction=2e-3), ARM)
+    dry = hf.Problem(CORD.replace(dry_friction=2e-3), ARM)
     moves = pumped(dry, pumped(dry, Moves(1, np.zeros(0), np.zeros(0))))
     batch = RolloutBatch.from_start(dry, [dry.rope], [], [moves.motion(dry.limits)])
     t, q, _ = replace(batch, stiction=MODEL.stiction).fly(ARM, 1.5, Budget(threads=1))
@@ -370,16 +364,16 @@ def test_swings_of_a_rope_with_dry_friction_are_nearly_those_of_stiction_in_a_se
 
 
 def test_a_reach_map_reads_back_equal(tmp_path):
-    grid = TargetGrid(x=[-0.5, 2.5], y=[-0.7], radius=0.03)
-    found = build_reach_map(CORD, ARM, grid=grid, time_budget=30.0, options=SearchOptions(threads=1))
+    grid = hf.TargetGrid(x=[-0.5, 2.5], y=[-0.7], radius=0.03)
+    found = hf.build_reach_map(CORD, ARM, grid=grid, time_budget=30.0, options=hf.SearchOptions(threads=1))
     assert found.status.tolist() == [[0, 1]]
     assert found.turns[0, 0] >= 1.25
     assert found.complete
     found.to_netcdf(tmp_path / "map.nc")
-    again = read_reach_map(tmp_path / "map.nc")
+    again = hf.read_reach_map(tmp_path / "map.nc")
     assert again.problem == found.problem
     assert np.array_equal(again.status, found.status)
-    refuses("not increasing", build_reach_map, CORD, ARM, grid=TargetGrid(x=[1.0, 0.5]))
+    refuses("not increasing", hf.build_reach_map, CORD, ARM, grid=hf.TargetGrid(x=[1.0, 0.5]))
 
 
 def test_a_plan_that_fails_by_its_turns_reports_how_many_it_keeps():

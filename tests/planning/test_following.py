@@ -5,23 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import hyperflex as hf
 from hyperflex.control import TrueState
-from hyperflex.errors import InvalidInput
 from hyperflex.hardware import SimulatedMotor
-from hyperflex.interfaces import RopeState
-from hyperflex.model import Rope
-from hyperflex.motion import Motion
-from hyperflex.planning import (
-    CastPlan,
-    FollowOptions,
-    MotorStateSource,
-    ScenarioStateSource,
-    Uncertainty,
-    check_feasibility,
-    follow_plan,
-    read_plan,
-    scaled_rope,
-)
+from hyperflex.planning import MotorStateSource, ScenarioStateSource, check_feasibility, scaled_rope
 from hyperflex.planning.feedback import Goal, _Loop, features
 from hyperflex.planning.moves import Moves
 from hyperflex.status import Status
@@ -32,8 +19,8 @@ from tests.refusals import refuses
 
 CAST_SETUP = problem()
 LIMITS = CAST_SETUP.limits
-OPTIONS = FollowOptions()
-PLAN = CastPlan(CAST_SETUP, PEG, check_feasibility(CAST_SETUP, PEG), WINDS)
+OPTIONS = hf.FollowOptions()
+PLAN = hf.CastPlan(CAST_SETUP, PEG, check_feasibility(CAST_SETUP, PEG), WINDS)
 
 
 def test_a_goal_of_another_rope_is_at_the_same_distances_from_the_arm():
@@ -52,7 +39,7 @@ def test_a_rope_that_is_known_to_be_longer_is_led_as_predicted():
     longer = scaled_rope(CAST_SETUP.rope, 1.02, 1.0, 1.0)
     expected = []
     for known in (longer, None):
-        done = follow_plan(PLAN, Longer(longer), rope=known, options=OPTIONS)
+        done = hf.follow_plan(PLAN, Longer(longer), rope=known, options=OPTIONS)
         steps = zip(done.decisions[:-1], done.decisions[1:], strict=True)
         expected.append(max(abs(one.after - other.before) for one, other in steps))
     assert expected[0] < 0.05 < expected[1]
@@ -61,10 +48,10 @@ def test_a_rope_that_is_known_to_be_longer_is_led_as_predicted():
 class Longer:
     """True state of a rope under the command."""
 
-    def __init__(self, rope: Rope) -> None:
+    def __init__(self, rope: hf.Rope) -> None:
         self.true = TrueState(rope, CAST_SETUP.arm)
 
-    def state(self, t: float, motion: Motion) -> RopeState:
+    def state(self, t: float, motion: hf.Motion) -> hf.RopeState:
         return self.true.state(t, motion)
 
 
@@ -111,7 +98,7 @@ def miss(throw: Moves, goal: Goal) -> float:
 
 def test_in_the_expected_world_the_plan_is_kept():
     (world,) = NONE.sample(1, CAST_SETUP, PEG)
-    done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm))
+    done = hf.follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm))
     assert [look.action for look in done.decisions] == ["kept"] * len(done.decisions)
     assert [look.move for look in done.decisions] == list(range(1, len(done.decisions) + 1))
     assert len(done.decisions) >= 5
@@ -125,8 +112,8 @@ def test_in_the_expected_world_the_plan_is_kept():
 def test_the_rope_is_not_observed_shortly_before_the_strike():
     goal = Goal.of(CAST_SETUP, PEG, WINDS, OPTIONS)
     (world,) = NONE.sample(1, CAST_SETUP, PEG)
-    options = FollowOptions(blind_time=2.5)
-    done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), options=options)
+    options = hf.FollowOptions(blind_time=2.5)
+    done = hf.follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), options=options)
     assert goal.t - 4.0 < done.decisions[-1].t <= goal.t - 2.5
 
 
@@ -139,19 +126,19 @@ def test_the_rope_is_not_observed_shortly_before_the_strike():
     ],
 )
 def test_without_an_observation_the_plan_counts(plan, message):
-    done = follow_plan(plan, Hanging(), options=FollowOptions(blind_time=100.0))
+    done = hf.follow_plan(plan, Hanging(), options=hf.FollowOptions(blind_time=100.0))
     assert (done.decisions, done.message, done.success) == ((), message, not message)
 
 
 class Hanging:
     """A source that always reports a rope at rest: no planned move can succeed."""
 
-    def state(self, t: float, motion: object) -> RopeState:
-        return RopeState(t, np.zeros(50), np.zeros(50))
+    def state(self, t: float, motion: object) -> hf.RopeState:
+        return hf.RopeState(t, np.zeros(50), np.zeros(50))
 
 
 def test_a_throw_that_cannot_win_any_more_is_given_up_slowly():
-    done = follow_plan(PLAN, Hanging())
+    done = hf.follow_plan(PLAN, Hanging())
     assert (done.completed, done.status) == (False, Status.FAILED)
     assert done.decisions[-1].action == "aborted"
     assert done.decisions[-1].after == np.inf
@@ -168,7 +155,7 @@ def test_a_throw_that_cannot_win_any_more_is_given_up_slowly():
 
 def test_what_is_due_too_soon_to_be_decided_is_made_as_planned():
     """With more time to think than any rest leaves, the next move stays; the one after it may be given up."""
-    done = follow_plan(PLAN, Hanging(), options=FollowOptions(decision_time=1.0))
+    done = hf.follow_plan(PLAN, Hanging(), options=hf.FollowOptions(decision_time=1.0))
     assert (done.completed, done.status) == (False, Status.FAILED)
     move = done.decisions[-1].move
     assert done.decisions[-1].left < 1.0
@@ -181,10 +168,10 @@ class Kept(SimulatedMotor):
 
     def __init__(self, refuses: int = 0, **how: float) -> None:
         super().__init__(-0.5 * np.pi, **how)
-        self.asked: list[tuple[float, Motion]] = []
+        self.asked: list[tuple[float, hf.Motion]] = []
         self.refuses = refuses
 
-    def set_motion(self, motion: Motion, at: float) -> bool:
+    def set_motion(self, motion: hf.Motion, at: float) -> bool:
         self.asked.append((at, motion))
         return not 2 <= len(self.asked) < 2 + self.refuses and super().set_motion(motion, at)
 
@@ -193,14 +180,14 @@ def test_a_motor_gets_the_plan_and_a_rope_on_it_follows_its_motion():
     """A servo with almost no lag: the rope's state at each sample is that of the commanded motion."""
     motor = Kept(lag=1e-3, counts=10**6)
     world = MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor)
-    seen: list[tuple[RopeState, Motion]] = []
+    seen: list[tuple[hf.RopeState, hf.Motion]] = []
 
     class Watched:
         def state(self, t, motion):
             seen.append((world.state(t, motion), motion))
             return seen[-1][0]
 
-    done = follow_plan(PLAN, Watched(), motor=motor)
+    done = hf.follow_plan(PLAN, Watched(), motor=motor)
     assert motor.asked[0] == (0.0, WINDS.motion(LIMITS))
     changes = [look.t for look in done.decisions if look.action == "changed"]
     assert [at for at, _ in motor.asked[1:]] == changes
@@ -214,7 +201,7 @@ def test_a_motor_gets_the_plan_and_a_rope_on_it_follows_its_motion():
 def test_a_motor_that_does_not_come_along_ends_the_throw():
     """A torque too weak for the strokes: at the first look the arm is far from where it should be."""
     motor = Kept(torque=0.005)
-    done = follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
+    done = hf.follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
     assert (done.completed, done.status) == (False, Status.FAILED)
     assert len(done.decisions) == 1
     assert abs(done.decisions[0].arm_error) > OPTIONS.max_arm_error
@@ -225,8 +212,8 @@ def test_a_motor_that_does_not_come_along_ends_the_throw():
 
 def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_continues():
     motor = Kept(refuses=100, lag=1e-3, counts=10**6)
-    (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
-    done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), motor=motor)
+    (world,) = hf.Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
+    done = hf.follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), motor=motor)
     assert len(motor.asked) > 1
     assert {look.action for look in done.decisions} <= {"kept", "late"}
     assert all(look.after == look.before for look in done.decisions)
@@ -235,15 +222,15 @@ def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_continues():
 
 def test_an_abort_that_the_motor_refuses_begins_at_the_next_rest():
     motor = Kept(torque=0.005, refuses=1)
-    done = follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
+    done = hf.follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor)
     assert [look.action for look in done.decisions] == ["aborted"]
     assert motor.asked[-1] == (done.decisions[0].t, done.motion)
     assert done.moves.ends.size == done.decisions[0].move + 2
 
 
 def test_an_abort_that_is_decided_too_late_begins_at_the_next_rest():
-    options = FollowOptions(real_time=True, sending=10.0)
-    done = follow_plan(PLAN, Hanging(), motor=Kept(refuses=1, lag=1e-3, counts=10**6), options=options)
+    options = hf.FollowOptions(real_time=True, sending=10.0)
+    done = hf.follow_plan(PLAN, Hanging(), motor=Kept(refuses=1, lag=1e-3, counts=10**6), options=options)
     last = done.decisions[-1]
     assert (last.action, done.message) == ("aborted", f"aborted at {last.t:.2f} s: the rope will not strike")
     assert done.moves.ends.size == last.move + 2
@@ -251,24 +238,24 @@ def test_an_abort_that_is_decided_too_late_begins_at_the_next_rest():
 
 def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path):
     PLAN.to_toml(tmp_path / "cast.toml")
-    back = read_plan(tmp_path / "cast.toml")
-    (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
-    one, two = (follow_plan(each, ScenarioStateSource(world, CAST_SETUP.arm)) for each in (PLAN, back))
+    back = hf.read_plan(tmp_path / "cast.toml")
+    (world,) = hf.Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
+    one, two = (hf.follow_plan(each, ScenarioStateSource(world, CAST_SETUP.arm)) for each in (PLAN, back))
     assert one.motion == two.motion
     assert [look.action for look in one.decisions] == [look.action for look in two.decisions]
-    refuses("only casts are followed", follow_plan, planned_whip(), ScenarioStateSource(world, CAST_SETUP.arm))
+    refuses("only casts are followed", hf.follow_plan, planned_whip(), ScenarioStateSource(world, CAST_SETUP.arm))
 
 
 @pytest.mark.nightly
 def test_in_real_time_a_late_decision_is_not_carried_out():
     """Without time for decisions a rope that waits gets the changed throw, one that moves on the planned one."""
-    (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
+    (world,) = hf.Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
     waits, moves = (
-        follow_plan(
+        hf.follow_plan(
             PLAN,
             ScenarioStateSource(world, CAST_SETUP.arm),
             motor=Kept(),
-            options=FollowOptions(decision_time=0.0, real_time=real_time),
+            options=hf.FollowOptions(decision_time=0.0, real_time=real_time),
         )
         for real_time in (False, True)
     )
@@ -279,10 +266,10 @@ def test_in_real_time_a_late_decision_is_not_carried_out():
 
 
 def test_bad_numbers_are_refused():
-    (world,) = Uncertainty().sample(1, CAST_SETUP, PEG)
+    (world,) = hf.Uncertainty().sample(1, CAST_SETUP, PEG)
     for wrong in (-1.0, np.nan):
-        with pytest.raises(InvalidInput):
-            FollowOptions(decision_time=wrong)
+        with pytest.raises(hf.InvalidInput):
+            hf.FollowOptions(decision_time=wrong)
     n = CAST_SETUP.rope.n_links
     swings = replace(PLAN, problem=replace(CAST_SETUP, q0=(0.1,) * n, qd0=(0.0,) * n, side=-1))
-    refuses("swinging rope are not followed", follow_plan, swings, ScenarioStateSource(world, CAST_SETUP.arm))
+    refuses("swinging rope are not followed", hf.follow_plan, swings, ScenarioStateSource(world, CAST_SETUP.arm))

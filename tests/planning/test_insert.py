@@ -9,17 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.planning import (
-    Conditions,
-    InsertPlan,
-    MotorLimits,
-    Moves,
-    Problem,
-    SearchOptions,
-    Slot,
-    estimate_insert_probability,
-    plan_insert,
-)
+from hyperflex.planning import Moves, estimate_insert_probability
 from hyperflex.planning.clearance import obstacle_clearance
 from hyperflex.planning.ensemble import COUNTED
 from hyperflex.planning.planner import Candidate
@@ -34,16 +24,15 @@ from hyperflex.planning.tasks.insert import (
 )
 from hyperflex.planning.tasks.tip import OPTIONS, Flights, coarse_flights, random_swings
 from tests.planning.known_insert import ARM, MOVES, NEAR, ROPE, SLOT
-from tests.refusals import refuses
 
-LIMITS = MotorLimits()
-ONE = SearchOptions(threads=1)
-DOWN = Slot(0.1, -0.5, -0.5 * np.pi, width=0.02, depth=0.05, wall=0.1)  # its left is +x
+LIMITS = hf.MotorLimits()
+ONE = hf.SearchOptions(threads=1)
+DOWN = hf.Slot(0.1, -0.5, -0.5 * np.pi, width=0.02, depth=0.05, wall=0.1)  # its left is +x
 
 
 @functools.cache
-def planned() -> InsertPlan:
-    plan = plan_insert(ROPE, ARM, SLOT, options=ONE, time_budget=200.0, samples=30)
+def planned() -> hf.InsertPlan:
+    plan = hf.plan_insert(ROPE, ARM, SLOT, options=ONE, time_budget=200.0, samples=30)
     assert plan.success, plan.message
     return plan
 
@@ -53,7 +42,7 @@ def near() -> float:
     return outcome.t
 
 
-def aside(slot: Slot, way: float) -> Slot:
+def aside(slot: hf.Slot, way: float) -> hf.Slot:
     """The slot moved to the left of the way in, m."""
     x, y = slot.point + way * slot.axes[1]
     return replace(slot, x=float(x), y=float(y))
@@ -70,7 +59,7 @@ def test_walls_leave_the_gap_free_and_a_tube_begins_at_its_edges():
     ]
 
 
-def swing(problem: Problem, moves: Moves) -> Flights:
+def swing(problem: hf.Problem, moves: Moves) -> Flights:
     """Return a coarse flight of one swing."""
     return next(coarse_flights(problem, [moves], Budget()))
 
@@ -175,7 +164,7 @@ def test_a_slot_that_is_not_there_is_touched(side):
 
 def test_a_plan_into_a_tube_keeps_clear_of_its_sides():
     tube = replace(SLOT, tube=0.05)
-    plan = plan_insert(ROPE, ARM, tube, options=ONE, time_budget=200.0, samples=4)
+    plan = hf.plan_insert(ROPE, ARM, tube, options=ONE, time_budget=200.0, samples=4)
     assert plan.success, plan.message
     run, until = plan.outcome.run, plan.outcome.run.t <= plan.outcome.t
     assert run.setup.pegs == tube.walls
@@ -239,7 +228,7 @@ def test_free_swings_agree_with_runs_near_the_walls():
     assert 0 < sum(seen) < count
 
 
-def certain(problem: Problem, slot: Slot = SLOT) -> int:
+def certain(problem: hf.Problem, slot: hf.Slot = SLOT) -> int:
     """Successes in three scenarios that are all as planned."""
     none = replace(usual_uncertainty(), place=0.0, timing=0.0)
     return estimate_insert_probability(problem, slot, MOVES, NEAR, none, samples=3).successes
@@ -247,7 +236,7 @@ def certain(problem: Problem, slot: Slot = SLOT) -> int:
 
 def test_a_scenario_fails_where_a_run_with_as_many_links_does():
     """The tip is too fast, the slot elsewhere, or arm, shaft or obstacle 1 mm nearer than allowed, not 1 mm less."""
-    who = Problem(ROPE, ARM, LIMITS, 4.0)
+    who = hf.Problem(ROPE, ARM, LIMITS, 4.0)
     seen = verify_insert(InsertTask(who, SLOT).finer, SLOT, MOVES.motion(who.limits), NEAR)
     for part, successes in ((1.02, 3), (0.98, 0)):
         assert certain(who, replace(SLOT, max_speed=part * seen.speed)) == successes
@@ -261,20 +250,20 @@ def test_a_scenario_fails_where_a_run_with_as_many_links_does():
 
 
 def test_out_of_reach_is_reported_before_any_search():
-    far = plan_insert(ROPE, ARM, Slot(1.2, 0.0, 0.0))
+    far = hf.plan_insert(ROPE, ARM, hf.Slot(1.2, 0.0, 0.0))
     assert (far.success, far.status) == (False, "infeasible")
     assert "the rope ends 0.15 m short of the target" in far.message
-    up = plan_insert(ROPE, ARM, Slot(0.0, 0.3, 0.5 * np.pi), conditions=Conditions(time_limit=0.5))
+    up = hf.plan_insert(ROPE, ARM, hf.Slot(0.0, 0.3, 0.5 * np.pi), conditions=hf.Conditions(time_limit=0.5))
     assert (up.success, up.status) == (False, "infeasible")
     assert "in no swing does the tip go through" in up.message
-    late = plan_insert(ROPE, ARM, Slot(0.0, 0.3, 0.5 * np.pi), time_budget=1e-6)
+    late = hf.plan_insert(ROPE, ARM, hf.Slot(0.0, 0.3, 0.5 * np.pi), time_budget=1e-6)
     assert (late.success, late.status) == (False, "out of time")
 
 
 def test_no_swing_begins_at_a_wall():
     x = ARM.length + ROPE.radius - 2e-4  # the rope hangs to the arm's right, 0.2 mm deep in the end of a wall
-    slot = Slot(x + 0.11, -0.5, -0.5 * np.pi, width=0.02, wall=0.1)
-    task = InsertTask(Problem(ROPE, ARM, LIMITS, 0.5), slot)
+    slot = hf.Slot(x + 0.11, -0.5, -0.5 * np.pi, width=0.02, wall=0.1)
+    task = InsertTask(hf.Problem(ROPE, ARM, LIMITS, 0.5), slot)
     task.prepare(Budget(threads=1))
     assert {each.moves.side for each in task.swings} <= {-1}
     assert {each.side for each in random_swings(task.problem, 8, slot.walls)} == {-1}
@@ -293,12 +282,13 @@ def test_no_swing_begins_at_a_wall():
     ],
 )
 def test_slots_that_are_refused(change, words):
-    refuses(words, plan_insert, ROPE, ARM, Slot(**{"x": 0.2, "y": -0.8, "direction": 0.0} | change))
+    with pytest.raises(hf.InvalidInput, match=words):
+        hf.plan_insert(ROPE, ARM, hf.Slot(**{"x": 0.2, "y": -0.8, "direction": 0.0} | change))
 
 
 def test_residuals_are_offsets_and_what_an_entry_lacks():
     """An obstacle 30 mm in the rope's way adds to them; an entry that fails says by how much."""
-    problem = Problem(ROPE, ARM, LIMITS, 4.0)
+    problem = hf.Problem(ROPE, ARM, LIMITS, 4.0)
     (free,) = InsertTask(problem, SLOT).aims([MOVES], [NEAR], Budget(math.inf))
     assert free.good
     assert free.residuals[3] > -0.1 * SLOT.depth  # what it lacks to a tenth more than the required depth
@@ -313,7 +303,7 @@ def test_residuals_are_offsets_and_what_an_entry_lacks():
 
 
 def test_an_estimate_does_not_outlast_its_time():
-    given = (Problem(ROPE, ARM, LIMITS, 4.0), SLOT, MOVES, NEAR)
+    given = (hf.Problem(ROPE, ARM, LIMITS, 4.0), SLOT, MOVES, NEAR)
     ticks = iter(np.arange(0.0, 100.0, 1.0))
     budget = Budget(8.0, clock=lambda: float(next(ticks)), threads=1)
     found = estimate_insert_probability(*given, samples=100, time_budget=budget)

@@ -7,15 +7,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.errors import InvalidInput
-from hyperflex.planning import (
-    TipTarget,
-    build_whip_map,
-    check_feasibility,
-    check_whip_feasibility,
-    read_plan,
-    verify_cast,
-)
+from hyperflex.planning import check_feasibility, check_whip_feasibility, verify_cast
 from hyperflex.planning.clearance import FINE, obstacle_clearance, sampled_obstacle_gaps
 from hyperflex.planning.rollouts import RolloutBatch, simulate_contact
 from hyperflex.planning.verification import verified_setup
@@ -119,18 +111,18 @@ def test_a_search_sees_what_lies_in_the_way():
 def test_obstacles_go_with_a_plan_through_its_file(tmp_path):
     known = replace(planned(), problem=replace(problem(), obstacles=[FLOOR, POST, WALL]))
     known.to_toml(tmp_path / "cast.toml")
-    again = read_plan(tmp_path / "cast.toml")
+    again = hf.read_plan(tmp_path / "cast.toml")
     assert set(again.problem.obstacles) == {FLOOR, POST, WALL}
     assert set(hf.Setup.from_toml(tmp_path / "cast.toml").pegs) == {PEG, FLOOR, POST, WALL}
 
 
 def test_obstacles_that_cannot_be_are_refused():
     refuses("turning arm hits the wall", replace, problem(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
-    with pytest.raises(InvalidInput, match="obstacles holds something else"):
+    with pytest.raises(hf.InvalidInput, match="obstacles holds something else"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=["a wall"]))
-    with pytest.raises(InvalidInput, match=r"begins in the ground at \(0, -1.9\) m"):
+    with pytest.raises(hf.InvalidInput, match=r"begins in the ground at \(0, -1.9\) m"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=[hf.Ground(0.0, -1.9)]))
-    with pytest.raises(InvalidInput, match="past obstacles are not followed"):
+    with pytest.raises(hf.InvalidInput, match="past obstacles are not followed"):
         hf.follow_plan(replace(planned(), problem=replace(problem(), obstacles=[FLOOR])), None)
 
 
@@ -139,22 +131,22 @@ def test_a_start_or_target_in_an_obstacle_is_reported_before_a_search():
     slot = hf.Slot(0.56, -1.9, -0.78)
     for plan in (
         lambda: hf.plan_cast(CABLE, arm, PEG, conditions=hf.Conditions(obstacles=[floor])),
-        lambda: hf.plan_whip(CABLE, arm, TipTarget(0.3, -2.05), conditions=hf.Conditions(obstacles=[floor])),
+        lambda: hf.plan_whip(CABLE, arm, hf.TipTarget(0.3, -2.05), conditions=hf.Conditions(obstacles=[floor])),
         lambda: hf.plan_insert(CABLE, arm, slot, conditions=hf.Conditions(obstacles=[floor])),
     ):
         refuses(r"the rope begins in the ground at \(0, -1\) m, whatever", plan)
     turned = CABLE.replace(gravity=(0.17, -9.81))
     for plan in (
         lambda: hf.plan_cast(turned, arm, PEG),
-        lambda: hf.plan_whip(turned, arm, TipTarget(0.3, -2.05)),
+        lambda: hf.plan_whip(turned, arm, hf.TipTarget(0.3, -2.05)),
         lambda: hf.plan_insert(turned, arm, slot),
     ):
         refuses(r"gravity along -y; the rope has \(0.17, -9.81\) m/s\^2", plan)
     refuses("obstacles holds something else", hf.Conditions, obstacles=post)
     seen = hf.plan_cast(CABLE, arm, hf.Peg(-0.8, -1.1, 0.03), conditions=hf.Conditions(obstacles=[post]))
     assert (seen.status, seen.message) == ("infeasible", "the target lies in the peg at (-0.8, -1.1) m")
-    whip_map = build_whip_map(replace(problem(), obstacles=[post], time=1.0), swings=1)
-    assert check_whip_feasibility(whip_map, TipTarget(-0.8, -1.1)).message == seen.message
+    whip_map = hf.build_whip_map(replace(problem(), obstacles=[post], time=1.0), swings=1)
+    assert check_whip_feasibility(whip_map, hf.TipTarget(-0.8, -1.1)).message == seen.message
 
 
 def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned_all_the_same():

@@ -113,6 +113,8 @@ def test_a_plan_reads_back_as_it_was_written(tmp_path, made):
     assert (back.problem, back.target, back.feasibility) == (plan.problem, plan.target, plan.feasibility)
     assert (back.success, back.status, back.message) == (plan.success, plan.status, plan.message)
     assert back.motion == plan.motion
+    for name in ("margin", "runs", "seconds", "remedies", "interrupted", "decided"):
+        assert getattr(back, name, None) == getattr(plan, name, None)
     assert (back.refuted, back.notes()) == (plan.refuted, plan.notes())
     assert files.dumps_toml(to_table(back)) == files.dumps_toml(to_table(plan))
     back.to_toml(tmp_path / "again.toml")
@@ -141,7 +143,7 @@ def test_a_throw_that_is_read_back_does_the_same_again(tmp_path):
         (lambda: planned(winds=False), Status.FAILED),
         (late, Status.OUT_OF_TIME),
         (stopped, Status.INTERRUPTED),
-        (lambda: replace(unverified_whip(), interrupted=False, message="the tip's speed has no peak"), Status.FAILED),
+        (lambda: replace(unverified_whip(), interrupted=False, decided=True), Status.FAILED),
     ],
 )
 def test_the_status_reports_why_the_planner_ended(made, status):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,6 +92,18 @@ def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan():
     assert found.best.margin == max(one / 100.0 for name, one in task.calls if name == "verify")
 
 
+def test_a_plan_with_half_of_the_margin_is_improved_for_half_as_long():
+    class HalfSpare(Numbers):
+        def verify(self, one, budget):
+            return replace(super().verify(one, budget), margin=0.5)
+
+    task = HalfSpare(10, lambda _: True)
+    assert planner(task, improve=1.0).best.margin == 0.5
+    first = next(k for k, (name, _) in enumerate(task.calls) if name == "verify")
+    at = sum(COST[name] for name, _ in task.calls[: first + 1])
+    assert 1.5 * at - COST["verify"] <= task.now <= 1.5 * at
+
+
 def test_a_candidate_unlike_those_that_failed_is_verified_at_once():
     task = Numbers(0, lambda _: False, last=40)
     planner(task)
@@ -113,6 +126,14 @@ def test_a_better_plan_is_reported_and_may_end_the_search():
     assert len(heard) == 3
     assert sorted(heard) == heard
     assert task.now < 500.0
+
+
+def test_candidates_like_those_that_failed_are_verified_last():
+    task = Numbers(0, lambda _: False, last=30)
+    planner(task)
+    tens = [one // 10 for name, one in task.calls if name == "verify"]
+    assert len(tens) == 30
+    assert max(np.bincount(tens[-9:], minlength=3)) <= 6
 
 
 def test_no_time_and_nothing_to_try_end_a_search():

@@ -12,7 +12,6 @@ from hyperflex.model import cuts, divided, refine_rope
 from hyperflex.planning import CastPlan, Problem
 from hyperflex.planning.rollouts import RolloutBatch, free_sides
 from hyperflex.planning.verification import verified_setup
-from tests.refusals import refuses
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=12, radius=0.004, friction=1e-3)
 ARM = hf.Arm(length=0.2)
@@ -79,7 +78,8 @@ def test_all_swings_of_a_search_begin_there():
 )
 def test_a_start_that_cannot_be_is_refused(change, told):
     given: dict[str, object] = {"state0": SEEN, "side": -1} | change
-    refuses(told, hf.plan_cast, CORD, ARM, PEG, conditions=hf.Conditions(**given), time_budget=0.01)
+    with pytest.raises(hf.InvalidInput, match=told):
+        hf.plan_cast(CORD, ARM, PEG, conditions=hf.Conditions(**given), time_budget=0.01)
 
 
 def test_a_rope_that_touches_something_before_the_motion_begins_is_not_cast():

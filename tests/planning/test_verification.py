@@ -154,8 +154,8 @@ def test_required_contact_needs_rope():
     assert needed == sorted(needed)
     assert needed[1] == needed[2] == pytest.approx(needed[0] + 1.0)  # another time round
     assert [each.feasible for each in known] == [True, True, True, False]
-    refuses("contact", hf.plan_cast, problem().rope, problem().arm, PEG, criteria=hf.WindCriteria(contact=-1.0))
-    refuses("clearance", hf.plan_cast, problem().rope, problem().arm, PEG, conditions=hf.Conditions(clearance=-1.0))
+    refuses("contact", hf.WindCriteria, contact=-1.0)
+    refuses("clearance", hf.Conditions, clearance=-1.0)
 
 
 def test_a_whip_through_its_own_arm_fails():

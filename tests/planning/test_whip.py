@@ -260,6 +260,14 @@ def test_without_time_the_best_is_not_verified(known):
     assert (far.status, "the time budget ended" in far.message) == ("out of time", True)
 
 
+def test_a_search_that_comes_to_its_end_has_failed_also_without_an_outcome(monkeypatch, known):
+    monkeypatch.setattr(WhipTask, "aimed", lambda *_: None)  # no swing can be aimed
+    target = TipTarget(*known.peaks.place[int(known.peaks.speed.argmax())], least_speed=1.0)
+    plan = plan_whip(ROPE, ARM, target, whip_map=known, time_budget=math.inf)
+    assert (plan.status, plan.outcome, plan.moves) == ("failed", None, None)
+    assert plan.message == "no motion was found that brings the tip there"
+
+
 def test_a_map_has_the_swings_that_there_was_time_for():
     problem, count = replace(PROBLEM, time=0.5), OPTIONS.batch
     whole = build_whip_map(problem, swings=2 * count + 6)

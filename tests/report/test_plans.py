@@ -1,7 +1,6 @@
 """Reports of plans: required contents of the page, the film and the figures."""
 
 import html
-import math
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -11,12 +10,11 @@ import pytest
 from matplotlib.text import Text
 
 import hyperflex as hf
-from hyperflex.planning import FallbackTarget, SuccessProbability
+from hyperflex.planning import FallbackTarget
 from hyperflex.report import CastReport, InsertReport, WhipReport
 from hyperflex.report import plan as plan_report
 from hyperflex.report.cast import tug_figure
 from hyperflex.report.maps import target_map
-from hyperflex.report.units import length
 from tests.planning.known import PEG, late, planned, stopped, unreachable
 from tests.planning.known_insert import far_insert, planned_insert
 from tests.planning.known_whip import far_whip, planned_whip
@@ -167,27 +165,6 @@ def test_warnings(monkeypatch):
         assert "Give --torque to plan for a weaker motor" in " ".join(report.story)
     weight = rope.total_mass * 9.81 * arm.length
     assert f"weight at the arm makes {weight:.2g} N m" in WhipReport(whip).warning
-
-
-def test_figures_of_the_tip_come_with_their_doubts():
-    whip, insert = replace(planned_whip(), position_std=0.056), replace(planned_insert(), position_std=math.nan)
-    finer, report = f"({length(whip.finer_outcome.miss, 2)} with links of half the length", WhipReport(whip)
-    known = "friction is known to 5 %, length to 0.2 % and rests to 2 ms"
-    assert f" off {finer}; ± 56 mm if {known})" in report.verdict
-    assert any(f"at its peak {finer})" in words for _, words in report.tiles)
-    clear = f"({length(insert.finer_outcome.wall_clearance, 2)} with 2.5 times the links), in simulation."
-    assert InsertReport(insert).verdict.endswith(clear)
-    assert " off, in simulation." in WhipReport(replace(whip, finer_outcome=None, position_std=math.nan)).verdict
-
-
-def test_a_success_probability_reports_what_it_omits():
-    plan = planned_insert()
-    weak = replace(plan, problem=replace(plan.problem, limits=hf.MotorLimits(torque=10.0)))
-    for shown, omits in ((plan, False), (weak, True)):
-        assert any("torque of the motor is not checked" in words for _, words in InsertReport(shown).tiles) is omits
-    report = InsertReport(replace(plan, success_probability=SuccessProbability(0, 0)))
-    assert any(value == "?" and "no time was left" in words for value, words in report.tiles)
-    assert "Success probability: not estimated, no time was left." in report.story
 
 
 def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
