@@ -26,13 +26,17 @@ def seen(joints: Array, rope: Rope, arc_lengths: Array) -> Array:
     )
 
 
+def marked(t: Array, q0: Array, arc_lengths: Array, seed: int, origin: tuple[float, float] = (0.0, 0.0)) -> Recording:
+    """Markers along the cable, seen with noise in a picture's frame."""
+    run = simulate(CABLE, duration=t[-1], t_eval=t, q0=q0, tol=1e-8)
+    noise = NOISE * np.random.default_rng(seed).standard_normal((t.size, arc_lengths.size, 2))
+    places = seen(run.joints, CABLE, arc_lengths) + noise + np.array(origin)
+    return Recording(t, places.reshape(t.size, -1), kind="markers", noise=NOISE)
+
+
 def test_fewer_markers_than_links_find_friction_within_its_interval():
-    t = np.arange(46) / 15.0
-    run = simulate(CABLE, duration=t[-1], t_eval=t, q0=0.6 + 0.4 * np.linspace(0, 1, 12), tol=1e-8)
     arc_lengths = np.array([0.2, 0.45, 0.7, 1.0])  # no marker at the first joint, which the camera need not see
-    noise = NOISE * np.random.default_rng(2).standard_normal((t.size, 4, 2))
-    places = seen(run.joints, CABLE, arc_lengths) + noise + np.array([0.4, 1.2])
-    recording = Recording(t, places.reshape(t.size, -1), kind="markers", noise=NOISE)
+    recording = marked(np.arange(46) / 15.0, 0.6 + 0.4 * np.linspace(0, 1, 12), arc_lengths, 2, origin=(0.4, 1.2))
     setup = RecordingSetup(arc_lengths=arc_lengths)
     found = identify(recording, CABLE.replace(friction=1e-3), ["friction:shared"], setup=setup, options=WHOLE)
     assert found.success
@@ -73,14 +77,9 @@ def test_a_marker_without_a_value_in_a_part_is_named(rows, part):
 
 
 def test_where_a_marker_sits_can_be_found():
-    t = np.arange(91) / 30.0
-    run = simulate(CABLE, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
     arc_lengths = np.array([0.0, 0.3, 0.6, 0.8, 1.0])
-    noise = NOISE * np.random.default_rng(3).standard_normal((t.size, 5, 2))
-    places = (seen(run.joints, CABLE, arc_lengths) + noise).reshape(t.size, -1)
-    guess = arc_lengths + np.array([0.0, 0.0, 0.03, 0.0, 0.0])
-    recording = Recording(t, places, kind="markers", noise=NOISE)
-    setup = RecordingSetup(arc_lengths=guess, origin=(0.0, 0.0))
+    recording = marked(np.arange(91) / 30.0, np.full(12, 0.8), arc_lengths, 3)
+    setup = RecordingSetup(arc_lengths=arc_lengths + np.array([0.0, 0.0, 0.03, 0.0, 0.0]), origin=(0.0, 0.0))
     found = identify(recording, CABLE, ["friction:shared", "arc[2]"], setup=setup, options=WHOLE)
     assert found.success
     assert found.values["arc"].shape == (5,)

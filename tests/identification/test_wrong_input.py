@@ -1,7 +1,6 @@
 """Wrong and poor inputs: none converges to a wrong answer that is called usable."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from hyperflex.identification import Kind
 from hyperflex.identification.declarations.mistakes import ShortFit
 from hyperflex.identification.fit import Loss
 
-ROOT = Path(__file__).parents[2]
 SIMULATED = list(simulated())
 NAMED = {  # the kind of the first finding
     "double: relative angles read as absolute": Kind.RELATIVE,

@@ -253,6 +253,8 @@ def test_arguments_of_another_kind_are_refused(change, message):
         (hf.Conditions, {"side": 2}, "side of the arm"),
         (hf.Conditions, {"state0": hf.RopeState(0.0, np.zeros(15), np.zeros(15))}, "side of the arm"),
         (hf.Conditions, {"clearance": -1.0}, "clearance"),
+        (hf.SearchOptions, {"seed": -1}, "seed"),
+        (hf.SearchOptions, {"threads": 0}, "threads"),
     ],
 )
 def test_options_out_of_range_are_refused(kind, change, message):
