@@ -10,7 +10,6 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.integrate.rollout import JOINT, MODES
-from hyperflex.simulation import AngleJacobian
 from tests.frozen import check
 
 DURATION = 1.4
@@ -169,23 +168,3 @@ def test_no_dry_friction_yet_is_differentiated_towards_more():
         size = np.abs(want[:, :3]).max()
         # the spacing times a second derivative: 1e-8 of a friction that matters at 1e-4 of it
         np.testing.assert_allclose(got.dq[:, :, link], want[:, :3], rtol=0.0, atol=2e-3 * size)
-
-
-def test_prepared_slopes_take_another_dry_friction_each_time():
-    it, times = setup(5), np.linspace(0.0, 1.0, 21)
-    slopes = AngleJacobian(it, ["dry_friction", "friction[2]", "q0[0]"])
-    for values in (rope(5).dry_friction, 0.3 * rope(5).dry_friction, np.zeros(5)):
-        other = rope(5, dry_friction=values)
-        q, qd, dq, dqd = slopes(times, it.q0, it.qd0, other)
-        whole = hf.sensitivities(replace(it, rope=other), duration=1.0, t_eval=times, wrt=list(slopes.names))
-        for one, two in ((q, whole.q), (qd, whole.qd), (dq, whole.dq), (dqd, whole.dqd)):
-            np.testing.assert_array_equal(one, two)
-        assert np.abs(dq[:, :, 0]).max() > 0.0
-
-
-def test_states_are_those_of_the_run():
-    it = setup(5)
-    times = np.linspace(0.0, it.duration, 101)
-    got, run = hf.sensitivities(it, t_eval=times, wrt="friction"), hf.simulate(it, t_eval=times)
-    for name in ("q", "qd", "tip"):  # the same steps; between them accelerations come from the lanes: rounding
-        np.testing.assert_allclose(getattr(got, name), getattr(run, name), rtol=0.0, atol=1e-11)

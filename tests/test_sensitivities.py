@@ -11,6 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.simulation import AngleJacobian
+from tests import test_dry_sensitivities, test_torque_sensitivities
 from tests.frozen import check
 from tests.refusals import refuses
 
@@ -109,12 +110,36 @@ def test_rope_parameter_of_all_links_is_the_sum_over_links():
             np.testing.assert_allclose(values[:, :, shared], total, rtol=1e-9, atol=1e-9 * np.abs(total).max())
 
 
-def test_tip_and_states_are_those_of_the_run():
-    it = setup()
-    whole = hf.sensitivities(it, t_eval=TIMES, wrt="motion.t_rest")
-    run = hf.simulate(it, t_eval=TIMES)
-    for name in ("q", "qd", "tip"):  # the same steps; between them accelerations come from the lanes: rounding
+DRY, DRIVEN = test_dry_sensitivities.setup(5), test_torque_sensitivities.setup()
+PREPARED: dict[str, tuple[hf.Setup, list[str], list[hf.Rope]]] = {  # of each set-up: what is varied, and other ropes
+    "a led arm": (setup(), ["friction", "q0[0]", "motion.t_rest"], [rope(friction=2e-3)]),
+    "joints that stick": (
+        DRY,
+        ["dry_friction", "friction[2]", "q0[0]"],
+        [DRY.rope.replace(dry_friction=part * DRY.rope.dry_friction) for part in (0.3, 0.0)],
+    ),
+    "a driven arm": (DRIVEN, ["arm.inertia", "dry_friction"], []),
+}
+
+
+@pytest.mark.parametrize(("it", "names", "others"), PREPARED.values(), ids=PREPARED.keys())
+def test_states_are_those_of_the_run_and_prepared_slopes_take_another_rope(it, names, others):
+    times, arm = np.linspace(0.0, it.duration, 57), int(it.torque_driven)
+    whole, run = hf.sensitivities(it, t_eval=times, wrt=names), hf.simulate(it, t_eval=times)
+    for name in ("q", "qd", "tip", *(("arm_angle", "arm_rate") * arm)):
+        # the same steps; between them accelerations come from the lanes: rounding
         np.testing.assert_allclose(getattr(whole, name), getattr(run, name), rtol=0.0, atol=1e-11)
+    slopes = AngleJacobian(it, names)
+    for cable in (*others, it.rope):
+        whole = hf.sensitivities(replace(it, rope=cable), t_eval=times, wrt=names)
+        found = slopes(times, *it.start(), cable)
+        for one, two in zip(found, (whole.q, whole.qd, whole.dq, whole.dqd), strict=True):
+            np.testing.assert_array_equal(one[:, arm:], two)  # an arm that a torque drives comes first
+        assert np.abs(found[2]).max() > 0.0
+    if arm:
+        np.testing.assert_array_equal(found[0][:, 0], whole.arm_angle)
+        np.testing.assert_array_equal(found[1][:, 0], whole.arm_rate)
+        np.testing.assert_array_equal(found[3][:, 0], whole.darm_rate)
 
 
 @pytest.mark.parametrize("name", ["length[1]", "motion.t_move", "arm.length", "q0[0]"])
@@ -148,18 +173,6 @@ def test_period_of_a_pendulum_against_its_length():
     # sine against angle: q0^2 / 16 of the period, 1e-9; the run's tolerance of 1e-13 m over the amplitude, 1e-9
     np.testing.assert_allclose(got.dq[:, 0, 0], want, rtol=0.0, atol=1e-7 * np.abs(want).max())
     np.testing.assert_allclose(got.dq[:, 0, 1], want * length / 9.81, rtol=0.0, atol=1e-7 * np.abs(want).max())
-
-
-def test_prepared_slopes_equal_the_whole_and_take_another_rope():
-    it = setup()
-    names = ["friction", "q0[0]", "motion.t_rest"]
-    slopes = AngleJacobian(it, names)
-    other = rope(friction=2e-3)
-    for given in (None, other):
-        q, qd, dq, dqd = slopes(TIMES, it.q0, it.qd0, given)
-        whole = hf.sensitivities(replace(it, rope=given or it.rope), t_eval=TIMES, wrt=names)
-        for one, two in ((q, whole.q), (qd, whole.qd), (dq, whole.dq), (dqd, whole.dqd)):
-            np.testing.assert_array_equal(one, two)
 
 
 BAD: dict[str, tuple[Any, str]] = {

@@ -9,7 +9,6 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.integrate.rollout import JOINT, MODES
-from hyperflex.simulation import AngleJacobian
 from tests.frozen import check
 from tests.refusals import refuses
 
@@ -93,19 +92,6 @@ def test_arm_and_tip():
     np.testing.assert_allclose(got.dtip[..., 1], want, rtol=0.0, atol=1e-9)
     assert dict(got.dataset.sizes) == {"time": 3, "link": 2, "axis": 2, "parameter": 2}
     np.testing.assert_array_equal(got.dataset.darm_angle.sel(parameter="arm.length"), got.darm_angle[:, 1])
-
-
-def test_states_are_those_of_the_run_and_prepared_slopes_have_the_arm_first():
-    it, times = setup(), np.linspace(0.0, 1.4, 57)
-    names = ["arm.inertia", "dry_friction"]
-    whole, run = hf.sensitivities(it, t_eval=times, wrt=names), hf.simulate(it, t_eval=times)
-    for name in ("q", "qd", "tip", "arm_angle", "arm_rate"):
-        np.testing.assert_allclose(getattr(whole, name), getattr(run, name), rtol=0.0, atol=1e-11)
-    q, qd, dq, dqd = AngleJacobian(it, names)(times, *it.start(), it.rope)
-    np.testing.assert_array_equal(q, np.column_stack([whole.arm_angle, whole.q]))
-    np.testing.assert_array_equal(qd, np.column_stack([whole.arm_rate, whole.qd]))
-    np.testing.assert_array_equal(dq[:, 1:], whole.dq)
-    np.testing.assert_array_equal(dqd[:, 0], whole.darm_rate)
 
 
 @pytest.mark.parametrize("name", ["motion.delay", "arm.stiffness", "torque.torque[9]"])

@@ -1,8 +1,10 @@
-"""The benchmark of hardware in the loop: its page, and the camera that is known as after a calibration."""
+"""Benchmarks: rows of long ones, hardware in the loop, the camera that is known as after a calibration."""
+
+import json
 
 import numpy as np
 import pytest
-from benchmarks import hand
+from benchmarks import hand, log
 
 from hyperflex.vision import Camera
 
@@ -23,3 +25,21 @@ def test_a_calibrated_camera_is_off_as_stated():
     assert np.sqrt((off[:, 4] ** 2).mean(axis=0)) == pytest.approx([hand.SHIFTED] * 2, rel=0.2)
     assert np.abs(off).max() < 0.05
     np.testing.assert_array_equal(hand.calibrated(true, 3).rotation, hand.calibrated(true, 3).rotation)
+
+
+@pytest.mark.parametrize(
+    ("tail", "kept"),
+    [
+        ("", [1, 2]),
+        ('{"n": 3, "of": {"a": 1}', [1, 2]),  # ends as a row does
+        ('{"n": 3', [1, 2]),
+        ("[3]", [1, 2]),
+        ('{"n": 3}', [1, 2, 3]),  # lacks nothing but the end of its line
+    ],
+)
+def test_half_a_line_is_cut_off_before_the_next(tmp_path, tail, kept):
+    path = tmp_path / "rows.jsonl"
+    path.write_text('{"n": 1}\n{"n": 2}\n' + tail)
+    assert [row["n"] for row in log.read(path)] == kept
+    log.append(path, {"n": 9})
+    assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [*kept, 9]
