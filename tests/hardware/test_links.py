@@ -1,14 +1,17 @@
 """Addresses of drives: their meaning, and errors of invalid ones."""
 
 import pickle
+import sys
 
 import pytest
 
+from hyperflex.errors import DriveError, MissingPackage
 from hyperflex.hardware import DriveZero, DynamixelLink, MoteusLink, ODriveLink, open_link
 from hyperflex.hardware.emulate import DynamixelDevice, MoteusDevice, MotorModel, ODriveDevice, Plant
 from hyperflex.hardware.links import MAKES, emulated_device
 from hyperflex.model import Arm
-from tests.refusals import refuses
+from tests.hardware.wire import try_open
+from tests.refusals import fails, refuses
 
 
 def test_an_address_names_make_port_and_options():
@@ -76,3 +79,14 @@ def test_a_zero_is_that_of_its_motor():
     DriveZero(0.3).check("odrive:can0")
     for other in ("odrive:can0", "odrive:can1?id=2", "moteus:/dev/ttyACM0"):
         refuses("zero belongs to another motor.*odrive:can0.id=2", zero.check, other)
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_a_port_that_is_not_there_and_a_package_that_lacks_are_named(make, monkeypatch):
+    words = "/dev/ttyNONE: there is no such port. Ports of this machine"
+    fails(DriveError, words, try_open, open_link(f"{make}:/dev/ttyNONE"))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    package = {"moteus": "moteus", "dynamixel": "dynamixel_sdk", "odrive": "can"}[make]
+    monkeypatch.setitem(sys.modules, package, None)
+    words = rf"pip install 'hyperflex\[{make}\]'"
+    fails(MissingPackage, words, try_open, open_link(f"{make}:/dev/ttyACM0"))

@@ -8,7 +8,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from hyperflex.errors import DriveError, MissingPackage
+from hyperflex.errors import DriveError
 from hyperflex.hardware import Drive, Goal, MoteusLink
 from hyperflex.hardware.emulate import MoteusDevice
 from hyperflex.model import MotorLimits
@@ -221,7 +221,6 @@ def refused(port, words, **options):
 
 
 def test_a_port_that_cannot_be_opened(tmp_path, monkeypatch):
-    refused("/dev/ttyNONE", r"^/dev/ttyNONE: there is no such port. Ports of this machine")
     (tmp_path / "port").write_text("")  # no serial port
     refused(tmp_path / "port", "cannot be opened")
     monkeypatch.setattr("serial.serialposix.os.open", Mock(side_effect=PermissionError(errno.EACCES, "")))
@@ -261,12 +260,6 @@ def test_somebody_else_there(answer, words):
 
     with Rig(Other()) as rig:
         refused(rig.port, words)
-
-
-def test_the_package_is_missing(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[moteus\]'"):
-        Drive(MoteusLink("/dev/ttyACM0"), MotorLimits()).connect()
 
 
 def test_within_a_running_event_loop(rig):

@@ -3,7 +3,6 @@
 import math
 import re
 import struct
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -11,7 +10,7 @@ from contextlib import suppress
 import can
 import pytest
 
-from hyperflex.errors import DriveError, MissingPackage
+from hyperflex.errors import DriveError
 from hyperflex.hardware import Drive, Goal, ODriveLink, odrive
 from hyperflex.hardware.drive import NoReply
 from hyperflex.hardware.emulate import ODriveDevice
@@ -301,9 +300,6 @@ def test_rates_of_messages_that_do_not_serve_are_named(monkeypatch):
         fails(DriveError, r"estimates unasked. Set .*encoder_msg_rate_ms = 0", try_open, ODriveLink(wire.port))
 
 
-def test_interfaces_that_cannot_be_opened(monkeypatch):
-    fails(DriveError, r"/dev/ttyNONE: there is no such port", try_open, ODriveLink("/dev/ttyNONE"))
+def test_a_can_interface_that_cannot_be_opened():
     with pytest.raises(DriveError, match=r"can77: no CAN interface of that name is ready .* sudo ip link set can77 up"):
         try_open(ODriveLink("can77"))
-    monkeypatch.setitem(sys.modules, "can", None)
-    fails(MissingPackage, r"pip install 'hyperflex\[odrive\]'", try_open, ODriveLink("can0"))
