@@ -189,7 +189,7 @@ def test_acceleration_under_a_torque_follows_by_the_chain_rule():
     ],
 )
 def test_accelerometer_refuses_places_that_are_not_on_its_link(link, s, match):
-    refuses(match, Accelerometer(link, s).measure, ROPE, ARM, state(X))
+    refuses(match, lambda: Accelerometer(link, s).measure(ROPE, ARM, state(X)))
 
 
 @pytest.mark.parametrize(
