@@ -69,17 +69,6 @@ def test_predicted_reach_is_that_of_a_run():
         np.testing.assert_allclose(row, np.abs(run.tip[:, 0]), atol=2e-3)  # planning tolerance 1e-4 m, ten times that
 
 
-def test_pumping_gets_there_and_sooner_than_the_papers_rule():
-    pumped = run_closed_loop(TrueState(ROPE, ARM), PumpingRule(MODEL, 0.6), MODEL, duration=8.0)
-    timed = run_closed_loop(TrueState(ROPE, ARM), CrossingRule(MODEL, 0.0), MODEL, duration=8.0)
-    times = []
-    for swung in (pumped, timed):
-        t, x = reach(swung.motion, 9.0)
-        times.append(arrival_time(t, x[None], 0.6)[0])
-    assert times[0] < times[1]
-    assert np.isfinite(times[0])
-
-
 def test_a_regulated_swing_does_not_overshoot():
     swung = run_closed_loop(TrueState(ROPE, ARM), AmplitudeRule(MODEL, 0.4), MODEL, duration=10.0)
     t, x = reach(swung.motion, 10.0)
