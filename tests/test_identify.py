@@ -531,7 +531,7 @@ def test_bad_input_is_refused_with_advice(change, match):
     arguments: dict[str, Any] = {"recording": RECORDING, "rope_guess": PENDULUM, "free": ["friction"]} | change
     of_fit = {name: arguments.pop(name) for name in ("window", "train", "lead") if name in arguments}
     of_setup = {name: arguments.pop(name) for name in ("motion", "arm", "arc_lengths", "origin") if name in arguments}
-    refuses(match, identify, **arguments, setup=RecordingSetup(**of_setup), options=FitOptions(**of_fit))
+    refuses(match, lambda: identify(**arguments, setup=RecordingSetup(**of_setup), options=FitOptions(**of_fit)))
 
 
 def test_markers_in_another_unit_are_noticed():
