@@ -108,6 +108,20 @@ def test_a_plan_that_fails_reports_it_first(tmp_path, made, reason):
     assert "verified by simulation" not in page
 
 
+@pytest.mark.parametrize("made", [late, stopped, lambda: stopped(None)], ids=["late", "stopped", "no throw"])
+def test_a_search_that_did_not_end_invents_no_results_and_advises_to_continue(tmp_path, made):
+    plan = made()
+    path = CastReport(plan).write(tmp_path)["page"]
+    page = words_of(path)
+    assert ("not known strike, turns and hold" in page) == (plan.moves is not None)
+    assert 'class="bad"' not in path.read_text("utf-8")
+    for invented in ("never", "0.00", "does not stay", "Nearest", "No place was found"):
+        assert invented not in page
+    assert "the target itself is in reach" in page
+    assert "another --seed" in page
+    assert f"took {plan.seconds:.0f} s and 4321 simulated runs" in page
+
+
 @pytest.mark.parametrize(
     ("change", "advice"),
     [
