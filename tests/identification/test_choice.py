@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.wrong_input import DOUBLE
 
 import hyperflex as hf
 from hyperflex.budget import Budget
@@ -16,19 +17,17 @@ from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty import covariance
 from hyperflex.identification.uncertainty.noise import Piece, whiteness
 from tests.faults.interrupting import left_by
+from tests.identification.twins import recorded
 from tests.refusals import refuses
 
 NOISE = 2e-3  # rad
-DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
 STIFF = DOUBLE.replace(stiffness=[0.0, 4e-3])
 GUESS = DOUBLE.replace(inertia=5e-4, friction=1e-3)
 MODELS = {"viscous": ["inertia", "friction"], "viscous + stiffness": ["inertia", "friction", "stiffness"]}
 
 
 def swing(rope: hf.Rope, duration: float = 9.0, seed: int = 1) -> hf.Recording:
-    t = np.arange(round(100 * duration) + 1) / 100
-    run = hf.simulate(rope, duration=t[-1], t_eval=t, tol=1e-9, q0=[0.8, 1.2])
-    return hf.Recording(t, run.q + NOISE * np.random.default_rng(seed).standard_normal(run.q.shape))
+    return recorded(rope, [0.8, 1.2], np.arange(round(100 * duration) + 1) / 100, NOISE, seed)
 
 
 # ---- whiteness
@@ -152,9 +151,7 @@ def test_the_simpler_model_is_preferred_where_it_is_true():
 def test_dry_friction_is_preferred_where_there_is_some_and_not_where_there_is_none(dry):
     """A rod whose bearing also grips: the dry torque, N m, takes as much of its swing as the viscous one does."""
     rod = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[8e-4], friction=[3e-4], dry_friction=[dry])
-    t = np.arange(641) / 80
-    run = hf.simulate(rod, duration=t[-1], t_eval=t, tol=1e-9, q0=[0.8])
-    recording = hf.Recording(t, run.q + NOISE * np.random.default_rng(1).standard_normal(run.q.shape))
+    recording = recorded(rod, [0.8], np.arange(641) / 80, NOISE, seed=1)
     found = hf.compare_models(recording, rod.replace(friction=1e-3, inertia=5e-4))
     assert found.preferred == ("viscous + dry" if dry else "viscous")
     assert found.best is not None

@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.identification import Grade, Kind
 from hyperflex.identification.symptoms import _determined
 from hyperflex.identification.uncertainty.covariance import ratios
-from tests.identification.twins import QUICK
+from tests.identification.twins import QUICK, recorded
 
 LENGTH, NOISE = 0.48, 2e-3  # m, rad
 STRING = hf.Rope(length=[LENGTH], mass=[0.08], com=[LENGTH], inertia=[0.0], friction=1e-4)
@@ -96,9 +96,8 @@ def test_a_spring_that_explains_as_much_as_a_declared_com_is_named_beside_it(dec
     """Small swings barely distinguish a spring in the first joint from more weight, which gives other ratios."""
     com = [0.12, 0.115] if declared else [0.105, 0.13]
     true = hf.Rope(length=[0.21, 0.26], mass=[0.18, 0.12], com=com, inertia=[7e-4, 8e-4], friction=[9e-4, 4e-4])
-    t = np.arange(600) / 100.0
-    run = hf.simulate(true.replace(stiffness=[0.02, 0.0]), duration=float(t[-1]), t_eval=t, q0=[0.56, -0.28], tol=1e-8)
-    seen = hf.Recording(t, run.q + 3e-3 * np.random.default_rng(5).standard_normal(run.q.shape))
+    stiff, t = true.replace(stiffness=[0.02, 0.0]), np.arange(600) / 100.0
+    seen = recorded(stiff, [0.56, -0.28], t, 3e-3, seed=5, tol=1e-8)
     found = hf.identify(seen, true.replace(inertia=[5e-4, 5e-4], friction=1e-3), options=QUICK)
     (chosen,) = [each for each in found.findings if each.kind is Kind.CHOSEN]
     assert list(chosen.values["added"]) == ["com"]

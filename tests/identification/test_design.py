@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.wrong_input import DOUBLE
 
 from hyperflex import Arm, Experiment, Recording, Rope, arm_swings, design_experiment, identify, simulate
 from hyperflex.budget import Budget
@@ -18,7 +19,6 @@ from tests.identification.twins import WHOLE
 from tests.refusals import refuses
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
-DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
 SHORT = Experiment("short", q0=0.8, rate=40.0, duration=3.0)
 NOISE = 2e-3
 

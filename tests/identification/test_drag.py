@@ -8,6 +8,7 @@ from hyperflex.checks import Array
 from hyperflex.identification import Kind
 from hyperflex.model import divided
 from hyperflex.recording import Recording
+from tests.identification.twins import recorded
 
 NOISE = 2e-3  # m
 DRAG = 0.0045  # kg/m^2: a cord of 6 mm, coefficient 1.25
@@ -67,8 +68,7 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy):
 def test_friction_that_represents_all_damping_is_reported(name, value, duration, said):
     """The residuals of a short swing are only noise with any damping law: the fit is right, with friction free."""
     t, rod = np.arange(0.0, duration, 1.0 / 60.0), hf.Rope(length=[0.6], mass=[0.05], com=[0.6], inertia=[1e-4])
-    run = hf.simulate(rod.replace(**{name: value}), duration=t[-1], t_eval=t, q0=[0.8], tol=1e-9)
-    seen = Recording(t, run.q + 2e-3 * np.random.default_rng(3).standard_normal(run.q.shape))
+    seen = recorded(rod.replace(**{name: value}), [0.8], t, 2e-3, seed=3)
     found = hf.identify(seen, rod.replace(friction=1e-3), ["inertia", "friction"])
     lines = [each for each in found.findings if each.kind is Kind.FRICTION_MODEL]
     assert [each.values["included"] for each in lines] == [False] * said

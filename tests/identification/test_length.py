@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperflex import Recording, Rope, identify, simulate
+from hyperflex import Rope, identify
 from hyperflex.identification import FitOptions
 from hyperflex.identification.model import Parameters, parse
 from hyperflex.model import divided
+from tests.identification.twins import recorded
 
 GUESS = Rope.uniform(length=0.6, mass=0.09, n_links=3, radius=0.02, friction=2e-4)
 LAWS = ["length", "length[1]", "length:shared", "length:factor", "length:taper"]
@@ -58,9 +59,7 @@ def test_parts_are_derivatives_of_the_rope(law, others):
 def test_a_rope_of_fitted_length_can_be_cut():
     """A twin 4 % longer than the guess, seen by its angles for 2 s."""
     true = Rope.uniform(length=0.624, mass=0.09, n_links=3, radius=0.02, friction=3e-4)
-    t, noise = np.arange(121) / 60.0, 1e-3
-    run = simulate(true, duration=2.0, t_eval=t, q0=[0.9, 0.6, 1.2], tol=1e-9)
-    recording = Recording(t, run.q + noise * np.random.default_rng(0).standard_normal(run.q.shape))
+    recording = recorded(true, [0.9, 0.6, 1.2], np.arange(121) / 60.0, 1e-3)
     free: list[str] = ["length:factor", "friction:factor"]
     whole: dict[str, Any] = {"window": np.inf, "train": np.inf, "intervals": None}
     found = identify(recording, GUESS, free, options=FitOptions(clock_std=0.0, **whole))

@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 
 import hyperflex as hf
 from hyperflex.identification import Kind
+from tests.identification.twins import recorded
 
 G, LENGTH, MASS = 9.81, 0.9, 0.05
 EXACT = hf.FitOptions(length_std=0.0, clock_std=1e-4)
@@ -73,10 +74,8 @@ def test_a_decay_that_depends_on_the_amplitude_is_distinguished_from_viscous_fri
 def test_windows_of_a_tumbling_pendulum_stay_short():
     """Errors grow exponentially: joined windows would fit amplified noise (simulated)."""
     rope = hf.Rope(length=[0.2, 0.2], mass=[0.1, 0.1], com=[0.1, 0.1], inertia=[5e-4, 5e-4], friction=[1e-5, 1e-5])
-    t = np.arange(600) / 100.0
-    run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=[2.6, 2.9], tol=1e-9)
-    noisy = run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = hf.identify(hf.Recording(t, noisy), rope.replace(friction=3e-5), ["inertia", "com", "friction"])
+    recording = recorded(rope, [2.6, 2.9], np.arange(600) / 100.0, 2e-3)
+    found = hf.identify(recording, rope.replace(friction=3e-5), ["inertia", "com", "friction"])
     assert found.settings["window"] < 2.0
     truth = hf.identification.ratios(rope)["J/p1"]
     assert all(value in found.intervals[f"J/p1[{k}]"] for k, value in enumerate(truth))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks.wrong_input import DOUBLE
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -10,11 +11,10 @@ from hyperflex.identification.measurements import build_plant, measure
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
-from tests.identification.twins import WHOLE
+from tests.identification.twins import WHOLE, recorded
 from tests.refusals import refuses
 
 CABLE = Rope.uniform(1.0, 0.06, 12, radius=0.0025, friction=3e-4)
-DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
 NOISE = 2e-3  # rad or m
 
 
@@ -90,9 +90,7 @@ def test_where_a_marker_sits_can_be_found():
 
 def test_a_taper_is_found_as_two_numbers():
     true = CABLE.replace(friction=3e-4 * np.exp(1.2 * (np.arange(12) + 0.5 - 6.0) / 12.0))
-    t = np.arange(151) / 50.0
-    run = simulate(true, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
-    recording = Recording(t, run.q + NOISE * np.random.default_rng(4).standard_normal(run.q.shape))
+    recording = recorded(true, np.full(12, 0.8), np.arange(151) / 50.0, NOISE, seed=4, tol=1e-8)
     found = identify(recording, CABLE.replace(friction=2e-4), ["friction:factor", "friction:taper"], options=WHOLE)
     assert abs(found.values["friction:factor"] - 1.5) < 4.0 * found.std["friction:factor"]
     assert abs(found.values["friction:taper"] - 1.2) < 4.0 * found.std["friction:taper"]

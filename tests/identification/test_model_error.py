@@ -18,7 +18,7 @@ from hyperflex.motion import arm_swings
 from hyperflex.planning import RopePosterior
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
-from tests.identification.twins import EXACT, QUICK, WHOLE, WHOLE_QUICK
+from tests.identification.twins import EXACT, QUICK, WHOLE, WHOLE_QUICK, recorded
 
 LINKS, STIFFNESS = 15, 4.5e-3
 
@@ -239,10 +239,9 @@ def test_what_a_law_leaves_less_known_of_a_friction_is_no_more_than_it_is():
 @pytest.mark.nightly
 def test_a_law_that_was_omitted_is_not_taken_for_links_that_are_too_long(left_out):
     rope = Rope.uniform(length=1.0, mass=0.1, n_links=8, friction=4e-4)
-    t = np.arange(120) / 30.0
-    run = simulate(rope.replace(**left_out), duration=t[-1], t_eval=t, q0=np.linspace(0.7, 1.1, 8), tol=1e-8)
-    angles = run.q + 3e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = identify(Recording(t, angles, noise=3e-3), rope, ["friction:shared"], options=WHOLE_QUICK)
+    q0, true = np.linspace(0.7, 1.1, 8), rope.replace(**left_out)
+    recording = recorded(true, q0, np.arange(120) / 30.0, 3e-3, declared=3e-3, tol=1e-8)
+    found = identify(recording, rope, ["friction:shared"], options=WHOLE_QUICK)
     (test,) = (each for each in found.score_tests if each.name == "links")
     assert test.excess_gain < 0.5
     assert not found.has(Kind.LINKS_TOO_LONG)

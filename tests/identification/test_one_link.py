@@ -12,7 +12,7 @@ from hyperflex.identification.declarations.score_tests import ScoreTest, determi
 from hyperflex.identification.model import scales as parameter_scales
 from hyperflex.identification.pipeline import first_choice
 from hyperflex.identification.symptoms import score_findings
-from tests.identification.twins import QUICK, WHOLE_QUICK
+from tests.identification.twins import QUICK, WHOLE_QUICK, recorded
 
 MOTION, ARM = hf.arm_swings(0.7, 0.4, "minimum-jerk"), hf.Arm(length=0.1)
 TRUE = hf.Rope(length=[0.3], mass=[0.1], com=[0.2], inertia=[8e-4], friction=[3e-4])
@@ -24,9 +24,7 @@ TRUE = hf.Rope(length=[0.3], mass=[0.1], com=[0.2], inertia=[8e-4], friction=[3e
 def test_one_link_on_a_driven_arm(noise, free, motion):
     """The length of the only link moves nothing once its inertia is free, and no length on an arm at rest."""
     t = np.arange(300) / 50.0
-    run = hf.simulate(TRUE, motion, arm=ARM, duration=float(t[-1]), t_eval=t, tol=1e-10, q0=[0.8])
-    q = run.q + noise * np.random.default_rng(0).standard_normal(run.q.shape)
-    recording = hf.Recording(t, q, noise=noise or None)
+    recording = recorded(TRUE, [0.8], t, noise, declared=noise or None, motion=motion, arm=ARM, tol=1e-10)
     guess = TRUE.replace(inertia=1.3 * TRUE.inertia, friction=1e-3)
     found = hf.identify(recording, guess, free, setup=RecordingSetup(motion=motion, arm=ARM))
     assert found.success
@@ -38,11 +36,10 @@ def test_one_link_on_a_driven_arm(noise, free, motion):
 def test_lengths_that_move_nothing_are_not_spoken_of(seed):
     """On an arm at rest com and friction absorb gravity and lengths: they seemed 390 % off, by rounding."""
     t, motion, true = np.arange(300) / 50.0, hf.hold_arm(0.5), hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4])
-    run = hf.simulate(true, motion, arm=ARM, duration=float(t[-1]), t_eval=t, tol=1e-10, q0=[0.8])
-    q = run.q + 2e-3 * np.random.default_rng(seed).standard_normal(run.q.shape)
+    recording = recorded(true, [0.8], t, 2e-3, seed, motion=motion, arm=ARM, tol=1e-10)
     setup, options = RecordingSetup(motion=motion, arm=ARM), WHOLE_QUICK
     guess = true.replace(friction=1e-3)
-    found = hf.identify(hf.Recording(t, q), guess, ["com", "friction"], setup=setup, options=options)
+    found = hf.identify(recording, guess, ["com", "friction"], setup=setup, options=options)
     assert not found.has(Kind.LENGTHS)
 
 

@@ -22,6 +22,7 @@ from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from tests.faults.interrupting import left_by
 from tests.identification.linear import Line, autoregressive, fitted, waves
+from tests.identification.twins import recorded
 from tests.refusals import refuses
 
 NOISE = 0.01  # rad
@@ -32,9 +33,7 @@ FREE = ["inertia:shared", "friction:shared"]
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    t = np.arange(22) / 7.5
-    run = simulate(PAPER, duration=t[-1], t_eval=t, q0=[0.9, 1.0, 1.1, 1.2, 1.3], tol=1e-9)
-    return Recording(t, run.q + NOISE * np.random.default_rng(1).standard_normal(run.q.shape))
+    return recorded(PAPER, [0.9, 1.0, 1.1, 1.2, 1.3], np.arange(22) / 7.5, NOISE, seed=1)
 
 
 def swung(recording: Recording, rope: Rope, free: list[str], **options: object) -> Identification:
@@ -255,10 +254,8 @@ def test_the_papers_inertia_ends_at_0_and_at_a_value_that_the_data_refuse(record
 
 def test_what_cannot_be_known_has_no_limits():
     rope = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
-    t = np.arange(61) / 20.0
-    run = simulate(rope, duration=t[-1], t_eval=t, q0=[0.9], tol=1e-9)
-    noise = NOISE * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = swung(Recording(t, run.q + noise), rope, ["inertia", "com", "friction"], intervals="profile")
+    recording = recorded(rope, [0.9], np.arange(61) / 20.0, NOISE)
+    found = swung(recording, rope, ["inertia", "com", "friction"], intervals="profile")
     for name in found.parameters:
         assert found.intervals[name].kind == "unknown"
         assert np.isinf(found.intervals[name].high)
@@ -315,11 +312,9 @@ def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held():
 def test_a_ratio_is_followed_where_another_parameter_is_at_its_bound():
     """With a stiffness at 0 the squares rise far more steeply than the ratio's standard deviation has it."""
     rope = Rope(length=[0.2] * 3, mass=[0.1, 0.08, 0.05], friction=[1e-4] * 3, stiffness=[0.0, 2e-3, 1e-3])
-    t = np.arange(61) / 20.0
-    run = simulate(rope, duration=t[-1], t_eval=t, q0=[0.5, 0.9, 1.2], tol=1e-9)
-    data = run.q + NOISE * np.random.default_rng(1).standard_normal(run.q.shape)
+    recording = recorded(rope, [0.5, 0.9, 1.2], np.arange(61) / 20.0, NOISE, seed=1)
     free = ["inertia", "com", "friction", "mass", "stiffness"]
-    found = swung(Recording(t, data), rope, free, intervals=None)
+    found = swung(recording, rope, free, intervals=None)
     assert found.values["stiffness"][0] == 0.0
     one = profile(found, "J/p1[0]")
     assert one.ends == ("crossed", "crossed")  # drawn less firmly it stays short of its aim, as if at a bound

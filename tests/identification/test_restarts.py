@@ -11,7 +11,7 @@ from hyperflex.identification.fit import Window, fit
 from hyperflex.identification.measurements import build_plant, checked_measurements, measure
 from hyperflex.identification.model import Plant
 from hyperflex.identification.multi_start import MultiStart
-from tests.identification.twins import WHOLE_QUICK
+from tests.identification.twins import WHOLE_QUICK, recorded
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -86,9 +86,7 @@ def search(plant: Plant) -> MultiStart:
 def dry() -> hf.Recording:
     """A rod whose bearing grips, let go at 1.1 rad (simulated)."""
     rod = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])
-    t = np.arange(301) / 50.0
-    run = hf.simulate(rod, duration=6.0, t_eval=t, q0=[1.1], tol=1e-9)
-    return hf.Recording(t, run.q + 2e-3 * np.random.default_rng(3).standard_normal(run.q.shape))
+    return recorded(rod, [1.1], np.arange(301) / 50.0, 2e-3, seed=3)
 
 
 def test_a_state_that_is_caught_is_started_elsewhere():

@@ -19,15 +19,7 @@ from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
 from tests.refusals import refuses
 
-ROPE = hf.Rope(
-    length=[0.3, 0.25],
-    mass=[0.1, 0.06],
-    com=[0.14, 0.13],
-    inertia=[8e-4, 3.5e-4],
-    friction=[3e-4, 1e-4],
-    stiffness=[1e-3, 2e-3],
-    tip_mass=0.01,
-)
+ROPE = DOUBLE.replace(stiffness=[1e-3, 2e-3], tip_mass=0.01)
 ARM = hf.Arm(length=0.1, inertia=2e-4, mass=0.05, com=0.04, friction=1e-3)
 MOVE = hf.arm_swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
 NOISE, TORQUE_NOISE = 2e-3, 5e-3  # rad; N m, some 2 % of its rms

@@ -8,7 +8,7 @@ from hyperflex.identification import Finding, Identification, Kind, identify, ra
 from hyperflex.identification.model import Parameter, Parameters, parse
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
-from hyperflex.simulation import simulate
+from tests.identification import twins
 from tests.refusals import refuses
 
 FRICTION, NOISE, N = 4e-4, 5e-3, 8
@@ -18,9 +18,7 @@ SHARED = ["inertia:shared", "friction:shared"]
 
 
 def recorded(rope: Rope, seed: int) -> Recording:
-    t = np.arange(200) / 50.0
-    q = simulate(rope, duration=float(t[-1]), t_eval=t, q0=np.full(N, 0.8), tol=1e-9).q
-    return Recording(t, q + NOISE * np.random.default_rng(seed).standard_normal(q.shape))
+    return twins.recorded(rope, np.full(N, 0.8), np.arange(200) / 50.0, NOISE, seed)
 
 
 def away(found: Identification, rope: Rope) -> float:

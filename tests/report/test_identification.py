@@ -30,21 +30,9 @@ from hyperflex.report.identification.tables import (
 )
 from hyperflex.report.units import rounded
 from hyperflex.status import Status
+from tests.report.conftest import GUESS
 
-NOISE = 2e-3
-ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
-GUESS = ROPE.replace(friction=1e-3)
 Case = tuple[Recording, Identification]
-
-
-@pytest.fixture(scope="module")
-def swing() -> Case:
-    """Angles of two links, of which the common factor cannot be known."""
-    t = np.arange(500) * 0.02
-    run = hf.simulate(ROPE, duration=t[-1], t_eval=t, q0=[0.6, 0.9])
-    data = run.q + np.random.default_rng(1).normal(0.0, NOISE, run.q.shape)
-    recording = Recording(t, data, noise=NOISE, name="two <links>", source="simulated")
-    return recording, hf.identify(recording, GUESS, ["inertia", "com", "friction"])
 
 
 @pytest.fixture(scope="module")
