@@ -2,13 +2,14 @@
 
 import dataclasses
 import json
+import re
 import signal
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex import files, identification
+from hyperflex import files, identification, report
 from hyperflex.errors import Interrupted
 from hyperflex.status import Status
 
@@ -53,6 +54,17 @@ def ended(monkeypatch):
         monkeypatch.setattr(identification, "identify", work)
 
     return end
+
+
+def test_a_long_table_of_ratios_is_cut_and_reports_where_the_rest_is(hyperflex, swing, monkeypatch):
+    """Five rows of each ratio, and 24 in all."""
+    rows = [(f"r{k}/p1", str(link), "1", "0", "0 to 2", "") for k in range(6) for link in range(8)]
+    table = report.TextTable(("ratio", "link", "value", "std", "95 % interval", "what it is"), tuple(rows))
+    monkeypatch.setattr(report, "ratios_table", lambda _: table)
+    code, out, _ = hyperflex(*words("found", *FRICTION))
+    shown = re.findall(r"^ (r\d)/p1 +(\d)", out, re.M)
+    assert (code, [link for name, link in shown if name == "r0"], len(shown)) == (0, list("01234"), 24)
+    assert "and 24 more, in found/report.html" in out
 
 
 def test_a_file_gets_the_rope_and_its_figures(hyperflex, hyperflex_json, swing):

@@ -39,9 +39,10 @@ def test_the_line_that_look_proposes_identifies(hyperflex, hyperflex_json, tmp_p
     t = np.arange(200) / 50.0
     angle = np.degrees(0.3 * np.cos(5.0 * t))
     Path("swing.csv").write_text(
-        "Time (s),Angle (deg)\n" + "".join(f"{a:.3f},{b:.5f}\n" for a, b in zip(t, angle, strict=True))
+        "Time (s),Angle (deg),torque\n" + "".join(f"{a:.3f},{b:.5f},0.1\n" for a, b in zip(t, angle, strict=True))
     )
     hf.Rope(length=[0.4], mass=[0.1], friction=1e-4).to_toml("rope.toml")
+    assert "torque (a motor's torque: --torque NAME)" in hyperflex("look", "swing.csv")[1]
     command = hyperflex_json("look", "swing.csv")[1]["command"]
     assert command == "hyperflex identify swing.csv --rope rope.toml --columns Angle -o identified"
     code, _, _ = hyperflex(*shlex.split(command)[1:], "--free", "inertia")
