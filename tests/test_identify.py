@@ -46,7 +46,7 @@ def held_out(plant: Plant, angles: Recording) -> HeldOut | None:
     """Predict angles at the start, as if a fit there had left residuals of 1 rad."""
     x, n = plant.parameters.start, plant.parameters.guess.n_links
     window = Window(np.zeros(1), np.zeros((1, n)), np.ones((1, n)), np.zeros(2 * n), np.zeros((0, 2 * n)))
-    information: Any = SimpleNamespace(total=np.zeros((x.size, x.size)), correlation=1.0)
+    information: Any = SimpleNamespace(x=x, total=np.zeros((x.size, x.size)), correlation=1.0)
     basis = Basis(plant, [window], Fit(x, [window.guess], [np.ones(n)]), information)
     return predict(basis, measure(angles, plant.parameters.guess, None), FitOptions(), Budget())
 

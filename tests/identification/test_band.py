@@ -9,7 +9,8 @@ from hyperflex.identification import pipeline as _identify
 from hyperflex.identification.fit import Window, fit_state
 from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.pipeline import identify
-from hyperflex.identification.prediction import PredictionUncertainty, prediction_std
+from hyperflex.identification.prediction import prediction_std
+from hyperflex.identification.uncertainty.covariance import Information
 from tests.faults.interrupting import left_by
 from tests.identification.twins import WHOLE
 
@@ -20,6 +21,12 @@ T, AHEAD = np.arange(26) * 0.02, 0.5 + np.arange(1, 21) * 0.05
 
 def plant() -> Plant:
     return Plant(Parameters(ROPE, parse(ROPE, ["friction"])))
+
+
+def known(x: Array, covariance: Array, correlation: float = 1.0) -> Information:
+    """What a fit leaves of x, as far as a band needs it."""
+    none = np.zeros((x.size, 0))
+    return Information(x, np.ones(x.size), np.zeros(0), none, none, covariance, correlation)
 
 
 def window(y: Array, prior: Array | None = None) -> Window:
@@ -47,8 +54,7 @@ def test_an_error_of_the_parameters_moves_state_and_prediction(swing):
     x = model.parameters.start
     found = fit_state(model, x, seen, seen.guess)
     covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
-    uncertainty = PredictionUncertainty(covariance, np.full(2, 1e-9), 1.0)
-    ours = prediction_std(model, x, seen, found, AHEAD, uncertainty)
+    ours = prediction_std(model, known(x, covariance), seen, found, AHEAD, np.full(2, 1e-9))
     # The same by central differences of refitted predictions: steps of 1e-3 leave a relative error of some 1e-5.
     steps = 1e-3 * np.eye(2)
     slopes = np.stack([(predicted(model, x + h, seen) - predicted(model, x - h, seen)) / 2e-3 for h in steps], axis=2)
@@ -61,13 +67,13 @@ def test_noise_of_the_window_and_of_the_sample_itself(swing):
     x = model.parameters.start
     found = fit_state(model, x, seen, seen.guess)
     noise = np.array([1e-3, 3e-3])
-    ours = prediction_std(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 1.0))
+    ours = prediction_std(model, known(x, np.zeros((2, 2))), seen, found, AHEAD, noise)
     rng = np.random.default_rng(1)
     draws = [predicted(model, x, window(swing + noise * rng.normal(size=swing.shape))) for _ in range(150)]
     theirs = np.sqrt(np.var(draws, axis=0) + noise**2)
     # 150 draws give a standard deviation to 6 %; three times that.
     np.testing.assert_allclose(ours, theirs, rtol=0.18)
-    wide = prediction_std(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 4.0))
+    wide = prediction_std(model, known(x, np.zeros((2, 2)), 4.0), seen, found, AHEAD, noise)
     np.testing.assert_allclose(wide**2 - noise**2, 4.0 * (ours**2 - noise**2), rtol=1e-9)
 
 
@@ -75,11 +81,11 @@ def test_a_prior_holds_the_state(swing):
     prior = np.array([[-1.0, 1.0, 0.0, 0.0]]) / 1e-6  # both links in line
     model, free, held = plant(), window(swing), window(swing, prior)
     x = model.parameters.start
-    uncertainty = PredictionUncertainty(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
+    about, noise = known(x, np.zeros((2, 2))), np.full(2, NOISE)
     found = fit_state(model, x, free, free.guess)
     assert (
-        prediction_std(model, x, held, found, AHEAD, uncertainty)
-        < prediction_std(model, x, free, found, AHEAD, uncertainty)
+        prediction_std(model, about, held, found, AHEAD, noise)
+        < prediction_std(model, about, free, found, AHEAD, noise)
     ).all()
 
 
@@ -90,8 +96,8 @@ def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing):
 
     model, seen = Blind(plant().parameters), window(swing)
     found = (seen.guess, np.zeros(2 * T.size))
-    uncertainty = PredictionUncertainty(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
-    assert np.isnan(prediction_std(model, model.parameters.start, seen, found, AHEAD, uncertainty)).all()
+    about = known(model.parameters.start, np.zeros((2, 2)))
+    assert np.isnan(prediction_std(model, about, seen, found, AHEAD, np.full(2, NOISE))).all()
 
 
 def recorded(seed: int) -> hf.Recording:

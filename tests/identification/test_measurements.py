@@ -161,6 +161,6 @@ def test_rollouts_are_as_fine_as_the_markers_are_known(noise, precision):
     """For positions known to 0.1 mm, a tolerance of 1e-7 makes the sum of squares too rough for a fit to converge."""
     line, t = Rope.uniform(2.0, 0.1, 4, friction=1e-4), np.linspace(0.0, 1.0, 5)
     places = Recording(t, np.zeros((5, 4)), kind="markers", noise=noise)
-    setup = RecordingSetup(origin=(0.0, 0.0))
-    plant = build_plant(places, line, ["friction:shared"], np.array([1.0, 2.0]), setup)
+    setup = RecordingSetup(arc_lengths=[1.0, 2.0], origin=(0.0, 0.0))
+    plant = build_plant(places, line, ["friction:shared"], setup)
     assert plant.precision == pytest.approx(precision)

@@ -14,8 +14,9 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import Finding, FitOptions, Identification, Kind, identify, profile
 from hyperflex.identification.fit import Loss, Target, fit
 from hyperflex.identification.model import PredictedChannels
+from hyperflex.identification.options import How
 from hyperflex.identification.uncertainty import profile as _profile
-from hyperflex.identification.uncertainty.covariance import quantile
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, quantile
 from hyperflex.identification.uncertainty.profile import Coordinate, all_intervals, profiled, skewed, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -105,9 +106,15 @@ def test_a_bound_of_another_parameter_leaves_intervals_about_as_often_right(tied
 # ---- profiles
 
 
+def last_intervals(basis: Basis, how: How) -> tuple[dict[str, Interval], list[Finding]]:
+    """The intervals when all profiles are done, and what these show besides."""
+    *_, last = all_intervals(basis, how)
+    return last
+
+
 def test_a_linear_problem_has_the_interval_of_its_covariance():
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
-    plain = all_intervals(basis, "covariance")
+    plain, _ = last_intervals(basis, "covariance")
     for k, (label, one) in enumerate(plain.items()):
         found = profiled(Coordinate(basis, label), 0.95, points=3)
         width = one.high - one.low
@@ -127,8 +134,8 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all():
     scaled = np.append(2.0 * std, 1.0)  # of x by a factor on all lengths, and of its logarithm
     errors = replace(information, model=np.diag(std**2), scaled=np.outer(scaled, scaled))
     basis = replace(plain, information=errors)
-    by_std = all_intervals(basis, "covariance")
-    for label, one in all_intervals(basis, "profile").items():
+    by_std, _ = last_intervals(basis, "covariance")
+    for label, one in last_intervals(basis, "profile")[0].items():
         alone, same = (profiled(Coordinate(basis, label), 0.95), profiled(Coordinate(plain, label), 0.95))
         assert (alone.low, alone.high) == (same.low, same.high)
         # 1 + 1 + 2^2, of which 2^2 was declared: Welch and Satterthwaite's degrees of freedom are those over (2 / 6)^2
@@ -159,7 +166,7 @@ def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed():
 def test_coloured_noise_widens_a_profile_as_it_does_the_covariance():
     basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
     assert basis.information.correlation > 1.0
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(Coordinate(basis, "inertia[0]"), 0.95)
+    one, found = last_intervals(basis, "covariance")[0]["inertia[0]"], profiled(Coordinate(basis, "inertia[0]"), 0.95)
     assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * (one.high - one.low))
 
 
@@ -203,8 +210,7 @@ def test_a_better_optimum_on_the_way_is_told():
     first = dipped.parameters.all[0]
     assert one.better.inertia[0] == pytest.approx(first.value(dipped.at), abs=first.value(std))
     assert (one.rise >= 0.0).all()
-    remarks: list[Finding] = []
-    all_intervals(stuck, "profile", remarks=remarks)
+    _, remarks = last_intervals(stuck, "profile")
     assert (remarks[0].kind, remarks[0].values["name"]) == (Kind.BETTER_OPTIMUM, "inertia[0]")
     honest = profiled(Coordinate(plain, "inertia[0]"), 0.95)
     assert honest.gain < 0.01  # what the fit left, in residual variances
@@ -214,11 +220,10 @@ def test_a_better_optimum_on_the_way_is_told():
 def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch):
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=0))
-    one, plain = profiled(Coordinate(basis, "inertia[0]"), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
+    one, plain = profiled(Coordinate(basis, "inertia[0]"), 0.95), last_intervals(basis, "covariance")[0]["inertia[0]"]
     assert (one.low, one.high, one.kind) == (plain.low, plain.high, "covariance")
-    remarks: list[Finding] = []
-    found = all_intervals(basis, "profile", remarks=remarks)["inertia[0]"]
-    assert (found.kind, found.low) == ("covariance", plain.low)
+    every, remarks = last_intervals(basis, "profile")
+    assert (every["inertia[0]"].kind, every["inertia[0]"].low) == ("covariance", plain.low)
     assert remarks[0].kind is Kind.PROFILE_GIVEN_UP
 
 
@@ -226,7 +231,7 @@ def test_robust_losses_profile_what_their_covariance_says():
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
     basis = fitted(waves(300), noise, "huber")
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(Coordinate(basis, "inertia[0]"), 0.95)
+    one, found = last_intervals(basis, "covariance")[0]["inertia[0]"], profiled(Coordinate(basis, "inertia[0]"), 0.95)
     assert Loss("huber", 2.0, fixed=True).scaled([noise.ravel()]).scale == 2.0  # costs along it are of one kind
     # Huber's formula takes the mean of psi', the profile each residual's own: alike to some 1 / sqrt(300)
     assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)

@@ -99,7 +99,7 @@ def test_a_state_that_is_caught_is_started_elsewhere():
     states = list(good.states)
     states[1] = np.array([states[1][0] + 2.5, 0.0])
     assert fit(plant, windows, good.x, states, states_only=True, rounds=1).cost > 2.0 * good.cost
-    found = search(plant).settled(windows, good.x, states, lambda _: None)
+    *_, found = search(plant).settled(windows, good.x, states, lambda _: None)
     assert found.cost == pytest.approx(good.cost, rel=1e-3)  # the same optimum, as far as a fit goes
 
 
@@ -121,8 +121,8 @@ def tip(frames: int) -> tuple[hf.Rope, hf.Recording, hf.Trajectory]:
 def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array]]:
     """The plant, windows, the true x and states."""
     rope, recording, run = tip(frames)
-    measured, places = checked_measurements(recording, rope, SEEN)
-    plant = build_plant(recording, rope, ["inertia", "friction"], places, SEEN)
+    measured = checked_measurements(recording, rope, SEEN)
+    plant = build_plant(recording, rope, ["inertia", "friction"], SEEN)
     windows, _ = measured.windows(0.4)
     states = [np.append(run.q[k], run.qd[k]) for k in np.searchsorted(run.t, [w.t[0] - 1e-9 for w in windows])]
     return plant, windows, plant.parameters.start, states
@@ -131,7 +131,7 @@ def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array
 def test_a_window_that_was_taken_for_its_mirror_image_is_turned():
     plant, windows, x, states = seen_at_its_tip(80)
     wrong = np.append(states[0][:2] + np.array([0.5, -1.5]), -states[0][2:])
-    found = search(plant).settled(windows, x, [wrong, *states[1:]], lambda _: None)
+    *_, found = search(plant).settled(windows, x, [wrong, *states[1:]], lambda _: None)
     np.testing.assert_allclose(found.states[0][:2], states[0][:2], atol=0.02)
     assert found.cost - found.prior_cost < 2.0 * sum(window.values for window in windows)
 

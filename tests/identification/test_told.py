@@ -11,7 +11,7 @@ import hyperflex as hf
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Kind, Severity, pipeline, text
-from hyperflex.identification.declarations.evidence import swapped, uneven_scale
+from hyperflex.identification.declarations.faults import swapped, uneven_scale
 from hyperflex.identification.declarations.mistakes import ShortFit
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding

@@ -33,7 +33,7 @@ def run(rope: hf.Rope = ROPE, duration: float = 5.0) -> hf.Trajectory:
 
 def plant(free: list[str], rope: hf.Rope = ROPE) -> Plant:
     recording = hf.Recording([0.0, 1.0], np.zeros((2, 2)))
-    return build_plant(recording, rope, free, None, hf.RecordingSetup(MOVE, ARM, torque=np.zeros(recording.t.size)))
+    return build_plant(recording, rope, free, hf.RecordingSetup(MOVE, ARM, torque=np.zeros(recording.t.size)))
 
 
 # ---- the function and its slopes

@@ -14,18 +14,11 @@ from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.identification.findings import NAMES
 from hyperflex.identification.fit import Linear, Loss, Window, linearise
 from hyperflex.identification.measurements import build_plant, measure, usual_length, with_torque
-from hyperflex.identification.model import (
-    PRECISION,
-    Parameter,
-    Parameters,
-    in_common_factor,
-    parse,
-    pivot_places,
-)
+from hyperflex.identification.model import PRECISION, Parameter, Parameters, parse, pivot_places
 from hyperflex.identification.multi_start import diverges, joined_lengths
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.identification.ranking import Ranking
-from hyperflex.identification.uncertainty.covariance import Information, known_directions, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Information, fisher_information, ratio_spread, ratios
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, Rope, parse_label
 from hyperflex.motion import Motion, arm_swings
@@ -146,15 +139,15 @@ def expected_information(
         arc_lengths = np.linspace(0.0, rope.total_length, experiment.markers)
         places = Markers(arc_lengths).predict(rope, run.q, pivot_places(motion, base, t))
         recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
-    measured, torque = measure(recording, rope, arc_lengths), None
+    measured, setup = measure(recording, rope, arc_lengths), RecordingSetup(motion, base, arc_lengths)
     if experiment.torque_noise is not None:
         if base is None:
             raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
-        torque = run.motor_torque
-        measured = with_torque(measured, torque, experiment.torque_noise)
-    plant = build_plant(recording, rope, free, arc_lengths, RecordingSetup(motion, base, torque=torque))
+        setup = replace(setup, torque=run.motor_torque, torque_noise=experiment.torque_noise)
+        measured = with_torque(measured, setup)
+    plant = build_plant(recording, rope, free, setup)
     length = usual_length(measured.shape, rope, fewest=0)  # alike for all frame rates
-    x, widths = plant.parameters.start, plant.parameters.widths
+    x = plant.parameters.start
 
     def at(window: Window) -> Linear:  # which the model fits, the noise as given
         k = np.searchsorted(t, window.t[0])
@@ -167,12 +160,7 @@ def expected_information(
         if models and any(map(diverges, windows, now)):
             break
         models = now
-    rows = [np.zeros((x.size, x.size)), *(each.reduced()[0] * widths for each in models)]
-    singular, known, unknown = known_directions(rows)
-    covariance = (known / singular[: known.shape[1]] ** 2) @ known.T * np.outer(widths, widths)
-    tied = in_common_factor(plant.parameters, x, unknown)
-    information = Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)
-    return plant.parameters, information
+    return plant.parameters, fisher_information(plant.parameters, x, [each.reduced()[0] for each in models])
 
 
 def spreads(parameters: Parameters, information: Information, want: Iterable[str]) -> dict[str, tuple[float, float]]:

@@ -310,13 +310,13 @@ class Kind(StrEnum):
     )
     MASS_FAR = (
         "mass far beyond its link",
-        """Link {link} would have its mass {reach:.3g} times as far from its joint as it is long. | Inertia over first
+        """Link {link} would have its mass {factor:.3g} times as far from its joint as it is long. | Inertia over first
         moment is more than such a link can have: it is longer, or times must be multiplied by {clock:.3g}. Check
         times, frame rate, scale, lengths and the order of the links.""",
     )
     COM_OR_CLOCK = (
         "centre of mass or clock contradicts the guess",
-        """Link {link} would have its centre of mass {reach:.3g} times as far from its joint as declared. | com or the
+        """Link {link} would have its centre of mass {factor:.3g} times as far from its joint as declared. | com or the
         clock contradicts the guess: com differs, or times must be multiplied by {clock:.3g}; J/p1 is then
         {moved:%} off. Check the frame rate, and measure com, or free 'com'.""",
     )

@@ -136,11 +136,6 @@ class Window:
         seen = plant.predict(x, self.t, state)
         return None if seen is None else averaged(seen, self.t, self.spread)
 
-    def first(self, count: int) -> "Window":
-        """Return its first values alone."""
-        spread = None if self.spread is None else self.spread[:count]
-        return replace(self, t=self.t[:count], y=self.y[:count], weight=self.weight[:count], spread=spread)
-
     def prior_cost(self, state: Array) -> float:
         """Return the sum of squares of a state's residuals under the prior."""
         return float(np.sum((self.prior @ state) ** 2))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.declarations.evidence import unlike_lengths
+from hyperflex.identification.declarations.faults import unlike_lengths
 from hyperflex.identification.findings import text
 from hyperflex.identification.fit import Window
 from hyperflex.identification.model import CONSTANT, PRECISION, Motors, Parameters, Plant, parse, pivot_places
@@ -134,29 +134,35 @@ def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[
     t, data = recording.t, recording.data
     group = np.floor((t - t[0]) / float(np.median(np.diff(t))) + 0.5) // step  # no longer than that where frames miss
     first = np.flatnonzero(np.diff(group, prepend=-1.0))
-    size = np.diff(np.append(first, t.size))
-    which = np.repeat(np.arange(first.size), size)
-    time, known = np.add.reduceat(t, first) / size, ~np.isnan(data)
-    off, spread = (t - time[which])[:, None], 0.5 * np.add.reduceat((t - time[which]) ** 2, first) / size
-    count = np.add.reduceat(known.astype(np.float64), first)
-    precision = known / (1.0 if recording.noise is None else recording.noise**2)
-    total = np.add.reduceat(precision, first)
-    laid = np.full((first.size, size.max(), data.shape[1]), np.nan)
+    which = np.repeat(np.arange(first.size), np.diff(np.append(first, t.size)))
+    place = np.arange(t.size) - first[which]
+
+    def grouped(values: Array) -> Array:
+        """Return values (T, ...) by group (m, samples, ...), NaN beyond its end."""
+        table = np.full((first.size, place.max() + 1, *values.shape[1:]), np.nan)
+        table[which, place] = values
+        return table
+
+    times, samples = grouped(t), grouped(data)
+    time = np.nanmean(times, axis=1)
+    off = (times - time[:, None])[:, :, None]
+    spread = 0.5 * np.nanmean(off**2, axis=1)
+    weight = np.where(np.isnan(samples), 0.0, 1.0 if recording.noise is None else grouped(recording.noise) ** -2.0)
+    total = weight.sum(axis=1)
     inside: Array | float = 0.0
     for _ in range(4):  # each lessens what missing samples shift tenfold
-        left = data - inside
         if merging == "median":
-            laid[which, np.arange(t.size) - first[which]] = left
-            values = np.ma.median(np.ma.masked_invalid(laid), axis=1).filled(np.nan)  # type: ignore[no-untyped-call]
+            left = np.ma.masked_invalid(samples - inside)
+            values = np.ma.median(left, axis=1).filled(np.nan)  # type: ignore[no-untyped-call]
         else:
-            values = np.add.reduceat(precision * np.nan_to_num(left), first)
-            values = np.divide(values, total, out=np.full_like(values, np.nan), where=total > 0.0)
+            values = np.nansum(weight * (samples - inside), axis=1) / np.where(total > 0.0, total, np.nan)
         smooth = np.column_stack([np.interp(time, time[~np.isnan(x)], x[~np.isnan(x)]) for x in values.T])
         slope = np.gradient(smooth, time, axis=0)
-        inside = off * slope[which] + (0.5 * off**2 - spread[which, None]) * np.gradient(slope, time, axis=0)[which]
+        bend = np.gradient(slope, time, axis=0)
+        inside = off * slope[:, None] + (0.5 * off**2 - spread[:, None]) * bend[:, None]
     noise = None if recording.noise is None else np.where(total > 0.0, total, 1.0) ** -0.5
     whole = replace(recording, t=time, data=values, noise=noise, rates=None)
-    return whole, np.minimum(count / step, 1.0), spread
+    return whole, np.minimum(np.count_nonzero(weight, axis=1) / step, 1.0), spread[:, 0]
 
 
 def swing_period(rope: Rope) -> float:
@@ -286,22 +292,30 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
     return Measurements(recording, shape, prior, sides)
 
 
-def with_torque(measured: Measurements, torque: ArrayLike, noise: ArrayLike | None) -> Measurements:
-    """Return the measurements with the motor's torque (T,), N m, NaN in gaps, as the last channel.
+def torque_readings(setup: RecordingSetup, t: Array) -> Array:
+    """Return the readings (T, k) of the motors at times t (T,), NaN in gaps, checked."""
+    columns = len(setup.joints)
+    shape = (t.size, columns) if np.asarray(setup.torque, dtype=object).ndim > 1 else (t.size,)
+    readings = checks.array("torque", setup.torque, shape, gaps=True).reshape(t.size, columns)
+    if np.isnan(readings).all(axis=0).any():
+        raise InvalidInput("torque has no value at all, only gaps", allowed="at least one value of each motor")
+    return readings
 
-    The weights of torque and angles follow from the noise of both: `noise`, (T,) or one number, N m, is needed.
+
+def with_torque(measured: Measurements, setup: RecordingSetup) -> Measurements:
+    """Return the measurements with the motor's torque, N m, as the last channel.
+
+    The weights of torque and angles follow from the noise of both, so that of the torque is needed.
     """
-    channels = measured.channels
-    values = checks.array("torque", torque, (channels.t.size,), unit="N m", gaps=True)
-    if np.isnan(values).all():
-        raise InvalidInput("torque has no value at all, only gaps", allowed="at least one value, in N m")
+    channels, noise = measured.channels, setup.torque_noise
+    values = torque_readings(setup, channels.t)
     if noise is None or channels.noise is None:
         missing = "torque_noise" if noise is None else "the noise of the recording"
         raise InvalidInput(
             f"a torque is measured, but {missing} is not given",
             fix="Give both: Recording(..., noise=...) and torque_noise=...; only then is it known how they count",
         )
-    spread = checks.array("torque_noise", noise, (values.size,), sign="positive", unit="N m", scalar=True)
+    spread = checks.array("torque_noise", noise, (len(values),), sign="positive", unit="N m", scalar=True)
     joined = Recording(  # of any channels: those who fit them ask for no kind
         channels.t,
         np.column_stack([channels.data, values]),
@@ -350,8 +364,8 @@ def _bends(rope: Rope, begin: float, end: float) -> tuple[Array, Array]:
     return np.hypot(across, along), bend - np.arctan2(across, along)[:, None]
 
 
-def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup) -> tuple[Measurements, Array | None]:
-    """Return the measurements, if they fit the rope, and the arc lengths of markers that are not at the joints."""
+def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup) -> Measurements:
+    """Return the measurements, if they fit the rope."""
     checks.instance("recording", recording, Recording)
     checks.instance("rope_guess", rope, Rope)
     arc_lengths, origin = setup.arc_lengths, setup.origin
@@ -366,7 +380,7 @@ def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup
             )
         if origin is not None:
             joint = checks.array("origin", origin, (2,), unit="m") + pivot_places(setup.motion, setup.arm, recording.t)
-        return measure(recording, rope, places, joint), places
+        return measure(recording, rope, places, joint)
     if recording.n_links != rope.n_links:
         raise InvalidInput(
             "the recording and the rope have different numbers of links",
@@ -383,14 +397,13 @@ def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup
                 fix="Check the unit or scale of the markers, or the lengths of the guess",
             )
     refuse_still_markers(recording, np.append(0.0, rope.link_ends))
-    return measure(recording, rope, None), None
+    return measure(recording, rope, None)
 
 
 def build_plant(
     recording: Recording,
     guess: Rope,
     free: Sequence[str],
-    arc_lengths: Array | None,
     setup: RecordingSetup,
     torque_std: float = np.inf,
 ) -> Plant:
@@ -399,6 +412,7 @@ def build_plant(
     `torque_std` is the relative standard deviation of what is known of a motor's constant.
     """
     motion, arm, origin, torque = setup.motion, setup.arm, setup.origin, setup.torque is not None and not setup.drives
+    arc_lengths = None if setup.arc_lengths is None else np.asarray(setup.arc_lengths, dtype=np.float64)
     motors, constants = None, None
     if setup.torque is not None:
         constants = checks.array(CONSTANT, setup.torque_constant, (len(setup.joints),), sign="positive", scalar=True)
@@ -410,7 +424,7 @@ def build_plant(
     if torque_std == 0.0 and any(each.name == CONSTANT for each in chosen):
         raise InvalidInput(f"{CONSTANT} is free, but torque_std is 0", fix="Say how well it is known: torque_std=0.1")
     how: dict[str, Any] = {"motion": motion, "arm": arm, "torque": torque, "motors": motors}
-    how["constant"] = 1.0 if constants is None else float(constants[0])
+    how |= {"constant": 1.0 if constants is None else float(constants[0]), "angles": recording.kind == "angles"}
     if arc_lengths is None:
         if origin is not None:
             raise InvalidInput(
@@ -433,15 +447,10 @@ def build_plant(
 
 def motors_of(t: Array, guess: Rope, setup: RecordingSetup, constants: Array) -> Motors:
     """Return the motors whose readings at times t (T,), s, drive the rope, checked."""
-    columns = len(setup.joints)
-    given = np.asarray(setup.torque, dtype=object)
-    shape = (t.size, columns) if given.ndim > 1 else (t.size,)
-    readings = checks.array("torque", setup.torque, shape, gaps=True).reshape(t.size, columns)
+    readings = torque_readings(setup, t)
     if max(setup.joints) >= guess.n_links:
         allowed = f"0 to {guess.n_links - 1}, or fewer columns"
         raise InvalidInput("torque_joints names a joint that the rope does not have", got=setup.joints, allowed=allowed)
-    if np.isnan(readings).all(axis=0).any():
-        raise InvalidInput("torque has no value at all, only gaps", allowed="at least one value of each motor")
     return Motors.of(t, readings, setup.joints, constants)
 
 

@@ -533,7 +533,7 @@ class Plant:
 
     `motion` and `arm` move the first joint; by default it is fixed. `motors` in the joints turn the links by their
     measured torque; of the arm's motor, whose motion is prescribed, the torque is a channel, and `constant` its torque
-    over the reading. precision: tolerance of a rollout over the rope's length.
+    over the reading. precision: tolerance of a rollout over the rope's length. angles: whether these were recorded.
     """
 
     parameters: Parameters
@@ -544,6 +544,7 @@ class Plant:
     constant: float = 1.0
     motors: Motors | None = None
     precision: float = PRECISION
+    angles: bool = False
 
     def __post_init__(self) -> None:
         guess = self.parameters.guess

@@ -7,6 +7,7 @@ fits of the parameters to the windows that fit.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import memory
-from hyperflex.budget import Budget, OutOfTime
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.declarations.held import FEW_LINKS
@@ -35,10 +36,10 @@ from hyperflex.identification.fit import (
 )
 from hyperflex.identification.measurements import FEWEST_SAMPLES, Measurements
 from hyperflex.identification.model import Plant
-from hyperflex.interruption import stoppable
+from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.model import Rope
 
-# windows, and parts of one, so many times shorter come first; how many windows, spread over the recording
+# windows so many times shorter come first; how many windows, spread over the recording
 FIRST = 8
 FIRST_WINDOWS = 40
 # times what a value of the middle window costs, or of known noise: worth another state, or start
@@ -49,9 +50,7 @@ TURNS = 6
 AMISS = 10.0
 # quantile of the windows' costs that stands for those that fit
 BETTER_PART = 0.25
-# rad, rad/s: ends of fits to the same minimum differ by less, and other minima by far more
-SAME_STATE = 0.01
-# rounds of fitting a state to a part of a window, and of parameters after which states are searched
+# rounds of fitting parameters after which states are searched
 SHORT = 15
 # ratio of costs within which two starts, or states of a window, have come to the same
 SAME_COST = 1.05
@@ -64,15 +63,6 @@ GROWTH = 4.0
 WHOLE = 1.001
 # of the derivatives of all values that are in memory at once
 COPIES = 4
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """A fit with its windows and the settings that it used."""
-
-    fit: Fit
-    windows: list[Window]
-    settings: dict[str, Any]
 
 
 def joined_lengths(length: float, duration: float, rope: Rope) -> list[float]:
@@ -127,28 +117,6 @@ class MultiStart:
         """Return windows of `length`, s, and the number left out."""
         return self.measured.windows(length, min(self.step, self.measured.step(length)))
 
-    def best(self) -> Fitted:
-        """Fit windows of the length, shorter ones first; if the fit is bad, also from other starts.
-
-        Out of time, or after Ctrl-C, it returns the best so far, whose `status` says so, or raises what ended it where
-        nothing has been fitted. Raises InvalidInput, before the work, for more derivatives than there is memory for;
-        IdentificationError, where no window can be simulated.
-        """
-        links, count = self.plant.parameters.guess.n_links, len(self.plant.parameters)
-        values = self.measured.channels.data.size // self.step
-        memory.check(
-            8.0 * COPIES * values * (2 * links + count),
-            f"a fit of {count} parameters of {links} links to {values} values",
-            "Free fewer parameters, or give a part of the recording",
-        )
-        found: Fitted | None = None
-        with stoppable() as stop:
-            for found in self.fits():  # noqa: B007
-                pass
-        if found is None:
-            raise stop.error or OutOfTime
-        return replace(found, fit=replace(found.fit, status=found.fit.status or stop.status))
-
     def fit(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report, **how: Any) -> Fit:
         """Fit all windows from one start; what Ctrl-C leaves of it has the status INTERRUPTED."""
         try:
@@ -163,14 +131,23 @@ class MultiStart:
             return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
         return not found.converged or part_left(windows, found.residuals, found.loss) > POOR
 
-    def fits(self) -> Iterator[Fitted]:
-        """Yield fits of shorter windows, of those of the length, and the best so far from each other start.
+    def fits(self) -> Iterator[Basis]:
+        """Yield ever better fits: of shorter windows, of those of the length, and, if that is bad, from other starts.
 
         Short windows come first, but where states have several guesses, which too few samples do not tell apart. Then
         the `usual` length is doubled until the required one is reached. Only a fit of windows of `length` counts as
-        converged, and one that was ended early is the last.
+        converged; one that was ended early has a status, and nothing may be asked for after it.
+
+        Raises InvalidInput, before the work, for more derivatives than there is memory for; IdentificationError, where
+        no window can be simulated.
         """
         channels, x, length = self.measured.channels, self.plant.parameters.start, self.length
+        links, count = self.plant.parameters.guess.n_links, x.size
+        memory.check(
+            8.0 * COPIES * (values := channels.data.size // self.step) * (2 * links + count),
+            f"a fit of {count} parameters of {links} links to {values} values",
+            "Free fewer parameters, or give a part of the recording",
+        )
         lengths = [length]
         while lengths[0] > 2.0 * self.usual:
             lengths.insert(0, 0.5 * lengths[0])
@@ -186,25 +163,20 @@ class MultiStart:
                     continue
             stage = {"window": part, "stage": number, "stages": len(lengths)}
             heard = with_entries(self.report, stage)
-            usable: list[Window] = []
-            found: Fit | None = None
-            with stoppable() as stop:
-                usable, states = self._first_states(windows, x, known, refine=number > 0 or self.ambiguous)
-                if part == length:
-                    found = self.settled(usable, x, states, heard)
-                else:
-                    found = self.fit(usable, x, states, heard, enough=HARDLY)
-            if found is None:
-                raise stop.error or OutOfTime
-            history += tuple(entry | stage for entry in found.history)
-            converged, status = found.converged and part == length, found.status or stop.status
-            found = replace(found, converged=converged, status=status, history=history)
+            usable, states = self._first_states(windows, x, known, refine=number > 0 or self.ambiguous)
+            settings = self.settings(part, usable, dropped + len(windows) - len(usable))
             starts.append(x)
-            x, known = found.x, {window.t[0]: state for window, state in zip(usable, found.states, strict=True)}
-            best = Fitted(found, usable, self.settings(part, usable, dropped + len(windows) - len(usable)))
-            yield best
-            if status is not None:
-                return
+            if part == length:
+                tries = self.settled(usable, x, states, heard)
+            else:
+                tries = iter([self.fit(usable, x, states, heard, enough=HARDLY)])
+            for found in tries:
+                now = history + tuple(entry | stage for entry in found.history)
+                some = replace(found, converged=found.converged and part == length, history=now)
+                best = Basis.begun(self.plant, usable, some, self.usual, settings)
+                yield best
+            x, history = best.fit.x, now
+            known = {window.t[0]: state for window, state in zip(usable, best.fit.states, strict=True)}
         yield from self.other_starts(best, starts)
 
     def settings(self, length: float, windows: Sequence[Window], left_out: int) -> dict[str, Any]:
@@ -212,50 +184,49 @@ class MultiStart:
         step = min(self.step, self.measured.step(length))
         return {"window": length, "windows": len(windows), "left_out": left_out, "decimation": step}
 
-    def joined(self, found: Fitted) -> Fitted | None:
+    def joined(self, found: Basis) -> Basis | None:
         """Fit windows of twice the length, or more, from a fit; None where they end before, or are not predicted.
 
         All windows are of one length, so that none remains at the end. A window is predicted if, from the state that
         the shorter one has, it leaves less than PREDICTED of the motion: farther ahead errors have grown so much that
         a fit would not find back, or the model is not right for so long.
         """
-        duration, x = self.measured.channels.duration, found.fit.x
-        _, *longer = joined_lengths(found.settings["window"], duration, self.plant.parameters.guess)
+        duration, x, plant = self.measured.channels.duration, found.fit.x, found.plant
+        _, *longer = joined_lengths(found.settings["window"], duration, plant.parameters.guess)
         if not longer:
             return None
-        length = longer[0]
-        windows, dropped = self.windows(length)
-        before = list(zip(found.windows, found.fit.states, strict=True))
-        states = list[Array]()
+        windows, dropped = self.windows(longer[0])
+        states, residuals = list[Array](), list[Array]()
         for window in windows:
-            earlier = [each for each in before if each[0].t[0] <= window.t[0]]
-            state = arrived(self.plant, x, *earlier[-1], window) if earlier else []
-            states.append(state[0] if state else window.guess)
-        residuals = [window.residual(self.plant, x, state) for window, state in zip(windows, states, strict=True)]
-        known = [each for each in residuals if each is not None]
-        if not known or len(known) < len(windows) or part_left(windows, known, found.fit.loss) > PREDICTED:
+            earlier = [k for k, each in enumerate(found.windows) if each.t[0] <= window.t[0]][-1:]
+            came = [s for k in earlier for s in arrived(plant, x, found.windows[k], found.fit.states[k], window)]
+            states += came or [window.guess]
+            residual = window.residual(plant, x, states[-1])
+            if residual is None:
+                return None
+            residuals.append(residual)
+        if not windows or part_left(windows, residuals, found.fit.loss) > PREDICTED:
             return None
-        models = (
-            linearise(self.plant, window, x, state, residual, Loss())
-            for window, state, residual in zip(windows, states, known, strict=True)
-        )
-        if any(map(diverges, windows, models)):
-            return None
-        settings: dict[str, Any] = {
-            name: found.settings[name] for name in ("starts", "starts_agree") if name in found.settings
-        }
-        settings |= self.settings(length, windows, dropped)
+        for window, state, residual in zip(windows, states, residuals, strict=True):
+            if diverges(window, linearise(plant, window, x, state, residual, Loss())):
+                return None
+        settings = found.settings | self.settings(longer[0], windows, dropped)
         return self.continued(replace(found, settings=settings), windows, x, states)
 
-    def continued(self, found: Fitted, windows: list[Window], x: Array, states: list[Array]) -> Fitted:
-        """Return a fit of these windows from x and states, which continues the history of another."""
-        stage = {"window": found.settings["window"], "stage": 0, "stages": 1}
-        now = self.fit(windows, x, states, with_entries(self.report, stage), enough=None)
-        history = found.fit.history + tuple(entry | stage for entry in now.history)
-        return replace(found, fit=replace(now, history=history), windows=windows)
+    def continued(self, found: Basis, windows: list[Window], x: Array, states: list[Array]) -> Basis:
+        """Return a fit of these windows from x and states, which continues the history of another.
 
-    def other_starts(self, best: Fitted, starts: Sequence[Array]) -> Iterator[Fitted]:
-        """Yield the best fit so far after each of other `starts`, as long as it is bad.
+        Raises Interrupted or OutOfTime if it was ended early: what it continues is worth more.
+        """
+        stage = {"window": found.settings["window"], "stage": 0, "stages": 1}
+        heard = with_entries(self.report, stage)
+        now = fit(found.plant, windows, x, states, loss=self.loss, budget=self.budget, report=heard)
+        self.budget.check()
+        now = replace(now, history=found.fit.history + tuple(entry | stage for entry in now.history))
+        return Basis.begun(found.plant, windows, now, self.usual, found.settings)
+
+    def other_starts(self, best: Basis, starts: Sequence[Array]) -> Iterator[Basis]:
+        """Yield the best fit so far from each of other `starts`, as long as it is bad.
 
         From each first with the states of the best fit, which have followed the data, then with states that are fitted
         to that start, window after window, so that no start is lost by bad states.
@@ -268,74 +239,61 @@ class MultiStart:
             every, states = dict.fromkeys(range(len(best.windows)), np.inf), list(best.fit.states)
             if search and len(self.search_states(best.windows, x, states, every, self.loss)) < len(every):
                 continue
-            try:
-                tried = self.settled(best.windows, x, states, with_entries(self.report, entry))
-            except InvalidInput:
-                continue
-            costs.append(tried.cost)
-            found = replace(best.fit, status=tried.status)
-            if tried.cost < found.cost:
-                history = tuple(each | entry for each in tried.history)
-                found = replace(tried, history=found.history + history)
-            agree = sum(cost <= SAME_COST * found.cost for cost in costs)
-            best = replace(best, fit=found, settings=best.settings | {"starts": len(costs), "starts_agree": agree})
-            yield best
-            if tried.status is not None:
-                break
+            before = best.fit
+            with suppress(InvalidInput):
+                for tried in self.settled(best.windows, x, states, with_entries(self.report, entry)):
+                    found = replace(before, status=tried.status)
+                    if tried.cost < before.cost:
+                        found = replace(tried, history=before.history + tuple(each | entry for each in tried.history))
+                    agree = sum(cost <= SAME_COST * found.cost for cost in (*costs, tried.cost))
+                    about = {"starts": len(costs) + 1, "starts_agree": agree}
+                    best = replace(best, fit=found, settings=best.settings | about)
+                    yield best
+                costs.append(tried.cost)
 
-    def settled(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report) -> Fit:
-        """Fit all windows, again from other states of those that fit badly, as long as that gains.
+    def settled(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report) -> Iterator[Fit]:
+        """Yield fits of all windows, again from other states of those that fit badly, as long as that gains.
 
         Where shapes look alike, a window whose shape was taken for its mirror image would spoil x in a fit of all
         windows, and with a wrong x the mirror image may fit better: so x is fitted to the windows that fit first.
         """
-        begun, status = (x, states), None
-        with stoppable() as stop:
-            for _ in range(TURNS * self.ambiguous):
-                values, least = self._costs(windows, x, states)
-                fitting = np.flatnonzero((values <= least) & np.isfinite(values)).tolist()
-                if not self._enough([windows[k] for k in fitting]):
-                    break
-                seen, known = [windows[k] for k in fitting], [states[k] for k in fitting]
-                some = self.fit(seen, x, known, report, enough=HARDLY, rounds=SHORT)
-                x, states = some.x, list(states)
-                for k, state in zip(fitting, some.states, strict=True):
-                    states[k] = state
-                status = some.status
-                if status is not None:
-                    break
-                values, least = self._costs(windows, x, states)
-                amiss = {
-                    k: values[k] * windows[k].values + windows[k].prior_cost(states[k])
-                    for k in np.flatnonzero(values > min(least, AMISS)).tolist()
-                }
-                if not self.search_states(windows, x, states, amiss, self.loss, thorough=True):
-                    break
-        status = stop.status or status
-        how: dict[str, Any] = {} if status is None else {"rounds": 0}  # what there is, of all windows
+        begun = x, states
+        for _ in range(TURNS * self.ambiguous):
+            values, least = self._costs(windows, x, states)
+            if np.isfinite(values).all():  # what there is, of all windows
+                yield self.fit(windows, x, states, report, rounds=0)
+            fitting = np.flatnonzero((values <= least) & np.isfinite(values)).tolist()
+            if not self._enough([windows[k] for k in fitting]):
+                break
+            seen, known = [windows[k] for k in fitting], [states[k] for k in fitting]
+            some = self.fit(seen, x, known, report, enough=HARDLY, rounds=SHORT)
+            x, states = some.x, list(states)
+            for k, state in zip(fitting, some.states, strict=True):
+                states[k] = state
+            if some.status is not None:
+                yield replace(self.fit(windows, x, states, report, rounds=0), status=some.status)
+            values, least = self._costs(windows, x, states)
+            amiss = _beyond(windows, states, values, min(least, AMISS))
+            if not self.search_states(windows, x, states, amiss, self.loss):
+                break
         try:
-            best = self.fit(windows, x, states, report, **how)
+            best = self.fit(windows, x, states, report)
         except InvalidInput:
-            best = self.fit(windows, *begun, report, **how)
-        best = replace(best, status=status or best.status)
-        with stoppable() as stop:
-            while best.status is None:
-                loss, states = best.loss, list(best.states)
-                squares = [loss.cost(each) for each in best.residuals]
-                costs = np.array(squares) / [window.values for window in windows]
-                limit = min(float(np.median(costs)), np.inf if self.measured.channels.noise is None else 1.0)
-                before = {
-                    k: squares[k] + windows[k].prior_cost(states[k])
-                    for k in np.flatnonzero(costs > WORSE * limit).tolist()
-                }
-                if not self.search_states(windows, best.x, states, before, loss, thorough=self.ambiguous):
-                    break
-                again = self.fit(windows, best.x, states, report)
-                if again.cost >= best.cost:
-                    best = replace(best, status=again.status)
-                    break
-                best = replace(again, history=best.history + again.history)
-        return replace(best, status=best.status or stop.status)
+            best = self.fit(windows, *begun, report)
+        yield best
+        while True:
+            loss, states = best.loss, list(best.states)
+            costs = np.array(list(map(loss.cost, best.residuals))) / [window.values for window in windows]
+            limit = min(float(np.median(costs)), np.inf if self.measured.channels.noise is None else 1.0)
+            before = _beyond(windows, states, costs, WORSE * limit)
+            if not self.search_states(windows, best.x, states, before, loss):
+                return
+            again = self.fit(windows, best.x, states, report)
+            if again.cost >= best.cost:
+                yield replace(best, status=again.status)
+                return
+            best = replace(again, history=best.history + again.history)
+            yield best
 
     def _costs(self, windows: Sequence[Window], x: Array, states: list[Array]) -> tuple[Array, float]:
         """Return the mean square of each window's values (W,), inf without a rollout, and the most of one that fits."""
@@ -346,35 +304,20 @@ class MultiStart:
         return values, AMISS * float(np.sort(values)[int(BETTER_PART * len(values))])
 
     def search_states(
-        self,
-        windows: Sequence[Window],
-        x: Array,
-        states: list[Array],
-        before: dict[int, float],
-        loss: Loss,
-        *,
-        thorough: bool = False,
+        self, windows: Sequence[Window], x: Array, states: list[Array], before: dict[int, float], loss: Loss
     ) -> set[int]:
         """Put states that cost clearly less in place of those of windows, given by number with their costs `before`.
 
-        Return the numbers of those found. `thorough`: after the first of the usual states all of them are fitted to a
-        window's first samples, then to more and more of it. A state of which a value costs no more than AMISS ends
-        that search.
+        Return the numbers of those found.
         """
         found: set[int] = set()
         for k, least in before.items():
-            least, window = least / SAME_COST, windows[k]
-            usual = list(restart_states(self.plant, windows, x, states, k))
-            for grow in (False, True)[: 1 + thorough]:
-                self.budget.check()
-                starts = _grown(self.plant, x, window, usual, loss) if grow else usual[: 1 if thorough else None]
-                best = fit_state(self.plant, x, window, *starts, loss=loss, enough=HARDLY)
-                if best is None or (cost := loss.cost(best[1]) + window.prior_cost(best[0])) >= least:
-                    continue
-                states[k], least = best[0], cost
+            self.budget.check()
+            starts, window = restart_states(self.plant, windows, x, states, k), windows[k]
+            best = fit_state(self.plant, x, window, *starts, loss=loss, enough=HARDLY)
+            if best is not None and loss.cost(best[1]) + window.prior_cost(best[0]) < least / SAME_COST:
+                states[k] = best[0]
                 found.add(k)
-                if thorough and cost <= AMISS * window.values:
-                    break
         return found
 
     def _enough(self, windows: Sequence[Window]) -> bool:
@@ -419,18 +362,10 @@ class MultiStart:
         return kept, states
 
 
-def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Loss) -> list[Array]:
-    """Return states (2n,) fitted to the first samples of a window, then to twice as many; those that end alike once."""
-    size = window.t.size / FIRST
-    while size < window.t.size:
-        seen, grown = window.first(max(FEWEST_SAMPLES, int(size))), list[Array]()
-        for state in states:
-            found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT, enough=HARDLY)
-            end = state if found is None else found[0]
-            if all(np.abs(end - other).max() > SAME_STATE for other in grown):
-                grown.append(end)
-        states, size = grown, 2.0 * size
-    return states
+def _beyond(windows: Sequence[Window], states: Sequence[Array], values: Array, limit: float) -> dict[int, float]:
+    """Return what windows cost of which a value (W,) costs more than `limit`, by number."""
+    which = np.flatnonzero(values > limit).tolist()
+    return {k: values[k] * windows[k].values + windows[k].prior_cost(states[k]) for k in which}
 
 
 def restart_states(

@@ -2,30 +2,32 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.budget import DEFAULT_TIME, Budget, OutOfTime, one_thread
+from hyperflex.budget import DEFAULT_TIME, Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput, listed
 from hyperflex.identification.declarations.channels import channel_faults
-from hyperflex.identification.declarations.evidence import evidence
-from hyperflex.identification.declarations.faults import faults
+from hyperflex.identification.declarations.faults import evidence, faults
 from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES, as_free
 from hyperflex.identification.declarations.link_test import link_test
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
 from hyperflex.identification.declarations.score_tests import (
     TESTING,
+    Scatter,
     Scores,
     ScoreTest,
+    drift_test,
     hidden_tests,
+    scatter_test,
     score_tests,
 )
-from hyperflex.identification.declarations.window_tests import Scatter, drift_test, scatter_test
 from hyperflex.identification.findings import Finding, Kind, Severity, ordered, text
 from hyperflex.identification.fit import POOR, Loss, Report, part_left, residuals_of
 from hyperflex.identification.measurements import (
@@ -38,17 +40,14 @@ from hyperflex.identification.measurements import (
     with_torque,
 )
 from hyperflex.identification.model import ANGLES, CONSTANT, Parameters, Plant, extended
-from hyperflex.identification.multi_start import WHOLE, WORSE, Fitted, MultiStart, search_delay, with_delay
+from hyperflex.identification.multi_start import WHOLE, WORSE, MultiStart, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
 from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms, without_unexplained
 from hyperflex.identification.uncertainty.covariance import (
     Basis,
-    Information,
     Interval,
-    estimate_covariance,
-    fit_information,
     of_ratios,
     ratio_spread,
     ratios,
@@ -152,18 +151,15 @@ def identify(
     driven = setup.motion is not None or setup.drives
     faulty = faults(checks.instance("recording", recording, Recording), driven=driven)
     with _refused(faulty):
-        measured, places = checked_measurements(recording, rope_guess, setup)
+        measured = checked_measurements(recording, rope_guess, setup)
         fitted, rest = split(measured, options, setup.arc_lengths)
         check_excitation(fitted.channels, fitted.shape, rope_guess, moved=driven)
     seen = fitted
     if setup.torque is not None and not setup.drives:
-        seen = split(with_torque(measured, setup.torque, setup.torque_noise), options, setup.arc_lengths)[0]
+        seen = split(with_torque(measured, setup), options, setup.arc_lengths)[0]
     with rounds_shown(progress) as report:
-        case = _Case(recording, rope_guess, setup, options, faulty, seen, fitted, rest, places, budget, report)
-        result = case.solve(free)
-    if result.status is Status.INTERRUPTED:
-        raise Interrupted(result)
-    return result
+        case = _Case(recording, rope_guess, setup, options, faulty, seen, fitted, rest, budget, report)
+        return case.solve(free)
 
 
 @contextmanager
@@ -198,34 +194,48 @@ def rounds_shown(show: bool | Report) -> Iterator[Report]:
         yield show if callable(show) else draw
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
-    """A fit with what was free in it: of noise alone (`plain`), and with all that its deviations count.
+    """A fit with what was free in it, and what is known of it so far.
 
-    Then the settings that it used, its fit of the shortest windows, why fit or tests ended early, its score tests, and
-    how its windows agree.
+    plain: the fit, with deviations of noise alone. std (4,): of the scales that were declared. choice: how what is free
+    was chosen, if nobody did. first: its fit of the shortest windows. spread: covariance by which windows disagree.
     """
 
     free: list[str]
     plain: Basis
-    basis: Basis
-    settings: dict[str, Any]
-    first: Fitted
-    ended: Status | None = None
+    std: Array
+    choice: dict[str, Any]
+    first: Basis | None = None
     tests: tuple[ScoreTest, ...] = ()
     scores: Scores | None = None
     scatter: tuple[Scatter, ...] = ()
+    spread: Array | None = None
+    held_out: HeldOut | None = None
+    ranges: dict[str, Interval] | None = None
+    remarks: Sequence[Finding] = ()
+    found: Sequence[Finding] = ()
+
+    @cached_property
+    def basis(self) -> Basis:
+        """The fit with all that its deviations count."""
+        basis = with_model_error(self.plain, self.tests, self.std, self.spread) if self.tests else self.plain
+        return basis if self.held_out is None else with_prediction_error(basis, self.held_out.understated)
 
     @property
-    def complete(self) -> bool:
-        """Whether it converged, and was not ended early."""
-        return self.plain.fit.converged and self.ended is None
+    def ended(self) -> Status | None:
+        """Why it ended early."""
+        return self.plain.fit.status
+
+    def stopped(self, status: Status | None) -> "Trial":
+        """Return the same, ended early."""
+        return replace(self, plain=replace(self.plain, fit=replace(self.plain.fit, status=status)))
 
 
-def _with_drift(trial: Trial) -> tuple[ScoreTest, ...]:
+def _with_drift(trial: Trial, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
     """Return the tests of a fit and that of a drifting clock, the greatest gain first."""
-    tests = (*trial.tests, *drift_test(trial.plain, trial.scores, trial.tests))
-    return tuple(sorted(tests, key=lambda each: -each.gain))
+    every = (*tests, *drift_test(trial.plain, trial.scores, tests))
+    return tuple(sorted(every, key=lambda each: -each.gain))
 
 
 def first_choice(guess: Rope, *, torque: bool = False) -> list[str]:
@@ -245,8 +255,8 @@ def first_choice(guess: Rope, *, torque: bool = False) -> list[str]:
 class _Case:
     """What is to be identified.
 
-    seen and rest are the measurements to fit and those held out, untorqued those to fit without torque; places are the
-    markers' arc lengths, faulty what the recording shows by itself.
+    seen and rest are the measurements to fit and those held out, untorqued those to fit without torque; faulty what
+    the recording shows by itself.
     """
 
     recording: Recording
@@ -257,90 +267,103 @@ class _Case:
     seen: Measurements
     untorqued: Measurements
     rest: Measurements | None
-    places: Array | None
     budget: Budget
     report: Report
+    began: float = field(default_factory=time.monotonic)
 
     def solve(self, free: Sequence[str] | None) -> Identification:
         """Return the result, or the best of it within the time: what was fitted is worth more than its tests."""
-        began = time.monotonic()
-        try:
-            trial, chosen = self.choose() if free is None else (self.fit(free), [])
-        except OutOfTime:
+        trial: Trial | None = None
+        with stoppable() as stop:
+            for trial in self.trials(free):
+                if trial.ended is not None:
+                    break
+        if trial is None:
+            if stop.received:
+                raise Interrupted
             raise IdentificationError(
                 f"The time budget was over before anything was fitted to {self.seen.channels.t.size} samples. "
                 "Allow more (time_budget=...), give a part of the recording, or check its unit and its noise."
-            ) from None
-        stds = self.options.scale_std
-        ranges: dict[str, Interval] | None = None
-        held_out: HeldOut | None = None
-        remarks, found, doubts = list[Finding](), list[Finding](), list[Finding]()
-
-        def shown() -> list[Finding]:
-            return symptoms(trial.basis, trial.tests, trial.scatter, held_out, self._settings(trial, began))
-
-        if trial.tests:
-            trial = replace(trial, basis=with_model_error(trial.plain, trial.tests, stds))
-        with stoppable() as stop:
-            if trial.ended is None:
-                if trial.tests:
-                    self.budget.check()
-                    tests = self._tests(trial)
-                    tests = (*tests, *link_test(trial.plain, tests))
-                    scatter, covariance = scatter_test(trial.plain, trial.scores)
-                    basis = with_model_error(trial.plain, tests, stds, covariance if scatter else None)
-                    trial = replace(trial, basis=basis, tests=tests, scatter=scatter)
-                if self.rest is not None:
-                    held_out = predict(trial.basis, self.rest, self.options, self.budget, trial.settings["decimation"])
-                if held_out is not None and held_out.understated > 1.0:
-                    trial = replace(trial, basis=with_prediction_error(trial.basis, held_out.understated))
-                ranges = self._intervals(trial, remarks)
-                self.budget.check()
-                with deferred():
-                    found = shown()
-                doubts = self._mistakes(trial, found)
-                if self.faulty and any(each.severity is Severity.WRONG for each in found):  # which follows from that
-                    found = [each for each in found if each.severity is Severity.NOTE]
-        trial = replace(trial, ended=trial.ended or stop.status)
+            )
+        trial = trial.stopped(trial.ended or stop.status)
+        if trial.ended is not None and not trial.plain.information.estimated:
+            with stoppable():
+                trial = replace(trial, plain=trial.plain.estimated())
         with deferred():
             if trial.ended is not None:
-                found = shown()
+                found = self._symptoms(trial)
                 if trial.plain.fit.converged:
                     found.insert(0, Finding(Kind.NOT_FINISHED, Severity.LIMIT, {"ended": trial.ended}))
-                ranges = stop.partial if isinstance(stop.partial, dict) else ranges or self._intervals(trial, remarks)
-            findings = without_unexplained([*chosen, *found, *doubts, *remarks])
-            return _result(trial, held_out, self._settings(trial, began), ranges, findings)
+                ranges = trial.ranges or next(self._intervals(trial), (None, ()))[0]
+                trial = replace(trial, found=found, ranges=ranges)
+            result = self._result(trial)
+        if trial.ended is Status.INTERRUPTED:
+            raise Interrupted(result)
+        return result
 
-    def choose(self) -> tuple[Trial, list[Finding]]:
-        """Return the fit with parameters chosen one by one, and the choice as a finding.
+    def trials(self, free: Sequence[str] | None) -> Iterator[Trial]:
+        """Yield ever better fits, with ever more that is known of them; the last one yielded counts."""
+        for trial in self.fits(free, {}) if free is not None else self.chosen():
+            yield trial
+        if trial.tests:
+            self.budget.check()
+            known = [each for each in trial.tests if each.name != DRIFT]
+            tests = _with_drift(trial, hidden_tests(trial.plain, known, self.budget))
+            tests = (*tests, *link_test(trial.plain, tests))
+            scatter, spread = scatter_test(trial.plain, trial.scores)
+            trial = replace(trial, tests=tests, scatter=scatter, spread=spread if scatter else None)
+            yield trial
+        if self.rest is not None:
+            step = trial.plain.settings["decimation"]
+            trial = replace(trial, held_out=predict(trial.basis, self.rest, self.options, self.budget, step))
+            yield trial
+        for ranges, remarks in self._intervals(trial):
+            trial = replace(trial, ranges=ranges, remarks=remarks)
+            yield trial
+        self.budget.check()
+        found = self._symptoms(trial)
+        doubts = self._mistakes(trial, found)
+        if self.faulty and any(each.severity is Severity.WRONG for each in found):  # which follows from that
+            found = [each for each in found if each.severity is Severity.NOTE]
+        yield replace(trial, found=[*found, *doubts])
+
+    def _symptoms(self, trial: Trial) -> list[Finding]:
+        return symptoms(trial.basis, trial.tests, trial.scatter, trial.held_out, self._settings(trial))
+
+    def chosen(self) -> Iterator[Trial]:
+        """Yield fits with parameters chosen one by one.
 
         What the score tests of a fit require is freed as well, as long as that makes a fit that converges: of what
-        explains the same, to EQUAL, the first of ALLOWED. An interrupted fit is the last.
+        explains the same, to EQUAL, the first of ALLOWED.
         """
-        trial, added = self.fit(first_choice(self.guess, torque=self.setup.torque is not None)), dict[str, float]()
-        usual, rivals = trial.free, list[str]()
+        usual = first_choice(self.guess, torque=self.setup.torque is not None)
+        added, rivals = dict[str, float](), list[str]()
+        for trial in self.fits(usual, {"usual": usual, "added": added, "rivals": rivals}):
+            yield trial
         for _ in range(MOST):
             mistaken = [each.gain for each in trial.tests if each.significant and each.name in (DRIFT, ANGLES)]
             least = max((gain + TESTING.equal for gain in mistaken), default=0.0)
             required = [each for each in trial.tests if self._required(each, trial.free) and each.gain > least]
-            if not required or not trial.complete or com_moved(trial.plain):
-                break
+            if not required or not trial.plain.fit.converged or com_moved(trial.plain):
+                return
             if channel_faults(trial.plain, self.recording, trial.tests, self.budget):
-                break  # a fault of the recording explains more
+                return  # a fault of the recording explains more
             equals = [each for each in required if each.gain > required[0].gain - TESTING.equal]
             chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
-            richer: Trial | None = None
-            with stoppable() as stop, suppress(InvalidInput, IdentificationError):
-                richer = self.fit(_with_word(trial.free, chosen.name), trial)
-            if richer is None or not richer.complete:  # what has converged and was tested is worth more
-                trial = replace(trial, ended=stop.status if richer is None else richer.ended)
-                break
-            trial = richer
-            added[chosen.name] = chosen.gain
+            added = added | {chosen.name: chosen.gain}
             if chosen.name == "com" and _declared_com(self.guess):
-                rivals += [each.name for each in equals if each.law]
-        values = {"usual": usual, "added": added, "rivals": listed(as_free(rivals))}
-        return trial, [Finding(Kind.CHOSEN, Severity.DOUBT if rivals else Severity.NOTE, values)]
+                rivals = rivals + [each.name for each in equals if each.law]
+            choice, richer = {"usual": usual, "added": added, "rivals": rivals}, trial
+            try:
+                for richer in self.fits(_with_word(trial.free, chosen.name), choice, trial):
+                    if richer.ended is not None:  # what has converged and was tested is worth more
+                        yield trial.stopped(richer.ended)
+            except (InvalidInput, IdentificationError):
+                return
+            if not richer.plain.fit.converged:
+                return
+            trial = richer
+            yield trial
 
     def _required(self, test: ScoreTest, free: Sequence[str]) -> bool:
         name = test.name.partition(":")[0]
@@ -348,111 +371,97 @@ class _Case:
             return False  # of a factor on a guess that is not alike, or on nothing
         return test.significant and name in ALLOWED and not test.freed_with and (name != "com" or test.matters)
 
-    def fit(self, free: Sequence[str], before: Trial | None = None) -> Trial:
-        """Return the fit of these parameters, its covariance (of noise alone) and score tests.
+    def fits(self, free: Sequence[str], choice: dict[str, Any], before: Trial | None = None) -> Iterator[Trial]:
+        """Yield fits of these parameters, the last with its covariance (of noise alone) and score tests.
 
         A good fit `before` that lacks the last of them alone is continued.
         """
-        shape, loss = self.seen.shape, Loss(self.options.loss)
-        plant = build_plant(self.recording, self.guess, free, self.places, self.setup, self.options.torque_std)
+        shape, loss, delay = self.seen.shape, Loss(self.options.loss), {}
+        plant = build_plant(self.recording, self.guess, free, self.setup, self.options.torque_std)
         usual = usual_length(shape, self.guess)
-        delay = {}
         if "delay" in free:
             delay["delay_from"] = search_delay(replace(plant, torque=False), self.untorqued, usual, loss, self.budget)
             plant = with_delay(plant, delay["delay_from"])
         wanted = usual if self.options.window is None else self.options.window
         length = min(wanted, WHOLE * self.seen.channels.duration)
         search = MultiStart(plant, self.seen, length, usual, loss, self.budget, self.report)
-        search, found = self._with_com(search, self._continued(search, free, before) or search.best())
-        first = found
-        information, ended = fit_information(search.plant, found.windows, found.fit)
-        if self.options.window is None:
-            search, found, information, ended = self._lengthened(search, found, information, ended)
-        basis = Basis(search.plant, found.windows, found.fit, information, usual)
-        trial = Trial(list(free), basis, basis, found.settings | delay, first, ended)
-        with stoppable() as stop:
-            if trial.complete and not (self.faulty and search.is_bad(found.windows, found.fit)):  # nothing to test
-                angles = self.recording.kind == "angles"
-                tests, scores = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
-                trial = replace(trial, tests=tests, scores=scores)
-                trial = replace(trial, tests=_with_drift(trial))
-        return replace(trial, ended=ended or stop.status)
+        continued = self._continued(search, free, before)
+        for found in search.fits() if continued is None else [continued]:
+            found = replace(found, settings=found.settings | delay)
+            trial = Trial(list(free), found, self.options.scale_std, choice)
+            yield trial
+        found = self._with_com(search, found)
+        trial = replace(trial, first=found, plain=found.estimated(self.budget))
+        yield trial
+        for longer in self._lengthened(search, trial.plain) if self.options.window is None else ():
+            trial = replace(trial, plain=longer)
+            yield trial
+        plain = trial.plain
+        if plain.fit.converged and not (self.faulty and search.is_bad(plain.windows, plain.fit)):  # nothing to test
+            tests, scores = score_tests(plain, self.options.gravity_std, self.budget)
+            trial = replace(trial, scores=scores)
+            yield replace(trial, tests=_with_drift(trial, tests))
 
-    def _tests(self, trial: Trial) -> tuple[ScoreTest, ...]:
-        """Return all tests of the chosen fit, those included that show only where others are free as well."""
-        tests = [each for each in trial.tests if each.name != DRIFT]
-        angles = self.recording.kind == "angles"
-        return _with_drift(replace(trial, tests=hidden_tests(trial.plain, tests, angles=angles, budget=self.budget)))
-
-    def _continued(self, search: MultiStart, free: Sequence[str], before: Trial | None) -> Fitted | None:
+    def _continued(self, search: MultiStart, free: Sequence[str], before: Trial | None) -> Basis | None:
         """Return the continued fit, or None where a fit has to begin anew."""
-        if before is None or before.free != free[:-1] or free[-1] == "delay":
+        if before is None or before.first is None or before.free != free[:-1] or free[-1] == "delay":
             return None
         first, labels, parameters = before.first, before.plain.plant.parameters.labels, search.plant.parameters
         known = dict(zip(labels, first.fit.x.tolist(), strict=False))  # others may have been added later
         x = [known.get(each.label, each.first) for each in parameters.all]
-        found = search.continued(first, first.windows, np.array(x), first.fit.states)
-        bad = search.is_bad(found.windows, found.fit) or not found.fit.converged
-        return None if bad and found.fit.status is None else found
+        found = search.continued(replace(first, plant=search.plant), first.windows, np.array(x), first.fit.states)
+        return None if search.is_bad(found.windows, found.fit) or not found.fit.converged else found
 
-    def _lengthened(
-        self, search: MultiStart, found: Fitted, information: Information, ended: Status | None
-    ) -> tuple[MultiStart, Fitted, Information, Status | None]:
-        """Return the fit of longer windows, as long as these can be followed, and its search.
+    def _lengthened(self, search: MultiStart, found: Basis) -> Iterator[Basis]:
+        """Yield fits of ever longer windows, as long as these can be followed.
 
         A state that is common to a longer time leaves more of the motion to the parameters: a phase, above all. Where
         errors grow fast, longer windows tell less; where the model is not right for so long, residuals grow. Those of a
         swing that has nearly ended are a large part of it, but white.
         """
-        most = WORSE * information.variance
+        most = WORSE * found.information.variance
 
-        def is_bad(fitted: Fitted, about: Information) -> bool:
-            return not about.white and search.is_bad(fitted.windows, fitted.fit)
+        def is_bad(fitted: Basis) -> bool:
+            return not fitted.information.white and search.is_bad(fitted.windows, fitted.fit)
 
-        with stoppable() as stop:
-            while ended is None and found.fit.converged and not is_bad(found, information):
-                longer = search.joined(found)
-                if longer is None:
-                    break
-                following, longer = self._with_com(search, longer)
-                ended = longer.fit.status  # what was interrupted is not finished
-                if not longer.fit.converged:
-                    break
-                more = estimate_covariance(following.plant, longer.windows, longer.fit, self.budget)
-                if is_bad(longer, more) or more.variance > most:
-                    break
-                search, found, information = following, longer, more
-        return search, found, information, ended or stop.status
+        while found.fit.converged and not is_bad(found) and (longer := search.joined(found)) is not None:
+            longer = self._with_com(search, longer)
+            if not longer.fit.converged:
+                return
+            found = longer.estimated(self.budget)
+            if is_bad(found) or found.information.variance > most:
+                return
+            yield found
 
-    def _with_com(self, search: MultiStart, found: Fitted) -> tuple[MultiStart, Fitted]:
-        """Return a search and its fit, with centres of mass free as well where no ratio of masses can follow the data.
+    def _with_com(self, search: MultiStart, found: Basis) -> Basis:
+        """Return a fit with centres of mass free as well where no ratio of masses can follow the data.
 
         A moment of inertia that would be negative stays at 0, as that of a point mass on a string. Then lengths or
         times that are off by less than was declared of them would look like another fault: that is the prior.
         """
-        plant, std = search.plant, self.options.gravity_std
-        if found.fit.status is not None or std == 0.0 or not _at_bounds(plant, found.fit.x):
-            return search, found
+        plant, std = found.plant, self.options.gravity_std
+        if std == 0.0 or not _at_bounds(plant, found.fit.x):
+            return found
         freed, x, groups = extended(plant, found.fit.x, ["com"])
-        loose = replace(search, plant=freed).continued(found, found.windows, x, found.fit.states)  # for the noise
+        loose = search.continued(replace(found, plant=freed), found.windows, x, found.fit.states)  # for the noise
         known = [replace(each, prior=std * self.guess.length[each.links[0]] / each.scale) for each in groups["com"]]
         parameters = Parameters(self.guess, [*plant.parameters.all, *known])
-        search = replace(search, plant=replace(plant, parameters=parameters))
-        return search, search.continued(loose, found.windows, loose.fit.x, loose.fit.states)
+        held = replace(loose, plant=replace(plant, parameters=parameters))
+        return search.continued(held, found.windows, loose.fit.x, loose.fit.states)
 
-    def _settings(self, trial: Trial, began: float) -> dict[str, Any]:
+    def _settings(self, trial: Trial) -> dict[str, Any]:
         """Return what was fitted and how."""
         setup, basis, fitted = self.setup, trial.basis, self.seen.channels
         tested = any(each.name == SCALES for each in trial.tests)  # else nothing counts what was declared
         stds = ["length_std", "clock_std", *(["torque_std"] if setup.torque is not None else [])]
         moved = "moved" if setup.arm is None else f"moved by an arm of {setup.arm.length:g} m"
         settings = {
-            **trial.settings,
+            **trial.plain.settings,
             **{name: getattr(self.options, name) * tested for name in stds},
             "fitted_from": float(fitted.t[0]),
             "fitted_to": float(fitted.t[-1]),
             "autocorrelation": basis.information.correlation,
-            "seconds": time.monotonic() - began,
+            "seconds": time.monotonic() - self.began,
             "free": trial.free,
             "loss": self.options.loss,
             "base": "fixed" if setup.motion is None else moved,
@@ -488,14 +497,68 @@ class _Case:
         fitted = trial.basis.plant.parameters.rope(trial.basis.fit.x)  # whose lengths may be free
         return [*(evidence(self.recording, fitted) if self.setup.arc_lengths is None else []), *said]
 
-    def _intervals(self, trial: Trial, remarks: list[Finding]) -> dict[str, Interval] | None:
+    def _intervals(self, trial: Trial) -> Iterator[tuple[dict[str, Interval], Sequence[Finding]]]:
         basis, how = trial.basis, self.options.intervals
         if how is None or not basis.information.estimated:
-            return None
+            return iter(())
         wrong = first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals, basis.fit.loss) > POOR
-        if not trial.complete or (how == "auto" and wrong):
+        if trial.ended is not None or not basis.fit.converged or (how == "auto" and wrong):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
-        return all_intervals(basis, how, remarks=remarks, budget=self.budget, report=self.report)
+        return all_intervals(basis, how, self.budget, self.report)
+
+    def _result(self, trial: Trial) -> Identification:
+        """Return the result of a fit. Intervals of the ratios join those of the parameters."""
+        basis = trial.basis
+        plant, information, found = basis.plant, basis.information, basis.fit
+        parameters = plant.parameters
+        x = parameters.rounded(found.x)
+        rope, slopes, residuals = parameters.rope(x), parameters.derivatives(x), residuals_of(basis.windows, found)
+        # a camera that is not level is none of the rope's properties
+        rope = rope.replace(gravity=parameters.guess.gravity * parameters.single("gravity_scale", x, held=1.0))
+        torque = None
+        if plant.motor is not None:
+            residuals, torque = residuals[:, :-1], residuals[:, -1]
+        known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
+        covariance, by_length = information.covariances(slopes)
+        intervals = trial.ranges or {}
+        if trial.ranges is not None:
+            declared = ratio_spread(parameters, information.declared, model=True)
+            intervals = trial.ranges | of_ratios(known, ratio_std, declared, information.freedom)
+        result = Identification(
+            rope=rope,
+            values=_by_name(plant, rope, parameters.values(x)),
+            std=_by_name(plant, None, information.deviations(slopes)),
+            ratios=known,
+            ratio_std=ratio_std,
+            model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
+            ratio_model_std=ratio_spread(parameters, information, model=True),
+            intervals=intervals,
+            findings=(),
+            score_tests=trial.tests,
+            residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
+            residual_t=np.concatenate([w.t for w in basis.windows]),
+            residuals=residuals,
+            fitted=np.concatenate([w.y for w in basis.windows])[:, : residuals.shape[1]] - residuals,
+            held_out=trial.held_out,
+            starts=np.array([each.start for each in parameters.all]),
+            parameters=parameters.labels,
+            covariance=covariance,
+            length_covariance=by_length,
+            singular_values=information.singular,
+            settings=self._settings(trial),
+            converged=found.converged,
+            ended=trial.ended,
+            unit="rad" if isinstance(plant.sensor, Angles) else "m",
+            history=found.history,
+            torque_residuals=torque,
+            _basis=basis,
+        )
+        held = [Finding(Kind.HELD_VALUES, Severity.NOTE, {"names": list(result.held)})] if result.held else []
+        choice = trial.choice | {"rivals": listed(as_free(trial.choice.get("rivals", ())))}
+        severity = Severity.DOUBT if choice["rivals"] else Severity.NOTE
+        chosen = [Finding(Kind.CHOSEN, severity, choice)] if trial.choice else []
+        findings = without_unexplained([*chosen, *trial.found, *trial.remarks])
+        return replace(result, findings=ordered([*findings, *held]))
 
 
 def _at_bounds(plant: Plant, x: Array) -> bool:
@@ -518,62 +581,6 @@ def _with_word(free: Sequence[str], word: str) -> list[str]:
     if parts is None or f"{name}:shared" not in free:
         return [*free, word]
     return [*[each for each in free if each != f"{name}:shared"], *parts]
-
-
-def _result(
-    trial: Trial,
-    held_out: HeldOut | None,
-    settings: dict[str, Any],
-    intervals: dict[str, Interval] | None,
-    findings: list[Finding],
-) -> Identification:
-    """Return the result of a fit. Intervals of the ratios join those of the parameters."""
-    basis = trial.basis
-    plant, information, found = basis.plant, basis.information, basis.fit
-    parameters = plant.parameters
-    x = parameters.rounded(found.x)
-    rope, slopes, residuals = parameters.rope(x), parameters.derivatives(x), residuals_of(basis.windows, found)
-    # a camera that is not level is none of the rope's properties
-    rope = rope.replace(gravity=parameters.guess.gravity * parameters.single("gravity_scale", x, held=1.0))
-    torque = None
-    if plant.motor is not None:
-        residuals, torque = residuals[:, :-1], residuals[:, -1]
-    known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
-    covariance, by_length = information.covariances(slopes)
-    if intervals is not None:
-        declared = ratio_spread(parameters, information.declared, model=True)
-        intervals = intervals | of_ratios(known, ratio_std, declared, information.freedom)
-    result = Identification(
-        rope=rope,
-        values=_by_name(plant, rope, parameters.values(x)),
-        std=_by_name(plant, None, information.deviations(slopes)),
-        ratios=known,
-        ratio_std=ratio_std,
-        model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
-        ratio_model_std=ratio_spread(parameters, information, model=True),
-        intervals=intervals or {},
-        findings=(),
-        score_tests=trial.tests,
-        residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
-        residual_t=np.concatenate([w.t for w in basis.windows]),
-        residuals=residuals,
-        fitted=np.concatenate([w.y for w in basis.windows])[:, : residuals.shape[1]] - residuals,
-        held_out=held_out,
-        starts=np.array([each.start for each in parameters.all]),
-        parameters=parameters.labels,
-        covariance=covariance,
-        length_covariance=by_length,
-        singular_values=information.singular,
-        settings=settings,
-        converged=found.converged,
-        ended=trial.ended,
-        unit="rad" if isinstance(plant.sensor, Angles) else "m",
-        history=found.history,
-        torque_residuals=torque,
-        _basis=basis,
-    )
-    held = [Finding(Kind.HELD_VALUES, Severity.NOTE, {"names": list(result.held)})] if result.held else []
-    return replace(result, findings=ordered([*findings, *held]))
 
 
 def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:

@@ -11,7 +11,7 @@ from hyperflex.identification.fit import NORMAL, Loss, Window, averaged, fit_sta
 from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
 from hyperflex.identification.model import Plant
 from hyperflex.identification.options import FitOptions
-from hyperflex.identification.uncertainty.covariance import LEVEL, Basis
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Information
 
 BAND = NormalDist().inv_cdf(0.5 * (1.0 + LEVEL))  # standard deviations on either side that hold 95 %
 # part of the values within the 95 % band: fewer are there where deviations are 2.9 times too small
@@ -128,8 +128,8 @@ def predict(basis: Basis, measured: Measurements, options: FitOptions, budget: B
     begin, end, measured = measured.channels.t[0], measured.channels.t[-1], measured.merged(step)
     recording, angles = measured.channels, measured.shape.data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
-    uncertainty = prediction_uncertainty(basis, data.shape[1])
-    size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), float(np.finfo(float).eps))
+    noise = channel_noise(basis, data.shape[1])
+    size = max(float(np.sqrt(np.mean(noise**2))), float(np.finfo(float).eps))
     predictions = []
     for start in np.arange(begin + lead, end - ahead + slack, ahead):
         budget.check()
@@ -147,7 +147,7 @@ def predict(basis: Basis, measured: Measurements, options: FitOptions, budget: B
             y, std = np.full_like(data[after], np.inf), np.full_like(data[after], np.nan)
         else:
             y = averaged(y[1:], t[after], spreads[1])
-            std = prediction_std(plant, x, window, found, t[after], uncertainty)
+            std = prediction_std(plant, basis.information, window, found, t[after], noise)
         predictions.append((t[after], data[after], y, std, _rms(y - data[after]), float(start)))
     if not predictions:
         return None
@@ -164,49 +164,33 @@ def _rms(error: Array) -> Array:
         return np.asarray(np.sqrt((np.where(known, error, 0.0) ** 2).sum(axis=0) / known.sum(axis=0)))
 
 
-@dataclass(frozen=True)
-class PredictionUncertainty:
-    """Uncertainty that a fit leaves.
-
-    covariance (P, P): of x. noise (C,): standard deviation of the residuals of each channel, rad or m. correlation:
-    their autocorrelation time, samples.
-    """
-
-    covariance: Array
-    noise: Array
-    correlation: float
-
-
-def prediction_uncertainty(basis: Basis, channels: int) -> PredictionUncertainty:
-    """Return the uncertainty of the first `channels`; residuals are weighted by the loss of the fit."""
+def channel_noise(basis: Basis, channels: int) -> Array:
+    """Return the standard deviation (C,) of the residuals of the first `channels`, weighted by the loss of the fit."""
     errors = residuals_of(basis.windows, basis.fit)
     counts = basis.fit.loss.weight(np.concatenate(basis.fit.residuals)).reshape(errors.shape) ** 2
     counted = np.sum(counts * ~np.isnan(errors), axis=0)
-    noise = np.sqrt(np.nansum(counts * errors**2, axis=0) / np.maximum(counted, 1e-300))[:channels]
-    return PredictionUncertainty(basis.information.total, noise, basis.information.correlation)
+    return np.asarray(np.sqrt(np.nansum(counts * errors**2, axis=0) / np.maximum(counted, 1e-300))[:channels])
 
 
 def prediction_std(
-    plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t: Array, uncertainty: PredictionUncertainty
+    plant: Plant, about: Information, window: Window, found: tuple[Array, Array], t: Array, noise: Array
 ) -> Array:
     """Return the standard deviation (m, C) of measured less predicted samples at times t (m,), s, to first order.
 
-    `found` is the state (2n,) fitted at ``window.t[0]`` and its residual (k C,). An error of the parameters x (P,)
-    acts directly and by the fitted state; the noise of the window acts by the state, its variance times the
-    autocorrelation time. Chaotic motion soon leaves the first order. NaN where derivatives fail.
+    `found` is the state (2n,) fitted at ``window.t[0]`` and its residual (k C,), `noise` (C,) that of the values. An
+    error of the parameters acts directly and by the fitted state; the noise of the window acts by the state, its
+    variance times the autocorrelation time. Chaotic motion soon leaves the first order. NaN where derivatives fail.
     """
-    state, residual = found
+    x, (state, residual) = about.x, found
     linear = linearise(plant, window, x, state, residual, Loss())
     ahead = plant.jacobian(x, np.append(window.t[0], t), state)
     if ahead is None or not linear.known:
-        return np.full((t.size, uncertainty.noise.size), np.nan)
+        return np.full((t.size, noise.size), np.nan)
     absorb = np.linalg.pinv(linear.state)
-    rows = (uncertainty.noise * window.weight).ravel() * np.sqrt(uncertainty.correlation)
+    rows = (noise * window.weight).ravel() * np.sqrt(about.correlation)
     rows = np.append(rows, np.ones(linear.residual.size - rows.size))  # those of the prior are in standard deviations
     by_state, shared = ahead.state[1:], ahead.shared[1:]
     by_noise = by_state @ (absorb * rows)
     by_parameters = shared - by_state @ (absorb @ linear.shared)
-    variance = (by_noise**2).sum(axis=2) + np.einsum(
-        "mci,ij,mcj->mc", by_parameters, uncertainty.covariance, by_parameters
-    )
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + uncertainty.noise**2))
+    variance = (by_noise**2).sum(axis=2) + np.einsum("mci,ij,mcj->mc", by_parameters, about.total, by_parameters)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + noise**2))

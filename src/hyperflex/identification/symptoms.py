@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.declarations.evidence import hangs_upwards, unlike_lengths
+from hyperflex.identification.declarations.faults import hangs_upwards, unlike_lengths
 from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, SCALES, as_free
-from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, determined
-from hyperflex.identification.declarations.window_tests import Scatter
+from hyperflex.identification.declarations.score_tests import TESTING, Scatter, ScoreTest, determined
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, extended, lumped
@@ -214,19 +213,21 @@ def _far(rope: Rope, guess: Rope, std: Array) -> Iterator[Finding]:
     wrong = (excess > 1.0) & (point | (reach > REACH))  # other links may have counterweights, or ends beyond joints
     k = max(range(rope.n_links), key=lambda k: (wrong[k], excess[k]))
     if excess[k] > 1.0:
-        values = {"link": k, "reach": float(reach[k]), "clock": float(reach[k] ** -0.5)}
-        yield Finding(Kind.MASS_FAR, Severity.WRONG if wrong[k] else Severity.DOUBT, values)
+        yield _or_clock(Kind.MASS_FAR, float(reach[k]), Severity.WRONG if wrong[k] else Severity.DOUBT, link=k)
 
 
 def com_moved(basis: Basis) -> list[Finding]:
     """Return that a centre of mass is far more off than lengths and times are by what was declared of these."""
-    found = []
-    for each, x in zip(basis.plant.parameters.all, basis.fit.x.tolist(), strict=True):
-        if each.name == "com" and abs(x - each.first) > REPORTED.certain * each.prior and x / each.first > 0.0:
-            reach = x / each.first
-            values = {"link": each.links[0], "reach": reach, "clock": reach**-0.5, "moved": abs(1.0 - reach)}
-            found.append(Finding(Kind.COM_OR_CLOCK, Severity.WRONG, values))
-    return found
+    return [
+        _or_clock(Kind.COM_OR_CLOCK, x / each.first, link=each.links[0])
+        for each, x in zip(basis.plant.parameters.all, basis.fit.x.tolist(), strict=True)
+        if each.name == "com" and abs(x - each.first) > REPORTED.certain * each.prior and x / each.first > 0.0
+    ]
+
+
+def _or_clock(kind: Kind, factor: float, severity: Severity = Severity.WRONG, **about: int) -> Finding:
+    """Return that a length is a factor times as declared, or that a clock is off."""
+    return Finding(kind, severity, about | {"factor": factor, "clock": factor**-0.5, "moved": abs(1.0 - factor)})
 
 
 def _lengths_moved(basis: Basis, settings: dict[str, Any]) -> list[Finding]:
@@ -238,20 +239,13 @@ def _lengths_moved(basis: Basis, settings: dict[str, Any]) -> list[Finding]:
     declared = settings["length_std"]
     parameters, information = basis.plant.parameters, basis.information
     stds = information.deviations(np.ones(len(parameters)))
-    each = [
-        (x - p.first, np.hypot(declared, std))
-        for p, x, std in zip(parameters.all, basis.fit.x.tolist(), stds.tolist(), strict=True)
-        if p.name == "length" and p.form == "log"
-    ]
+    lengths = [p.name == "length" and p.form == "log" for p in parameters.all]
     swings = bool(parameters.guess.gravity.any()) and not basis.plant.driven
-    if not (each and swings and 0.0 < declared <= 2.0 * settings["clock_std"]):
+    if not (any(lengths) and swings and 0.0 < declared <= 2.0 * settings["clock_std"]):
         return []
-    off, std = np.array(each).T
-    if (off > REPORTED.certain * std).all() or (-off > REPORTED.certain * std).all():
-        factor = float(np.exp(off.mean()))
-        values = {"factor": factor, "clock": factor**-0.5, "moved": abs(1.0 - factor)}
-        return [Finding(Kind.LENGTH_OR_CLOCK, Severity.WRONG, values)]
-    return []
+    off, least = (basis.fit.x - parameters.start)[lengths], REPORTED.certain * np.hypot(declared, stds[lengths])
+    moved = bool((off > least).all() or (-off > least).all())
+    return [_or_clock(Kind.LENGTH_OR_CLOCK, float(np.exp(off.mean())))] * moved
 
 
 def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
@@ -261,26 +255,29 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     held, and what cannot be known at all, is reported elsewhere.
     """
     parameters, information = basis.plant.parameters, basis.information
-    every, loose, limit = ratios(rope, parameters.names), dict[str, float](), LOOSE / widening(information.freedom)
+    every, limit = ratios(rope, parameters.names), LOOSE / widening(information.freedom)
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.constants is None else set()
-    for each, value, spread in zip(parameters.all, values, std, strict=True):
-        least = (1 + (each.name in LAWS)) * limit * value
-        if each.kind.form != "linear" and each.name not in by_ratios and 0.0 < least < spread < np.inf:
-            loose[each.label] = float(spread / value)
-    masses: list[float] = []
+    loose = {
+        each.label: float(spread / value)
+        for each, value, spread in zip(parameters.all, values, std, strict=True)
+        if each.kind.form != "linear"
+        and each.name not in by_ratios
+        and 0.0 < (1 + (each.name in LAWS)) * limit * value < spread < np.inf
+    }
+    masses = list[float]()
     for name, spreads in ratio_spread(parameters, information).items():
-        known = np.flatnonzero((spreads > 0.0) & (spreads < np.inf))
-        parts = {int(k): float(spreads[k] / max(abs(every[name][k]), 1e-300)) for k in known}
-        wide = {k: part for k, part in parts.items() if part > (2 - (name in MASSES)) * limit}
+        parts = spreads / np.maximum(np.abs(every[name]), 1e-300)
+        known = (parts > 0.0) & (parts < np.inf)
+        wide = np.flatnonzero(known & (parts > (2 - (name in MASSES)) * limit)).tolist()
         if name in MASSES:
-            masses += [*parts.values(), *spreads[spreads == np.inf]]
-        if 1 < len(wide) == len(parts):
-            loose[name] = max(wide.values())
+            masses += parts[parts > 0.0].tolist()
+        if 1 < len(wide) == known.sum():
+            loose[name] = float(parts[wide].max())
         else:
-            loose |= {f"{name}[{k}]": part for k, part in wide.items()}
-    nothing = information.estimated and bool(masses) and bool(min(masses) > limit)
+            loose |= {f"{name}[{k}]": float(parts[k]) for k in wide}
+    nothing = information.estimated and min(masses, default=0.0) > limit
     found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LOOSE})] * nothing
     own = [k for k, each in enumerate(parameters.all) if each.name in ("mass", "inertia", "tip_mass")]
     if not nothing and own and not by_ratios and (std > limit * values)[own].all():

@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.model import ANGLES, LED, Plant
-from hyperflex.model import DAMPING, PROPERTIES, RESISTANCES, Rope
+from hyperflex.model import DAMPING, PROPERTIES, RESISTANCES
 from hyperflex.sensors import Markers
 
 FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
@@ -24,31 +24,14 @@ LINKS = "links"
 INNER = "stiffness:inner"  # springs in all joints but the first, as in an elastic rope that hangs on a hinge
 
 
-@dataclass(frozen=True)
-class TestedFit:
-    """The model of a fit, and whether angles were recorded."""
+def _many(plant: Plant) -> bool:
+    """Whether the rope has so many links that they are tested together."""
+    return plant.parameters.guess.n_links > FEW_LINKS
 
-    plant: Plant
-    angles: bool
 
-    @property
-    def rope(self) -> Rope:
-        """The rope of the guess."""
-        return self.plant.parameters.guess
-
-    @property
-    def many(self) -> bool:
-        """Whether the rope has so many links that they are tested together."""
-        return self.rope.n_links > FEW_LINKS
-
-    @property
-    def heavy(self) -> bool:
-        """Whether gravity acts."""
-        return bool(np.any(self.rope.gravity))
-
-    def is_free(self, *names: str) -> bool:
-        """Return whether one of these properties is free."""
-        return not self.plant.parameters.names.isdisjoint(names)
+def _heavy(plant: Plant, word: str) -> bool:
+    """Whether gravity acts."""
+    return bool(plant.parameters.guess.gravity.any())
 
 
 def _one(key: str, change: Callable[[Any], Any] = float) -> Callable[[str, Array], dict[str, Any]]:
@@ -70,7 +53,7 @@ class HeldQuantity:
     words : tuple of str
         What a fit frees to test it, as in ``free``: a test each, with this name.
     applies : callable
-        Return whether a word is to be tested, for a fit in which its property is not free.
+        Return whether a word is to be tested, for the model of a fit in which its property is not free.
     values : callable
         Returns the values of its finding from a test's name and values.
     factor : bool
@@ -91,7 +74,7 @@ class HeldQuantity:
 
     kind: Kind
     words: tuple[str, ...]
-    applies: Callable[[TestedFit, str], bool]
+    applies: Callable[[Plant, str], bool]
     values: Callable[[str, Array], dict[str, Any]] = _named
     factor: bool = False
     declared: bool = False
@@ -101,10 +84,10 @@ class HeldQuantity:
     reported: bool = False
     apart: bool = False
 
-    def tested(self, fit: TestedFit) -> list[str]:
+    def tested(self, plant: Plant) -> list[str]:
         """Return the words to test; of what is free only growth along the rope is tested."""
-        uneven = self.kind is Kind.UNEVEN_RESISTANCE
-        return [word for word in self.words if (uneven or not fit.is_free(base(word))) and self.applies(fit, word)]
+        free = set() if self.kind is Kind.UNEVEN_RESISTANCE else plant.parameters.names
+        return [word for word in self.words if base(word) not in free and self.applies(plant, word)]
 
     @property
     def of_rope(self) -> bool:
@@ -131,16 +114,17 @@ def _clock(name: str, values: Array) -> dict[str, Any]:
     return {"scale": scale, "clock": float(np.sqrt(scale))}
 
 
-def _left_out(fit: TestedFit, word: str) -> bool:
-    return fit.many and not fit.rope.stiffness.any() if word == INNER else fit.many == word.endswith(":shared")
+def _left_out(plant: Plant, word: str) -> bool:
+    many = _many(plant)
+    return many and not plant.parameters.guess.stiffness.any() if word == INNER else many == word.endswith(":shared")
 
 
-def _along(fit: TestedFit, word: str) -> bool:
+def _along(plant: Plant, word: str) -> bool:
     """Whether a resistance may differ along the rope that is one value, or one factor, of all links.
 
     The first joint often is a bearing, the others are none. Two joints differ by that alone.
     """
-    labels, n, (name, _, law) = fit.plant.parameters.labels, fit.rope.n_links, word.partition(":")
+    labels, n, (name, _, law) = plant.parameters.labels, plant.parameters.guess.n_links, word.partition(":")
     alike = not {f"{name}:shared", f"{name}:factor"}.isdisjoint(labels) and word not in labels
     return alike and n > 1 and (law == "pivot" or n > 2 or name == "drag")
 
@@ -159,13 +143,15 @@ MASSES = HeldQuantity(
     Kind.HELD,
     ("tip_mass", "mass", *LED),
     # com and inertia follow a free length: with a value of their own they would not
-    lambda fit, word: fit.many == (word == "tip_mass") and not (word in LED and fit.is_free("length")),
+    lambda plant, word: (
+        _many(plant) == (word == "tip_mass") and not (word in LED and "length" in plant.parameters.names)
+    ),
 )
 HELD: tuple[HeldQuantity, ...] = (
     HeldQuantity(
         Kind.ZERO,
         ("gravity_angle",),
-        lambda fit, word: fit.heavy,
+        _heavy,
         _one("angle"),
         declared=True,
         reported=True,
@@ -174,7 +160,7 @@ HELD: tuple[HeldQuantity, ...] = (
     HeldQuantity(
         Kind.CLOCK,
         (CLOCK,),
-        lambda fit, word: fit.heavy,
+        _heavy,
         _clock,
         factor=True,
         declared=True,
@@ -184,7 +170,7 @@ HELD: tuple[HeldQuantity, ...] = (
     HeldQuantity(
         Kind.ANGLE_SCALE,
         (ANGLES,),
-        lambda fit, word: fit.angles and fit.heavy,
+        lambda plant, word: plant.angles and _heavy(plant, word),
         _one("factor", lambda factor: 1.0 / factor),
         factor=True,
         declared=True,
@@ -194,13 +180,13 @@ HELD: tuple[HeldQuantity, ...] = (
     HeldQuantity(
         Kind.DELAY,
         ("delay",),
-        lambda fit, word: fit.plant.driven,
+        lambda plant, word: plant.driven,
         _one("delay"),
         declared=True,
         reported=True,
     ),
     *(
-        HeldQuantity(kind, (word,), lambda fit, word: fit.plant.motor is not None, _one("value"), reported=True)
+        HeldQuantity(kind, (word,), lambda plant, word: plant.motor is not None, _one("value"), reported=True)
         for kind, word in ((Kind.ARM_INERTIA, "arm_inertia"), (Kind.ARM_FRICTION, "arm_friction"))
     ),
     HeldQuantity(Kind.RESISTANCE, (*LAWS, *(f"{name}:shared" for name in LAWS), INNER), _left_out),
@@ -211,41 +197,45 @@ HELD: tuple[HeldQuantity, ...] = (
         _uneven,
     ),
     MASSES,
-    HeldQuantity(Kind.MASS_TAPER, ("mass:taper",), lambda fit, word: fit.many, _one("factor", np.exp)),
+    HeldQuantity(Kind.MASS_TAPER, ("mass:taper",), lambda plant, word: _many(plant), _one("factor", np.exp)),
     HeldQuantity(
         Kind.REST_BEND,
         ("rest_angle:shared",),
-        lambda fit, word: fit.many and (fit.is_free("stiffness") or bool(fit.rope.stiffness.any())),
+        lambda plant, word: (
+            _many(plant) and ("stiffness" in plant.parameters.names or bool(plant.parameters.guess.stiffness.any()))
+        ),
         _one("angle"),
         reported=True,
     ),
     HeldQuantity(
         Kind.MARKER_PLACES,
         ("arc",),
-        lambda fit, word: isinstance(fit.plant.sensor, Markers) and not fit.is_free("length"),
+        lambda plant, word: isinstance(plant.sensor, Markers) and "length" not in plant.parameters.names,
         lambda name, values: {"places": (1e3 * values).tolist()},
         reported=True,
     ),
     HeldQuantity(
         Kind.HELD,
         ("origin_x", "origin_y"),
-        lambda fit, word: isinstance(fit.plant.sensor, Markers),
+        lambda plant, word: isinstance(plant.sensor, Markers),
         declared=True,
         reported=True,
     ),
     HeldQuantity(
         Kind.HELD,
         ("length",),
-        lambda fit, word: 1 < fit.rope.n_links <= FEW_LINKS and not fit.is_free("com", "inertia"),
+        lambda plant, word: (
+            plant.parameters.guess.n_links > 1 and not _many(plant) and plant.parameters.names.isdisjoint(LED)
+        ),
         apart=True,
     ),
     # tested by the scores of the windows
-    HeldQuantity(Kind.DRIFT, (DRIFT,), lambda fit, word: False, _one("drift", lambda drift: 0.5 * abs(drift))),
+    HeldQuantity(Kind.DRIFT, (DRIFT,), lambda plant, word: False, _one("drift", lambda drift: 0.5 * abs(drift))),
 )
 QUANTITIES = {word: each for each in HELD for word in each.words}
 
 
-def words_for_tests(fit: TestedFit) -> list[list[str]]:
+def words_for_tests(plant: Plant) -> list[list[str]]:
     """Return words for what is held, those that are tested in one linearisation together."""
-    together = [word for each in HELD if not each.apart for word in each.tested(fit)]
-    return [together, *(words for each in HELD if each.apart and (words := each.tested(fit)))]
+    together = [word for each in HELD if not each.apart for word in each.tested(plant)]
+    return [together, *(words for each in HELD if each.apart and (words := each.tested(plant)))]

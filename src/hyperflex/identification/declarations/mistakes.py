@@ -1,6 +1,6 @@
 """Usual mistakes in what was declared of a recording: what may have been meant, tried by short fits.
 
-To add one, yield its finding and the data as they would be then from `_angles_meant` or `_markers_meant`.
+To add one, yield its finding and the data as they would be then from `_variants`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.identification.declarations.evidence import neighbours_swapped
+from hyperflex.identification.declarations.faults import neighbours_swapped
 from hyperflex.identification.declarations.held import CLOCK, base
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
@@ -66,16 +66,24 @@ Variant = tuple[Finding, Array, float]  # a mistake; the data as they would be t
 Tried = tuple[float, list[Finding]]  # part of the motion that is left, and what that means
 
 
-def _angles_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
-    """Yield the usual mistakes in angles."""
-    q = recording.data
+def _variants(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
+    """Yield the usual mistakes: another order of links or markers, and what is wrong in angles or in markers alone."""
+    markers = recording.kind == "markers"
+    what, data = "markers" if markers else "links", recording.data.reshape(recording.t.size, -1, 1 + markers)
+    n, reach = data.shape[1], np.linalg.norm(np.nanmax(data, axis=0) - np.nanmin(data, axis=0), axis=1)
+    if n > 1 and (not markers or reach[-1] < reach[0]):  # what the rope hangs from moves least
+        yield Finding(Kind.REVERSED, values={"what": f"the {what}"}), data[:, ::-1], 1.0
+    for k in range(n - 1) if 2 < n <= SHORT_FIT.swaps + markers else ():
+        values = {"what": what, "first": k, "second": k + 1}
+        yield Finding(Kind.SWAPPED, values=values), data[:, neighbours_swapped(n, k)], 1.0
+    yield from _of_markers(data, setup) if markers else _of_angles(recording.data)
+
+
+def _of_angles(q: Array) -> Iterator[Variant]:
     n, largest = q.shape[1], np.nanmax(np.abs(q))
     if n > 1:
         yield Finding(Kind.RELATIVE), np.cumsum(q, axis=1), 1.0
         yield Finding(Kind.ABSOLUTE), np.diff(q, axis=1, prepend=0.0), 1.0
-        yield Finding(Kind.REVERSED, values={"what": "the links"}), q[:, ::-1], 1.0
-    for k in range(n - 1) if 2 < n <= SHORT_FIT.swaps else ():
-        yield _swap("links", k), q[:, neighbours_swapped(n, k)], 1.0
     for k in range(n) if 1 < n < SHORT_FIT.swaps else ():
         yield Finding(Kind.SENSE, values={"link": k}), q * np.where(np.arange(n) == k, -1.0, 1.0), 1.0
     for where, angle in (("pointing up", np.pi), ("level, along +x", 0.5 * np.pi), ("level, along -x", -0.5 * np.pi)):
@@ -86,33 +94,19 @@ def _angles_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Varia
         yield Finding(Kind.RADIANS), np.degrees(q), 180.0 / np.pi
 
 
-def _markers_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
-    """Yield the usual mistakes in markers: axes, order, and scale, if distances differ from those along the rope."""
-    places = recording.data.reshape(recording.t.size, -1, 2)
-    n = places.shape[1]
+def _of_markers(places: Array, setup: RecordingSetup) -> Iterator[Variant]:
+    """Yield other axes, and another scale if distances differ from those along the rope."""
     middle = np.nanmedian(places[:, 0], axis=0) if setup.origin is None else np.asarray(setup.origin, dtype=np.float64)
     away = places - middle
     yield Finding(Kind.Y_AXIS, values={"turn": np.pi}), middle + away * np.array([1.0, -1.0]), 1.0
     for down, sign in ((False, 1.0), (True, -1.0)):  # a mirror image moves alike
         values = {"down": down, "turn": 0.5 * sign * np.pi}
         yield Finding(Kind.AXES_SWAPPED, values=values), middle + away[:, :, ::-1] * np.array([1.0, sign]), 1.0
-    reach = np.hypot(*(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).T)
-    if reach[-1] < reach[0]:  # what the rope hangs from moves least
-        yield Finding(Kind.REVERSED, values={"what": "the markers"}), places[:, ::-1], 1.0
-    for k in range(n - 1) if 2 < n <= SHORT_FIT.swaps + 1 else ():
-        yield _swap("markers", k), places[:, neighbours_swapped(n, k)], 1.0
-    if setup.arc_lengths is not None and n > 1:
+    if setup.arc_lengths is not None and places.shape[1] > 1:
         apart = np.nanquantile(np.hypot(*np.diff(places, axis=1).T).T, SHORT_FIT.straight, axis=0)
         factor = float(np.median(apart / np.diff(np.asarray(setup.arc_lengths, dtype=np.float64))))
         if abs(factor - 1.0) > SHORT_FIT.least_scale:
             yield Finding(Kind.MARKER_SCALE, values={"factor": factor}), places / factor, 1.0 / factor
-
-
-def _swap(what: str, k: int) -> Finding:
-    return Finding(Kind.SWAPPED, values={"what": what, "first": k, "second": k + 1})
-
-
-MEANT = {"angles": _angles_meant, "markers": _markers_meant}
 
 
 @dataclass(frozen=True)
@@ -130,9 +124,9 @@ class ShortFit:
         self.budget.check()
         words = [word for word in self.free if FREE_PROPERTIES[base(word)].owner != "arm"]
         try:
-            measured, places = checked_measurements(recording, self.rope, self.setup)
+            measured = checked_measurements(recording, self.rope, self.setup)
             setup = self.setup if self.setup.drives else replace(self.setup, torque=None)
-            plant = build_plant(recording, self.rope, words, places, setup)
+            plant = build_plant(recording, self.rope, words, setup)
             added = [word for word in more if word not in words]
             plant, x, _ = extended(plant, plant.parameters.start, added)
             part, x = self._left(plant, measured, x)
@@ -211,7 +205,7 @@ def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
     as much, each with another direction.
     """
     free = [word for word in left.free if word == "gravity_angle"]
-    for finding, data, factor in MEANT[recording.kind](recording, left.setup):
+    for finding, data, factor in _variants(recording, left.setup):
         noise = None if recording.noise is None else recording.noise * factor
         meant = replace(recording, data=data.reshape(recording.data.shape), noise=noise, rates=None)
         part, angles = left(meant, free)

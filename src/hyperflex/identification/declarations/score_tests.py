@@ -1,7 +1,11 @@
-"""Tests of what a fit has held and of what was declared: scores of its windows, and refits of what explains much."""
+"""Tests of what a fit has held and of what was declared: scores of its windows, and refits of what explains much.
+
+And tests of windows against each other: a drift over the recording, and ratios that scatter more than by noise.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,19 +13,20 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.held import (
     CLOCK,
+    DRIFT,
     LAWS,
     MASSES,
     QUANTITIES,
     SCALES,
     HeldQuantity,
-    TestedFit,
     base,
     words_for_tests,
 )
 from hyperflex.identification.findings import Kind
 from hyperflex.identification.fit import Window, linearise
 from hyperflex.identification.model import Parameter, Plant, extended, scale_words
-from hyperflex.identification.uncertainty.covariance import Basis, ratio_spread, ratios, widening
+from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratio_spread, ratios, widening
+from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import RESISTANCES
 
 
@@ -52,6 +57,12 @@ class ScoreTestOptions:
     seeming: float = 0.5
     # of information about a number that alone has 1, or part of the largest eigenvalue: about the root of rounding
     tiny: float = 1e-08
+    # windows that are compared: a trend takes two degrees of freedom, and its scatter needs two more
+    windows: int = 4
+    # probability, by Student's t of the windows' own scatter, of such a drift where there is none
+    rare: float = 0.01
+    # standard deviations of the noise that a drift exceeds as well: few windows may scatter little by chance
+    beyond: float = 4.0
 
 
 TESTING = ScoreTestOptions()
@@ -266,10 +277,8 @@ def scores(basis: Basis, words: Sequence[str]) -> Scores | None:
     return Scores(plant, x, groups, free, scale, score, matrices, middle, float(totals.sum()))
 
 
-def score_tests(
-    basis: Basis, declared_std: float = 0.0, *, angles: bool = False, budget: Budget | None = None
-) -> tuple[tuple[ScoreTest, ...], Scores | None]:
-    """Test what a fit has held, and `angles` if these were read off a sensor; return tests and the windows' scores.
+def score_tests(basis: Basis, declared_std: float, budget: Budget) -> tuple[tuple[ScoreTest, ...], Scores | None]:
+    """Test what a fit has held, and what was declared; return tests and the windows' scores.
 
     The test with the greatest gain comes first.
 
@@ -284,7 +293,7 @@ def score_tests(
     It costs one round of a fit, with more columns. Resistances that would have to be negative explain nothing. Up to
     three that explain much are fitted along, in some of the windows.
     """
-    found, by_window = _refitted_tests(basis, budget or Budget(), angles=angles)
+    found, by_window = _refitted_tests(basis, budget)
     every = {each.name: each for each in found}
     scales = scores(basis, list(scale_words(basis.plant).values()))
     if scales is not None and scales.groups:
@@ -294,16 +303,14 @@ def score_tests(
     return tuple(sorted(every.values(), key=lambda each: -each.gain)), by_window
 
 
-def hidden_tests(
-    basis: Basis, tests: Sequence[ScoreTest], *, angles: bool = False, budget: Budget | None = None
-) -> tuple[ScoreTest, ...]:
+def hidden_tests(basis: Basis, tests: Sequence[ScoreTest], budget: Budget) -> tuple[ScoreTest, ...]:
     """Return the `tests` of a fit with those in place that show only where others are free as well.
 
     A resistance that explains much, or anything that explains most and changes no ratio, may hide what else is wrong: a
     fit with it free is tested again. So may a mass or the like where residuals are no noise and nothing alone explains
     them.
     """
-    budget, every, freed, seen, now = budget or Budget(), {each.name: each for each in tests}, list[str](), tests, basis
+    every, freed, seen, now = {each.name: each for each in tests}, list[str](), tests, basis
     for _ in range(TESTING.hiding):
         hiding = _hiding(seen, coloured=not now.information.white)
         richer = now.refit(hiding, covariance=True) if hiding else None
@@ -311,7 +318,7 @@ def hidden_tests(
             break
         now = richer
         freed.append(hiding)
-        seen, _ = _refitted_tests(now, budget, angles=angles)
+        seen, _ = _refitted_tests(now, budget)
         for each in seen:
             if each.significant and (each.matters or each.slight) and not each.law:
                 known = every.get(each.name, each)
@@ -340,12 +347,12 @@ def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     return replace(test, shift=shift, added=added, rate=rate, freed_with=tuple(freed))
 
 
-def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> tuple[list[ScoreTest], Scores | None]:
+def _refitted_tests(basis: Basis, budget: Budget) -> tuple[list[ScoreTest], Scores | None]:
     """Return the tests of a fit, the greatest gain first, and the windows' scores.
 
     Tests that explain much are returned with what a refit finds.
     """
-    every = [scores(basis, words) for words in words_for_tests(TestedFit(basis.plant, angles))]
+    every = [scores(basis, words) for words in words_for_tests(basis.plant)]
     found = [_test(basis, each, *group) for each in every if each is not None for group in each.groups.items()]
     found.sort(key=lambda each: -each.gain)
     mended = [each for each in found[TESTING.refits :] if each.quantity.enough < np.inf]  # that are easily mended
@@ -455,3 +462,103 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
         excess_gain=excess_gain,
         sure=sure,
     )
+
+
+def drift_test(basis: Basis, found: Scores | None, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """Return the score test of a gravity that seems to grow with time, as a clock that drifts makes it; or nothing.
+
+    Notes
+    -----
+    The derivative of the residuals by the drift is that by gravity's scale times the window's place in the recording,
+    -1/2 to 1/2; what is free and the mean scale are eliminated. Its standard deviation is that of the windows' scores
+    about the trend (cluster-robust), and that of the noise at least. `values` is the change of gravity from the first
+    window to the last, `moved` what ratios of inertia move by to either side of the middle; NaN where it may be
+    chance and explains little. Quantities that mask others are freed first: the windows' scores are those at the linear
+    model's optimum with these.
+    """
+    if found is None or CLOCK not in found.groups or len(found.score) < TESTING.windows:
+        return ()
+    from scipy.special import stdtrit
+
+    (gravity,), count = found.groups[CLOCK], basis.fit.x.size
+    place = (found.middle - found.middle.mean()) / np.ptp(found.middle)
+    others = [k for each in tests if each.masks and not each.law for k in found.groups.get(each.name, [])]
+    mixed = place[:, None] * found.information[:, gravity]
+    inverse = found.inverse(sorted({*found.free, gravity, *others}))
+    along = np.tile(-inverse @ mixed.sum(axis=0), (place.size, 1))
+    along[:, gravity] += place
+    own = np.einsum("wi,wij,wj->w", along, found.information, along)
+    score, total, information = found.score, found.total, float(own.sum())
+    if information <= TESTING.tiny * float(mixed[:, gravity] @ place):
+        return ()
+    if others:
+        step = -inverse @ score.sum(axis=0)
+        total += float(score.sum(axis=0) @ step)
+        score = score + found.information @ step
+    each = (score * along).sum(axis=1)
+    drift = -float(each.sum()) / information
+    gain = min(drift**2 * information / total, 1.0)
+    scatter = float(np.sum((each + own * drift) ** 2)) * place.size / (place.size - 2.0)
+    noise = float(np.sqrt(basis.information.variance * total / found.total * (1.0 - gain) / information))
+    std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * TESTING.rare))
+    sure = abs(drift) > max(least * std, TESTING.beyond * noise)
+    by_gravity = found.inverse(found.free) @ found.information.sum(axis=0)[:, gravity]
+    std, unit = max(std, noise), float(found.scale[gravity])
+    test = ScoreTest(
+        DRIFT,
+        gain,
+        np.array([drift / unit]),
+        moved=0.5 * abs(drift) / unit if sure or gain > TESTING.explains else np.nan,
+        std=std / unit,
+        shift=-0.5 * drift * (by_gravity / found.scale)[:count],
+        excess_gain=max(0.0, 1.0 - (std / drift) ** 2) if drift else 0.0,
+        sure=sure,
+    )
+    return (test,)
+
+
+class Scatter(NamedTuple):
+    """A ratio whose windows disagree: its label, and the standard deviation that they show, over that of noise.
+
+    part: that standard deviation as a part of the ratio.
+    """
+
+    label: str
+    times: float
+    part: float
+
+
+def scatter_test(basis: Basis, found: Scores | None) -> tuple[tuple[Scatter, ...], Array]:
+    """Return the ratios that scatter more between windows than by noise, most first, and x's covariance by that (P, P).
+
+    `basis` is without errors of the model.
+
+    Notes
+    -----
+    Each window moves the estimate by its score through the inverse of all information; the sum of squares of these
+    moves is the cluster-robust covariance (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). If windows differ by
+    noise alone, that sum is about chi-squared, see :meth:`Scores.moves`. Told is what is rarer than CHANCE, shared by
+    all ratios.
+    """
+    count = basis.fit.x.size
+    if found is None or len(found.score) < TESTING.windows:
+        return (), np.zeros((count, count))
+    from scipy.special import gammaincc
+
+    windows = len(found.score)
+    inverse = found.inverse(found.free)
+    moves = found.score @ inverse[:, :count] / found.scale[:count]
+    covariance = moves.T @ moves * windows / (windows - 1.0)
+    parameters, information = basis.plant.parameters, basis.information
+    stated, known = ratio_spread(parameters, information), ratios(parameters.rope(information.x), parameters.names)
+    scattered, tested = [], sum(int((np.isfinite(each) & (each > 0.0)).sum()) for each in stated.values())
+    for name, slopes in ratio_gradients(parameters, information.x).items():
+        for k in np.flatnonzero(np.isfinite(stated[name]) & (stated[name] > 0.0) & (known[name] != 0.0)):
+            each, expected, freedom = found.moves(slopes[k], inverse)
+            if expected <= TESTING.tiny:  # one window determines it alone
+                continue
+            shown = float(np.sqrt(each @ each / expected))
+            times = shown / float(stated[name][k])
+            if gammaincc(0.5 * freedom, 0.5 * freedom * times**2) < CHANCE / tested:
+                scattered.append(Scatter(f"{name}[{k}]", times, shown / float(abs(known[name][k]))))
+    return tuple(sorted(scattered, key=lambda each: -each.times)), covariance

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,9 +32,7 @@ from hyperflex.identification.uncertainty.noise import (
     noise_memory,
     whiteness,
 )
-from hyperflex.interruption import stoppable
 from hyperflex.model import RESISTANCES, Rope
-from hyperflex.status import Status
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
@@ -136,21 +134,6 @@ def _variances(gradient: Array, covariance: Array | float) -> Array:
     return np.asarray(np.maximum(found, 0.0))  # but for rounding
 
 
-def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> tuple[Information, Status | None]:
-    """Return the information of the windows, and why fit or information ended early; then it is of GRACE at most."""
-    widths, none = plant.parameters.widths, np.zeros((found.x.size, found.x.size))
-    unknown = np.eye(found.x.size)
-    known = Information(found.x, widths, none.sum(axis=0), none[:, :0], unknown, none, 1.0, none, estimated=False)
-    with stoppable() as stop:
-        if found.status is None:
-            known = estimate_covariance(plant, windows, found)
-    ended = found.status or stop.status
-    if ended is not None:
-        with stoppable():
-            known = estimate_covariance(plant, windows, found, Budget(GRACE))
-    return known, ended
-
-
 def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budget: Budget | None = None) -> Information:
     """Return the information of the fit's windows, at the cost of one round of the fit.
 
@@ -165,14 +148,11 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     Assumed are residuals of one stationary process, alike and independent in all windows, at times that are about even.
     Model errors are not covered.
     """
-    widths, total = plant.parameters.widths, len(plant.parameters)
     slopes, mean = sensitivities(windows, fit)
     models = window_models(plant, windows, fit, mean, budget or Budget())
     prior = fit.noise * plant.parameters.prior  # rows of the least-squares problem, as those of windows
-    rows = [*(model.shared * widths for model in models), prior * widths]
-    singular, known, unknown = known_directions([*rows, np.zeros((total, total))])
-    inner = known / singular[: known.shape[1]]  # A^+ = inner inner^T
-    pieces = [model.piece(inner * widths[:, None]) for model in models]
+    found = fisher_information(plant.parameters, fit.x, [*(model.shared for model in models), prior])
+    pieces = [model.piece(found.root) for model in models]
     memory, agrees = noise_memory(pieces)
     channels = channel_correlation(pieces, memory)
     absorbed = sum(float((piece.basis * correlated(memory, piece.basis)).sum()) for piece in pieces)
@@ -180,24 +160,16 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
     variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
     meat = np.sum([model.meat(memory, channels) for model in models], axis=0) + prior.T @ prior
-    meat = meat * np.outer(widths, widths)
-    plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
-    scale = variance * np.outer(widths, widths)
-    return Information(
-        fit.x,
-        widths,
-        singular,
-        known,
-        unknown,
-        sandwich * scale,
-        autocorrelation(pieces),
-        plain=plain * scale,
+    return replace(
+        found,
+        covariance=found.plain @ meat @ found.plain * variance,
+        correlation=autocorrelation(pieces),
+        plain=found.plain * variance,
         variance=variance,
         freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),
         whiteness=whiteness(pieces),
         follow=tuple(model.follow for model in models),
         agrees=agrees,
-        growing=in_common_factor(plant.parameters, fit.x, unknown),
     )
 
 
@@ -252,12 +224,16 @@ def window_models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float
     return models
 
 
-def known_directions(rows: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Return singular values (P,), known (P, k) and unknown (P, P - k) directions of stacked rows (M >= P, P)."""
-    small = [np.linalg.qr(each, mode="r") for each in rows]
+def fisher_information(parameters: Parameters, x: Array, rows: Sequence[Array]) -> Information:
+    """Return the information of residuals of variance 1, by their derivatives [(m, P), ..] with respect to x (P,)."""
+    widths = parameters.widths
+    small = [np.linalg.qr(each * widths, mode="r") for each in (*rows, np.zeros((x.size, x.size)))]
     _, singular, directions = np.linalg.svd(np.vstack(small), full_matrices=False)
     determined = singular > UNKNOWN * singular[0]
-    return singular, directions[determined].T, directions[~determined].T
+    known, unknown = directions[determined].T, directions[~determined].T
+    inner = known / singular[determined] * widths[:, None]
+    covariance, growing = inner @ inner.T, in_common_factor(parameters, x, unknown)
+    return Information(x, widths, singular, known, unknown, covariance, 1.0, plain=covariance, growing=growing)
 
 
 @dataclass(frozen=True)
@@ -398,9 +374,10 @@ REFIT = RefitOptions()
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """A fit, its model and windows, and their information about the parameters.
+    """State of a fit: its model, its windows, and their information about the parameters.
 
-    usual: time, s, over which windows and parts of longer ones are compared with each other.
+    usual: time, s, over which windows and parts of longer ones are compared with each other. settings: how the windows
+    were used.
     """
 
     plant: Plant
@@ -408,7 +385,19 @@ class Basis:
     fit: Fit
     information: Information
     usual: float = np.inf
+    settings: dict[str, Any] = field(default_factory=dict)
     _refits: dict[str, "Basis | None"] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def begun(cls, plant: Plant, windows: list[Window], fit: Fit, usual: float, settings: dict[str, Any]) -> "Basis":
+        """Return the state of a fit whose information has not been estimated."""
+        unknown = replace(fisher_information(plant.parameters, fit.x, ()), estimated=False)
+        return cls(plant, windows, fit, unknown, usual, settings)
+
+    def estimated(self, budget: Budget | None = None) -> "Basis":
+        """Return the same with its information, by default within GRACE."""
+        found = estimate_covariance(self.plant, self.windows, self.fit, budget or Budget(GRACE))
+        return replace(self, information=found)
 
     @property
     def part(self) -> "Basis":

@@ -1,5 +1,6 @@
 """Profile likelihood of a parameter or ratio, all else fitted again; and which intervals are found by it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -27,7 +28,7 @@ from hyperflex.identification.uncertainty.covariance import (
     ratio_gradients,
     ratios,
 )
-from hyperflex.interruption import interruptible, stoppable
+from hyperflex.interruption import interruptible
 from hyperflex.model import Rope
 
 
@@ -389,42 +390,34 @@ class _ProfileSearch:
 
 
 def all_intervals(
-    basis: Basis,
-    how: How,
-    *,
-    remarks: list[Finding] | None = None,
-    budget: Budget | None = None,
-    report: Report | None = None,
-) -> dict[str, Interval]:
-    """Return intervals of all free parameters, by label.
+    basis: Basis, how: How, budget: Budget | None = None, report: Report | None = None
+) -> Iterator[tuple[dict[str, Interval], list[Finding]]]:
+    """Yield intervals of all free parameters, by label, and what profiles show besides; again after each profile.
 
     ``auto`` profiles up to four parameters whose covariance is skewed: within four standard deviations of a bound, or
     correlated with such a one; of more, those nearest to their bounds.
-    What a profile shows besides is added to `remarks`. `report` gets each round of each profile, with its ``parameter``
-    and ``phase="profile"``. Ctrl-C raises Interrupted; in its ``partial``, and out of time, what was not profiled yet
-    has intervals from the covariance.
+    `report` gets each round of each profile, with its ``parameter`` and ``phase="profile"``. The budget must not be
+    over: what was not profiled yet has intervals from the covariance.
     """
-    result = basis.intervals()
-    if how == "covariance":
-        return result
-    with stoppable() as stop:
-        every = list(result)
-        chosen = every if how == "profile" else [every[k] for k in skewed(basis)]
-        labels = [label for label in chosen if result[label].kind != "unknown"]
-        length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
-        begun = bottom(basis, budget) if labels else None
-        for number, label in enumerate(labels):
-            at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
-            heard = None if report is None else with_entries(report, at)
-            along = Coordinate(basis, label)
-            found = profiled(along, LEVEL, begun=begun, budget=budget, report=heard)
-            if found.kind == "profile":
-                result[label] = _with_model_error(along, found)
-            if remarks is not None and found.gain > WALK.better:
-                remarks.append(Finding(Kind.BETTER_OPTIMUM, Severity.LIMIT, {"name": label, "gain": found.gain}))
-            elif remarks is not None and found.kind == "covariance":
-                remarks.append(Finding(Kind.PROFILE_GIVEN_UP, Severity.LIMIT, {"name": label}))
-    return stop.deliver(result)
+    result, remarks = basis.intervals(), list[Finding]()
+    yield result, remarks
+    every = list(result)
+    chosen = {"covariance": [], "profile": every, "auto": [every[k] for k in skewed(basis)]}[how]
+    labels = [label for label in chosen if result[label].kind != "unknown"]
+    length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
+    begun = bottom(basis, budget) if labels else None
+    for number, label in enumerate(labels):
+        at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
+        heard = None if report is None else with_entries(report, at)
+        along = Coordinate(basis, label)
+        found = profiled(along, LEVEL, begun=begun, budget=budget, report=heard)
+        if found.kind == "profile":
+            result[label] = _with_model_error(along, found)
+        if found.gain > WALK.better:
+            remarks.append(Finding(Kind.BETTER_OPTIMUM, Severity.LIMIT, {"name": label, "gain": found.gain}))
+        elif found.kind == "covariance":
+            remarks.append(Finding(Kind.PROFILE_GIVEN_UP, Severity.LIMIT, {"name": label}))
+        yield result, remarks
 
 
 def _with_model_error(along: Coordinate, found: Profile) -> Interval:
