@@ -46,7 +46,7 @@ JOINT_CLOSING = 1e-9
 JOINT_SLOW = 1e-8
 # rad/(s m), stiction tolerance over the length of a link where friction is regularized: at 0.7 of its dry friction, a
 # rope of 1 m that is bent to a circle takes 100 min to straighten. 0.1 led to fewer solutions with modes
-BEND_RATE = 1e-3
+BEND_RATE = 1e-2
 # part of the dry friction by which a regularized one may miss its law
 RUBBING = 1e-3
 # s, over which the present rate is extrapolated to a gap
@@ -95,7 +95,6 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
         rate = relative(motion.w, i, workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
         of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
-        of[CREEP, i] = of[RUBBED, i] = 0.0
         of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
         of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
         of[START, i] = RELAXED * h * memory.torque[i]
@@ -196,20 +195,24 @@ def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def regularize_joints(chain, joints):  # type: ignore[no-untyped-def]
-    """Regularize dry friction for this step, where no modes are found: joints then have none but those of limits.
-
-    Returns whether any joint had a mode of friction.
-    """
-    of, found = joints.of, False
+    """Regularize dry friction for this step, where no modes are found: joints then have none but those of limits."""
+    of = joints.of
     for i in joints.which:
-        if of[BOUND, i] > 0.0 and of[CREEP, i] == 0.0:
-            found, bound = True, of[BOUND, i]
+        if of[BOUND, i] > 0.0:
+            bound = of[BOUND, i]
             of[CREEP, i], of[AFTER, i] = BEND_RATE * chain.length[i], of[BEFORE, i]
             of[RUBBED, i] = max(-bound, min(of[START, i], bound))
             of[START, i] -= of[RUBBED, i]
             if joints.mode[i] < UPPER:
                 joints.mode[i] = OPEN
-    return found
+
+
+@non_allocating
+def sharpen_joints(joints):  # type: ignore[no-untyped-def]
+    """Let dry friction have its modes; returns whether any was regularized before."""
+    regularized = joints.of[CREEP].any()
+    joints.of[CREEP] = joints.of[RUBBED] = 0.0
+    return regularized
 
 
 @non_allocating

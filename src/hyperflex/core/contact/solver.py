@@ -15,6 +15,7 @@ from hyperflex.core.contact.joints import (
     guess_joint_modes,
     regularize_joints,
     release_joints,
+    sharpen_joints,
     update_joint_modes,
     update_joint_multipliers,
     within_friction,
@@ -249,42 +250,31 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
 
 
 @absorbed
-def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
-    """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
+def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  # type: ignore[no-untyped-def]
+    """Search modes for larger and larger M; arguments as for :func:`solve`.
 
-    Where no modes are found for the stiff M, the friction of joints is regularized, so that it has no modes, and modes
-    are searched again from that solution. Where there are none again, friction stays regularized in this step. Where no
-    modes of contacts are found, the search begins anew with a softer M, for which they nearly always are.
-    Each solution starts the next search, for the M that :func:`update_multipliers` returns, until the residual
-    (P - P0) / M is slight. Where a larger M fails, the last one is tried again, from the P0 that it had. Unless its
-    residual falls, M grows by ``MOST_GROWTH`` from then on, and by the square root of that where a search fails. The
-    last solution found is the result: its impulses obey Coulomb's law, its velocities obey it up to the residual. The
-    next step starts with a slightly larger M.
-
-    Parameters
-    ----------
-    chain, contacts, impulses, motion, joints, spin : Chain, Contacts, Impulses, Motion, Joints, Spin
-    h : float, step, s
-    whole : float, mass of the rope, kg
+    Where none are found for the first M, softer ones are tried if `patient`. Each solution starts the next search, for
+    the M that :func:`update_multipliers` returns, until the residual (P - P0) / M is slight. Where a larger M fails,
+    the last one is tried again, from the P0 that it had. Unless its residual falls, M grows by ``MOST_GROWTH`` from
+    then on, and by the square root of that where a search fails.
 
     Returns
     -------
-    int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or more where `impulses` are loose, or
-        regularized friction not to within RUBBING.
+    total, rounds : int, of all searches, and of the last one, negative if it failed
+    last, penalty : float, M of the last solution, kg, 0.0 if there is none, and the last M that was tried
+    residual : float, that of this solution, m/s
     """
-    store(impulses, joints)
     penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else STIFF * whole
     last, residual, given = 0.0, math.inf, math.inf
     slight, most = SLIGHT_SPEED * impulses.loose, STIFFEST * whole
-    total, again, rounds, climbs, guesses = 0, AGAIN, 0, False, 0
+    total, again, rounds, climbs = 0, AGAIN, 0, False
     for _ in range(SEARCHES):
         rounds = search(chain, contacts, impulses, motion, joints, spin, h, penalty)
         total += abs(rounds)
         if rounds < 0:
             restore(impulses, joints)
-            if last == 0.0 and regularize_joints(chain, joints):
-                guesses += 1
-                store(impulses, joints)
+            if last == 0.0 and not patient:
+                break
             elif last == 0.0:
                 penalty *= SOFTER
             elif climbs and penalty < LEAST_GROWTH * last:
@@ -295,11 +285,6 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
                 penalty = most = last
             else:  # none are found any more where some were
                 penalty, climbs = math.sqrt(MOST_GROWTH) * last, True
-            continue
-        if guesses == 1:
-            guesses += 1
-            guess_joint_modes(joints)
-            store(impulses, joints)
             continue
         before, last = residual, penalty
         residual, given, stiffer = update_multipliers(contacts, impulses, joints, penalty)
@@ -313,6 +298,47 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         penalty = min(MOST_GROWTH * penalty, STIFFEST * whole) if climbs else min(stiffer, most)
     if rounds < 0:
         restore(impulses, joints)
+    return total, rounds, last, penalty, residual
+
+
+@absorbed
+def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
+    """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
+
+    Where none do, the friction of joints is regularized, so that it has no modes. That solution says which modes to
+    search for once more; where these do not obey the law either, friction stays regularized in this step. The next
+    step does not search once more, nor do runs with loose impulses. The last solution found is the result: its impulses
+    obey Coulomb's law, its velocities obey it up to the residual. The next step starts with a slightly larger M.
+
+    Parameters
+    ----------
+    chain, contacts, impulses, motion, joints, spin : Chain, Contacts, Impulses, Motion, Joints, Spin
+    h : float, step, s
+    whole : float, mass of the rope, kg
+
+    Returns
+    -------
+    int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or more where `impulses` are loose, or
+        regularized friction not to within RUBBING.
+    """
+    again = sharpen_joints(joints) or impulses.loose > 1.0
+    dry = joints.of[BOUND].any()
+    total, solved = 0, False
+    for turn in range(4):
+        sharp = dry and turn % 2 == 0
+        store(impulses, joints)
+        some, rounds, last, penalty, residual = climb(
+            chain, contacts, impulses, motion, joints, spin, h, whole, not sharp
+        )
+        total += some
+        solved = residual <= SLIGHT_SPEED * impulses.loose and within_friction(joints)
+        if turn == 3 or not dry or solved == sharp or (again and not sharp):
+            break
+        if sharp:
+            regularize_joints(chain, joints)
+        else:
+            guess_joint_modes(joints)
+    if rounds < 0:
         if last == 0.0:  # nothing was found at all: let go
             release_joints(joints)
             for c in range(contacts.total[0]):
@@ -322,4 +348,4 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
             linearize(chain, motion, h)
             solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, NONE)
     impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
-    return total if residual <= slight and within_friction(joints) else -total
+    return total if solved else -total
