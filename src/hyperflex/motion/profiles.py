@@ -170,14 +170,14 @@ def sequence_pieces(
 def arm_moves(angles: ArrayLike, rests: ArrayLike, durations: ArrayLike, ramps: ArrayLike = 0.5) -> Motion:
     """Return moves of the arm through given angles, each with its own rest before it and its own duration.
 
-    It ends with the last move; the arm stays there.
+    It ends with the last move, or the rest after it; the arm stays there.
 
     Parameters
     ----------
     angles : (k + 1,) array_like
         Arm angle at the start and after each move, rad.
-    rests : (k,) array_like
-        Rest before each move, s, >= 0.
+    rests : (k,) or (k + 1,) array_like
+        Rest before each move, and after the last one, s, >= 0.
     durations : (k,) array_like
         Time of each move, s, > 0.
     ramps : float or (k,) array_like
@@ -199,7 +199,8 @@ def arm_moves(angles: ArrayLike, rests: ArrayLike, durations: ArrayLike, ramps: 
     count = way.size - 1
     if count < 1:
         raise InvalidInput("there is no move", got=way.tolist(), allowed="at least two angles")
-    rest = checks.array("rests", rests, (count,), sign="nonnegative", unit="s")
+    rest = checks.array("rests", rests, (-1,), sign="nonnegative", unit="s")
+    checks.array("rests", rest, (count + (rest.size > count),))
     time = checks.array("durations", durations, (count,), sign="positive", unit="s")
     checks.meant("angles", way, "rad")
     checks.meant("durations", time, "s")  # rests may be long, as of a live arm that waits
@@ -213,7 +214,7 @@ def arm_moves(angles: ArrayLike, rests: ArrayLike, durations: ArrayLike, ramps: 
 def move_rows(angles: list[float], rests: list[float], durations: list[float], ramps: list[float]) -> Pieces:
     """Durations and coefficients of the pieces of :func:`arm_moves`; takes complex numbers too."""
     shapes = [("bang-bang" if np.real(ramp) > BANG_BANG else "ramp", ramp) for ramp in ramps]
-    return sequence_pieces(angles, [*rests, 0.0], durations, shapes)
+    return sequence_pieces(angles, [*rests, 0.0][: len(angles)], durations, shapes)
 
 
 def arm_strokes(

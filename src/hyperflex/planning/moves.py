@@ -27,12 +27,15 @@ class Moves:
         Rest before each move, s; at least MIN_REST.
     speeds : (k,) float64, optional
         Fraction of the motor's speed that each move uses, and the square of that of its acceleration; by default all.
+    dwell : float
+        Rest after the last move, s, with which the motion ends: a wound rope comes to rest meanwhile.
     """
 
     side: int
     ends: Array
     rests: Array
     speeds: Array = field(default_factory=lambda: np.ones(0))
+    dwell: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.speeds.size:
@@ -66,7 +69,8 @@ class Moves:
         stops: Array = np.append(0.0, np.cumsum(rests + durations))
         made = min(int((stops <= since).sum()), rests.size) - 1  # moves that have ended; one is left
         angles = self.angles(limits)[made:]
-        whole = arm_moves(angles, rests[made:], durations[made:], ramps[made:])
+        waits = [self.dwell] if self.dwell else []
+        whole = arm_moves(angles, [*rests[made:], *waits], durations[made:], ramps[made:])
         return whole.shifted(float(stops[made]) - since) if since else whole
 
     def starts(self, limits: MotorLimits) -> Array:
@@ -97,7 +101,11 @@ class Moves:
     def then(self, end: float, rest: float, speed: float = 1.0) -> "Moves":
         """Return the same moves and one more to arm angle `end`, rad, after a rest, s, at a fraction of full speed."""
         longer = (self.ends, end), (self.rests, rest), (self.speeds, speed)
-        return Moves(self.side, *(np.append(*each) for each in longer))
+        return Moves(self.side, *(np.append(*each) for each in longer))  # type: ignore[arg-type]
+
+    def waiting(self, more: float) -> "Moves":
+        """Return the same moves with so much longer a dwell, s."""
+        return replace(self, dwell=self.dwell + more)
 
     def varied(self, change: Array) -> "Moves":
         """Return moves whose `parameters` differ by `change` (2 k,)."""

@@ -201,7 +201,7 @@ class SwingSearch:
         rests = np.abs(moves.rests + self.problem.period * change[1])
         rests[made : made + 1] = np.maximum(rests[made : made + 1], wait)
         ends, speeds = moves.ends + math.pi * change[0], (moves.speeds + change[2]).clip(MIN_SPEED, 1.0)
-        return replace(moves, ends=ends, rests=rests, speeds=speeds)
+        return replace(moves, ends=ends, rests=rests, speeds=speeds, dwell=0.0)
 
     def _strokes(self, swing: Swing, lane: _Lane) -> list[_Try]:
         """Return the strokes that are tried after a swing, within the time."""

@@ -56,8 +56,9 @@ class Scenario:
                 "motion is not made of moves", got=spec.get("kind", "pieces"), allowed="hyperflex.arm_moves(...)"
             )
         rests, durations = (np.array(spec[name]) for name in ("rests", "durations"))
-        rests = _delayed(rests, durations, np.resize(self.delays, rests.size))
-        return lagged(arm_moves(spec["angles"], rests, durations, spec["ramps"]), self.lag)
+        count = durations.size
+        starts = _delayed(rests[:count], durations, np.resize(self.delays, count))
+        return lagged(arm_moves(spec["angles"], [*starts, *rests[count:]], durations, spec["ramps"]), self.lag)
 
 
 def _delayed(rests: Array, durations: Array, delays: Array) -> Array:

@@ -146,7 +146,8 @@ class WindTask(Task):
             rows = [k for k, (other, _) in enumerate(pairs) if other is one]
             k = max(rows, key=lambda row: (wound.turns[row] >= required, wound.score[row]))
             winds = bool(wound.most[rows].max() >= required)
-            tried = replace(one, moves=pairs[k][1], score=float(wound.score[k]), winds=winds)
+            moves = pairs[k][1].waiting(float(wound.dwell[k]))
+            tried = replace(one, moves=moves, score=float(wound.score[k]), winds=winds)
             if wound.turns[k] >= required:
                 good.append(tried)
                 continue
@@ -163,7 +164,8 @@ class WindTask(Task):
         q, qd = np.stack([each.q for each in states]), np.stack([each.qd for each in states])
         batch = RolloutBatch([problem.rope] * len(moves), [self.peg] * len(moves), motions, q, qd)
         self.runs += len(moves)
-        return simulate_contact(problem, batch, np.array([each.t for each in states]), budget, sweeping=sweeping)
+        begin = np.array([each.t for each in states])
+        return simulate_contact(problem, batch, begin, budget, sweeping=sweeping, periods=MODEL.periods)
 
     def _confirmed(self, good: list[Strike], budget: Budget) -> list[Candidate]:
         """Return strikes that wind after they were simulated with shorter links as well, and in scenarios."""
@@ -172,10 +174,11 @@ class WindTask(Task):
         states = [one.states[-1] for one in good]
         seen = self._wind(self.finer, [one.moves for one in good], states, budget, sweeping=False)
         found, criteria = list[Candidate](), self.problem.criteria
-        for one, value, turns, slip in zip(
-            good, *(each.tolist() for each in (seen.score, seen.turns, seen.slip)), strict=True
+        for one, value, turns, slip, dwell in zip(
+            good, *(each.tolist() for each in (seen.score, seen.turns, seen.slip, seen.dwell)), strict=True
         ):
             winds, value = turns >= criteria.turns and slip < criteria.max_slip, min(one.score, value)
+            one = replace(one, moves=one.moves.waiting(dwell))
             if winds and self.scenarios:
                 value = 3.0 * float(np.mean(self._values(one.moves, self.scenarios[:8], budget)))
             found.append(replace(one, score=value, good=winds))
