@@ -398,7 +398,7 @@ class _Contact:
         for until, least in parts:
             if until > end:
                 stays = self._turns(t, turns, float(t[-1]))[1] >= criteria.turns
-                if not stays or self._slip(t, q, check) <= 0.5 * criteria.max_slip:
+                if not stays or self._slip(t, q, check) <= 0.1 * criteria.max_slip:
                     break
                 self.dwell = until - end
             since = float(t[-1]) if t.size else 0.0

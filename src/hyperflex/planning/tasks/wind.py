@@ -82,6 +82,7 @@ class WindTask(Task):
         anew: bool = True,
     ) -> None:
         self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
+        self.ready = 1e9
         self.sides = free_sides(problem, problem.beside(peg))
         cuts = self._cuts = pieces_in_contact(problem, peg, options.coarse)
         pieces = max(options.pieces, cuts + 1)
