@@ -45,8 +45,8 @@ JOINT_CLOSING = 1e-9
 # rad/s, below which a joint with dry friction sticks at first
 JOINT_SLOW = 1e-8
 # rad/(s m), stiction tolerance over the length of a link where friction is regularized: at 0.7 of its dry friction, a
-# rope of 1 m that is bent to a circle takes 100 min to straighten. 0.1 led to fewer solutions with modes
-BEND_RATE = 1e-2
+# rope of 1 m that is bent to a circle takes 10 min to straighten. 0.001 took up to three times as long, 0.1 no less
+BEND_RATE = 0.01
 # part of the dry friction by which a regularized one may miss its law
 RUBBING = 1e-3
 # s, over which the present rate is extrapolated to a gap
