@@ -16,9 +16,10 @@ from hyperflex.budget import Budget
 from hyperflex.planning import Moves, casting, estimate_success_probability, replan_cast, scaled_rope, verify_cast
 from hyperflex.planning.casting import CastRequest, fewer_turns, plan_each
 from hyperflex.planning.ensemble import SPARE, margin, repeatable
-from hyperflex.planning.rollouts import MODEL, RolloutBatch, fly_to_strikes
+from hyperflex.planning.rollouts import MODEL, RolloutBatch, fly_to_strikes, simulate_contact
 from hyperflex.planning.swings import DELAY, Strike
 from hyperflex.planning.tasks.wind import WindTask, pumped
+from tests.planning import known
 from tests.planning.known import planned
 from tests.refusals import refuses
 
@@ -339,6 +340,22 @@ def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agr
         )
         ends = rope.length * np.stack(apart)
         assert np.sqrt((np.cumsum(ends, axis=1) ** 2).sum(axis=0).mean()) <= 0.02 * rope.total_length
+
+
+def test_a_wound_rope_that_slips_is_given_time_to_settle():
+    """After a last move at full speed it slips by 0.7 mm while it is watched; a period of its swing later it does not."""
+    who, moves = known.problem(), known.WINDS.then(1.0, 0.5)
+    found, motion = known.simulated_strikes(who, known.PEG, [moves]), moves.motion(who.limits)
+    start = found.q, found.qd
+    batch = RolloutBatch([who.rope], [known.PEG], [motion.shifted(-float(found.t[0]))], *start)
+    hurried, settled = (simulate_contact(who, batch, found.t, Budget(threads=1), periods=periods) for periods in (0, 2))
+    assert hurried.dwell == 0.0
+    assert hurried.slip > 5e-4
+    assert settled.dwell == pytest.approx(who.period)
+    assert settled.slip < 5e-5
+    assert settled.turns >= hurried.turns
+    waits = moves.waiting(float(settled.dwell[0])).motion(who.limits)
+    assert waits.end == pytest.approx(motion.end + who.period)
 
 
 def test_a_strike_after_the_time_limit_does_not_count():

@@ -78,6 +78,9 @@ def test_moves_start_late_but_not_before_the_last_one_has_ended():
     ended = begun + times
     np.testing.assert_allclose(begun, [0.0, starts[1] + 0.03, ended[1], starts[3]], atol=1e-12)
     assert done.spec["angles"] == asked.spec["angles"]
+    settles = Scenario(ROPE, PEG, 0.0, late).executed_motion(THROW.waiting(1.5).motion(CAST_SETUP.limits))
+    assert settles.end == pytest.approx(done.end + 1.5)
+    assert settles.rate(settles.end - 1.0) == 0.0
 
 
 def test_a_lag_makes_the_arm_late():

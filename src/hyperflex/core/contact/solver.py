@@ -273,12 +273,10 @@ def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  
         total += abs(rounds)
         if rounds < 0:
             restore(impulses, joints)
-            if last == 0.0 and not patient:
+            if (last == 0.0 and not patient) or (climbs and penalty < LEAST_GROWTH * last):
                 break
-            elif last == 0.0:
+            if last == 0.0:
                 penalty *= SOFTER
-            elif climbs and penalty < LEAST_GROWTH * last:
-                break
             elif climbs:
                 penalty = math.sqrt(penalty * last)
             elif penalty > last:
