@@ -343,7 +343,7 @@ def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agr
 
 
 def test_a_wound_rope_that_slips_is_given_time_to_settle():
-    """After a last move at full speed it slips by 0.7 mm while it is watched; a period of its swing later it does not."""
+    """After a fast last move it slips by 0.7 mm while it is watched; a period of its swing later it does not."""
     who, moves = known.problem(), known.WINDS.then(1.0, 0.5)
     found, motion = known.simulated_strikes(who, known.PEG, [moves]), moves.motion(who.limits)
     start = found.q, found.qd
