@@ -26,8 +26,8 @@ from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_scores
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
-# m, tolerance of runs with shorter links, which check for the length of links alone: those of three casts of random ropes
-# with dry friction took 0.5, 0.6 and 0.8 of the time with the usual one, and wound as often
+# m, tolerance of runs with shorter links, which check the length of links alone: those of three casts of ropes with dry
+# friction took 0.5, 0.6 and 0.8 of the time with the usual one, and wound as often
 FINER_TOL = 1e-4
 COUNTED = 8  # samples of an estimate that are simulated at once
 STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
