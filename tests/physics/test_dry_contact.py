@@ -118,3 +118,13 @@ def test_friction_stays_within_its_bound_in_every_step_of_a_draped_rope():
     assert most < 1.001
     # 0.17 mm; 0.02 mm are left with the short steps
     assert np.abs(coarse - fine).max() < 4e-4
+
+
+def test_samples_of_a_draped_rope_do_not_depend_on_other_samples():
+    """Steps to a sample begin with what the run knows, not with what the last sample found."""
+    rope = hf.Rope.uniform(0.8, 0.05, 48, 0.003, friction=1e-4, dry_friction=1e-3)
+    setup = hf.Setup(rope, pegs=[hf.Peg(0.25, -0.07, 0.03, 0.3)], q0=np.full(48, 1.5), duration=0.6)
+    few = np.linspace(0.005, 0.6, 200)
+    many = np.union1d(few, np.linspace(0.0013, 0.5987, 1501))
+    one, other = (hf.simulate(setup, t_eval=t, refine=False) for t in (few, many))
+    np.testing.assert_array_equal(one.qd, other.qd[np.isin(other.t, few)])

@@ -81,7 +81,15 @@ def check_start(
 SHOWN = ("peg_angle", "peg_rate")  # of a State, and of a Trajectory
 STEP = "contact_step"
 # in a state's checkpoint, in the order of ``contact.memory.ContactMemory``
-KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_penalty", "joint_torque", "joint_mode")
+KEPT = (
+    "contact_normal",
+    "contact_tangent",
+    "contact_mode",
+    "contact_penalty",
+    "joint_torque",
+    "joint_mode",
+    "joint_regularized",
+)
 
 
 # The hand-over between free flight and contact steps

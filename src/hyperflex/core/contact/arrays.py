@@ -48,9 +48,9 @@ class Joints(NamedTuple):
 # from; GOOD: that of the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST,
 # HIGHEST: the relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER:
 # length of the chain beyond the joint, m. CREEP: stiction tolerance, rad/s, of a joint whose friction is regularized,
-# else 0.0; RUBBED: impulse of that friction, which is not in IMPULSE then, N m s. FREE, FREE + 1: as ``Motion.joint``,
-# without friction and limits.
-IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, CREEP, RUBBED, FREE, ROWS = *range(12), 13
+# else 0.0; RUBBED: impulse of that friction, which is not in IMPULSE then, N m s. CREPT: 1.0 where it was so in the
+# last step. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
+IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, CREEP, RUBBED, CREPT, FREE, ROWS = *range(13), 14
 
 
 class Motion(NamedTuple):

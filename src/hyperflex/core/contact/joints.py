@@ -18,6 +18,7 @@ from hyperflex.core.contact.arrays import (
     BEFORE,
     BOUND,
     CREEP,
+    CREPT,
     FREE,
     HIGHEST,
     IMPULSE,
@@ -95,6 +96,8 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
         rate = relative(motion.w, i, workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
         of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
+        of[CREEP, i] = of[RUBBED, i] = 0.0
+        of[CREPT, i] = memory.regularized[i]
         of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
         of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
         of[START, i] = RELAXED * h * memory.torque[i]
@@ -208,14 +211,6 @@ def regularize_joints(chain, joints):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def sharpen_joints(joints):  # type: ignore[no-untyped-def]
-    """Let dry friction have its modes; returns whether any was regularized before."""
-    regularized = joints.of[CREEP].any()
-    joints.of[CREEP] = joints.of[RUBBED] = 0.0
-    return regularized
-
-
-@non_allocating
 def regularized_impulse(joints, i):  # type: ignore[no-untyped-def]
     """Impulse L of regularized friction at the rate before the step, N m s, and by how much it falls with the rate.
 
@@ -246,8 +241,9 @@ def guess_joint_modes(joints):  # type: ignore[no-untyped-def]
     for i in joints.which:
         if of[CREEP, i] > 0.0:
             rate, bound = of[AFTER, i], of[BOUND, i]
-            of[START, i] = max(-bound, min(of[RUBBED, i] + of[IMPULSE, i], bound))
+            of[START, i] = of[RUBBED, i] + of[IMPULSE, i]
             if joints.mode[i] < UPPER:
+                of[START, i] = max(-bound, min(of[START, i], bound))
                 joints.mode[i] = STICK if abs(rate) <= of[CREEP, i] else AHEAD if rate > 0.0 else BACK
             of[CREEP, i] = of[RUBBED, i] = 0.0
 
@@ -257,6 +253,7 @@ def release_joints(joints):  # type: ignore[no-untyped-def]
     """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
     of = joints.of
     for i in joints.which:
+        of[CREEP, i] = of[RUBBED, i] = 0.0
         joints.mode[i] = OPEN if of[BOUND, i] == 0.0 else AHEAD if of[BEFORE, i] > 0.0 else BACK
 
 

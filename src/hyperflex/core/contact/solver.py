@@ -10,12 +10,11 @@ on the cone. Its residual velocity is (P - P0) / M and dies out where the load i
 import math
 
 from hyperflex.core.assign import assign, assign_rows
-from hyperflex.core.contact.arrays import AHEAD, BACK, BOUND, CREEP, GOOD, OPEN, START, STICK
+from hyperflex.core.contact.arrays import AHEAD, BACK, BOUND, CREEP, CREPT, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import (
     guess_joint_modes,
     regularize_joints,
     release_joints,
-    sharpen_joints,
     update_joint_modes,
     update_joint_multipliers,
     within_friction,
@@ -250,6 +249,15 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
 
 
 @absorbed
+def settle(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
+    """Solve for the changes of the rates anew with the present modes, for one M = `penalty`, kg."""
+    motion.change[:] = 0.0
+    for _ in range(SETTLING):
+        linearize(chain, motion, h)
+        solve_round(chain, contacts, impulses, motion, joints, spin, penalty, NONE)
+
+
+@absorbed
 def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  # type: ignore[no-untyped-def]
     """Search modes for larger and larger M; arguments as for :func:`solve`.
 
@@ -260,7 +268,7 @@ def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  
 
     Returns
     -------
-    total, rounds : int, of all searches, and of the last one, negative if it failed
+    total : int, rounds of all searches
     last, penalty : float, M of the last solution, kg, 0.0 if there is none, and the last M that was tried
     residual : float, that of this solution, m/s
     """
@@ -296,7 +304,9 @@ def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  
         penalty = min(MOST_GROWTH * penalty, STIFFEST * whole) if climbs else min(stiffer, most)
     if rounds < 0:
         restore(impulses, joints)
-    return total, rounds, last, penalty, residual
+        if last > 0.0:
+            settle(chain, contacts, impulses, motion, joints, spin, h, last)
+    return total, last, penalty, residual
 
 
 @absorbed
@@ -304,9 +314,10 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where none do, the friction of joints is regularized, so that it has no modes. That solution says which modes to
-    search for once more; where these do not obey the law either, friction stays regularized in this step. The next
-    step does not search once more, nor do runs with loose impulses. The last solution found is the result: its impulses
-    obey Coulomb's law, its velocities obey it up to the residual. The next step starts with a slightly larger M.
+    search for once more; where these do not obey the law either, friction stays regularized in this step. A step after
+    such a step does not search once more, nor do runs with loose impulses. The last solution found is the result, where
+    the last search for modes found one: its impulses obey Coulomb's law, its velocities obey it up to the residual. The
+    next step starts with a slightly larger M.
 
     Parameters
     ----------
@@ -319,15 +330,13 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or more where `impulses` are loose, or
         regularized friction not to within RUBBING.
     """
-    again = sharpen_joints(joints) or impulses.loose > 1.0
+    again = impulses.loose > 1.0 or joints.of[CREPT].any()
     dry = joints.of[BOUND].any()
     total, solved = 0, False
     for turn in range(4):
         sharp = dry and turn % 2 == 0
         store(impulses, joints)
-        some, rounds, last, penalty, residual = climb(
-            chain, contacts, impulses, motion, joints, spin, h, whole, not sharp
-        )
+        some, last, penalty, residual = climb(chain, contacts, impulses, motion, joints, spin, h, whole, not sharp)
         total += some
         solved = residual <= SLIGHT_SPEED * impulses.loose and within_friction(joints)
         if turn == 3 or not dry or solved == sharp or (again and not sharp):
@@ -335,15 +344,12 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         if sharp:
             regularize_joints(chain, joints)
         else:
+            impulses.penalty[0] = min(last, STIFF * whole)
             guess_joint_modes(joints)
-    if rounds < 0:
-        if last == 0.0:  # nothing was found at all: let go
-            release_joints(joints)
-            for c in range(contacts.total[0]):
-                impulses.mode[c] = OPEN
-        motion.change[:] = 0.0
-        for _ in range(SETTLING):
-            linearize(chain, motion, h)
-            solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, NONE)
+    if last == 0.0:  # nothing was found at all: let go
+        release_joints(joints)
+        for c in range(contacts.total[0]):
+            impulses.mode[c] = OPEN
+        settle(chain, contacts, impulses, motion, joints, spin, h, penalty)
     impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
     return total if solved else -total
