@@ -63,6 +63,8 @@ MOTIONS = [
     case("move-to-infinity", lambda: hf.move_arm(0.0, INF, 1.0), "end", "inf"),
     case("move-unknown-profile", lambda: hf.move_arm(0.0, 1.0, 1.0, "sine"), "profile", "'sine'", "'bang-bang'"),
     case("move-long-ramp", lambda: hf.move_arm(0.0, 1.0, 1.0, "ramp", ramp=0.7), "ramp", "0.7"),
+    case("moves-many-rests", lambda: hf.arm_moves([0.0, 1.0], [0.1, 0.1, 0.1], [0.5]), "rests", "(3,)", "shape 2"),
+    case("moves-no-rests", lambda: hf.arm_moves([0.0, 1.0], [], [0.5]), "rests", "(0,)", "shape 1"),
     case("swings-unknown-path", lambda: hf.arm_swings(path="through"), "path", "'through'", "'over'"),
     case("sampled-unsorted", lambda: hf.sampled_motion([0.0, 2.0, 1.0], [0.0, 1.0, 2.0]), "t goes back", "[2.0, 1.0]"),
     case("sampled-repeated", lambda: hf.sampled_motion([0.0, 1.0, 1.0], [0.0, 1.0, 2.0]), "t repeats", "[1.0, 1.0]"),

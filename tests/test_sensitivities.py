@@ -10,6 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
+from hyperflex.motion import motion_derivatives
 from hyperflex.simulation import AngleJacobian
 from tests import test_dry_sensitivities, test_torque_sensitivities
 from tests.frozen import check
@@ -85,6 +86,12 @@ WAYS: list[tuple[str, Varied, float]] = [
 @pytest.mark.parametrize(("name", "make", "size"), WAYS, ids=[name for name, *_ in WAYS])
 def test_each_name(name, make, size):
     check(make, name, size)
+
+
+def test_a_longer_rest_after_the_last_move_ends_the_motion_later():
+    breaks, coef = motion_derivatives(hf.arm_moves([0.0, 1.0], [0.1, 0.4], [0.5]), "rests[1]")
+    assert breaks.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0]
+    assert not coef.any()
 
 
 def test_own_direction():

@@ -145,7 +145,7 @@ def test_criteria_that_are_not_the_usual_ones_are_named():
     required = replace(planned().problem, criteria=hf.WindCriteria(turns=2.0, settle=1.5))
     for problem, turns, watch in (
         (planned().problem, "1.25", ""),
-        (required, "2", ", from 1.5 s after the arm's stop on,"),
+        (required, "2", ", from 1.5 s after the motion's end on,"),
     ):
         plan = replace(planned(), problem=problem)
         report = CastReport(plan)
@@ -156,6 +156,18 @@ def test_criteria_that_are_not_the_usual_ones_are_named():
         assert any(line.get_ydata()[0] == problem.criteria.turns == line.get_ydata()[-1] for line in axis.get_lines())
         (green,) = [span.get_x() for span in axis.patches]
         assert green == pytest.approx(plan.motion.breaks[-1] + problem.criteria.settle)
+
+
+def test_the_rest_with_which_a_cast_ends_is_named():
+    plan = replace(planned(), moves=planned().moves.waiting(1.25))
+    report, stop = CastReport(plan), planned().motion.end
+    assert f"it stops at {stop:.2f} s and waits 1.25 s, in which" in " ".join(report.story)
+    assert "waits" not in " ".join(CastReport(planned()).story)
+    assert report.stop == pytest.approx(stop)
+    assert plan.summary()["stop"] == pytest.approx(stop)
+    assert plan.summary()["moves"]["dwell"] == 1.25
+    (green,) = [span.get_x() for span in course_of(report).axes[1].patches]
+    assert green == pytest.approx(stop + 1.25 + plan.problem.criteria.settle)
 
 
 def test_warnings(monkeypatch):

@@ -405,9 +405,9 @@ class _Learner:
     def _strike(self, state: RopeState) -> RopeState | None:
         """Return the state at which the present moves strike in the model, flown from a state; None if they do not."""
         problem, peg = self.plan.problem, self.plan.target
-        motion = self.moves.motion(problem.limits)
+        motion, latest = self.moves.motion(problem.limits), self.moves.stops(problem.limits) + 0.5
         batch = RolloutBatch.from_state([problem.rope], [peg], [motion], state)
-        found = fly_to_strikes(problem, peg, batch, Budget(), max(problem.time, motion.end + 0.5))
+        found = fly_to_strikes(problem, peg, batch, Budget(), max(problem.time, latest))
         t = state.t + float(found.t[0])
         return RopeState(t, found.q[0], found.qd[0]) if math.isfinite(t) else None
 

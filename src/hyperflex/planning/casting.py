@@ -419,13 +419,13 @@ def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
     runs = [each.run for each in plan.outcomes if each.run is not None]
     if len(runs) < 2 or plan.motion is None:
         return ()
-    criteria, stop = plan.problem.criteria, plan.motion.end
-    kept = min(np.abs(winding.turns(run, plan.target)[run.t >= stop + criteria.settle]).min() for run in runs)
+    criteria, end = plan.problem.criteria, plan.motion.end
+    kept = min(np.abs(winding.turns(run, plan.target)[run.t >= end + criteria.settle]).min() for run in runs)
     turns = math.floor(TURNS_STEPS * kept) / TURNS_STEPS
     if not 0.0 < turns < criteria.turns:
         return ()
     easier = replace(plan.problem, criteria=replace(criteria, turns=turns))
-    succeeds = all(evaluate_cast(easier, plan.target, run, stop).success for run in runs)
+    succeeds = all(evaluate_cast(easier, plan.target, run, end).success for run in runs)
     return (f"{turns:.3g} turns required",) if succeeds else ()
 
 

@@ -223,7 +223,7 @@ def scenario_scores(
     motions = [each.motion(moves, problem) for each in scenarios]
     chain, cut = problem.cut(pieces), [divided(each.rope, pieces) for each in scenarios]
     batch = RolloutBatch.from_start(chain, cut, [each.peg for each in scenarios], motions, stiction)
-    return winding_scores(chain, batch, budget)
+    return winding_scores(chain, batch, budget, moves.dwell)
 
 
 def strikes_in_plane(problem: Problem, scenarios: Sequence[Scenario], aside: float) -> Flags:

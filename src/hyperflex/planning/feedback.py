@@ -394,7 +394,7 @@ class _Loop:
         """Return the turns that the model's rope makes and keeps, from the last observed state on."""
         rope, target = self.problem.rope, self.target
         batch = RolloutBatch.from_state([rope], [target], [self.motion()], self._seen)
-        return float(winding_scores(self.problem, batch, self.budget).turns[0])
+        return float(winding_scores(self.problem, batch, self.budget, self.moves.dwell).turns[0])
 
     def abort(self, first: int) -> None:
         """Take the arm slowly to hanging, from move `first` on."""

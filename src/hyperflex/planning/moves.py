@@ -100,8 +100,8 @@ class Moves:
 
     def then(self, end: float, rest: float, speed: float = 1.0) -> "Moves":
         """Return the same moves and one more to arm angle `end`, rad, after a rest, s, at a fraction of full speed."""
-        longer = (self.ends, end), (self.rests, rest), (self.speeds, speed)
-        return Moves(self.side, *(np.append(*each) for each in longer))  # type: ignore[arg-type]
+        ends, rests, speeds = np.append(self.ends, end), np.append(self.rests, rest), np.append(self.speeds, speed)
+        return replace(self, ends=ends, rests=rests, speeds=speeds, dwell=0.0)
 
     def waiting(self, more: float) -> "Moves":
         """Return the same moves with so much longer a dwell, s."""

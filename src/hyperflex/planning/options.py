@@ -40,7 +40,8 @@ class WindCriteria:
     contact : float
         Least angle of the target that the rope covers, rad.
     settle : float
-        Time from the arm's stop, s, up to 10, after which the rope is watched for `watch`.
+        Time from the motion's end, s, up to 10, after which the rope is watched for `watch`. The end is the arm's stop,
+        or that of the rest after it if the plan has one.
     watch : float
         Time for which the rope must stay wound and hold, s, at least MEAN_TIME: forces are averaged over it.
     max_slip : float
@@ -66,7 +67,7 @@ class WindCriteria:
     contact: float = option(
         0.0, "Least angle of the target that the rope must cover.", "rad", sign="nonnegative", shown="none"
     )
-    settle: float = option(1.0, "Time from the arm's stop after which the rope is watched.", "s", sign="nonnegative")
+    settle: float = option(1.0, "Time from the motion's end after which the rope is watched.", "s", sign="nonnegative")
     watch: float = option(2.0, "Time for which the rope must stay wound and hold.", "s", sign="positive")
     max_slip: float = option(5e-3, "Greatest slip on the target in that time.", "m", sign="positive")
     holding_force: float = option(0.0, "Pull that the wound rope must withstand.", "N", sign="nonnegative")

@@ -111,7 +111,7 @@ class CastOutcome(RunOutcome):
     ----------
     wound : bool
         Whether the rope makes the required turns, or more, about the peg in all of the criteria's `watch`, from
-        `settle` after the arm's stop on.
+        `settle` after the motion's end on.
     held : bool
         Whether it slips by less than `max_slip` in the watch, and withstands the required pull.
     turns : float
@@ -194,15 +194,15 @@ def verify_cast(
     Parameters
     ----------
     motion : Motion
-        With an end, after which the arm rests.
+        With an end: the arm's stop, or that of the rest after it.
     tol, contact_step : float
         As for :func:`hyperflex.simulate`, m and s.
     time_budget : float or Budget, optional
         Time of the run by the clock, s; a run that takes more has failed.
     """
     budget, criteria = Budget.of(time_budget), problem.criteria
-    stop = motion.end
-    duration = stop + criteria.settle + criteria.watch
+    end = motion.end
+    duration = end + criteria.settle + criteria.watch
     setup = verified_setup(problem, motion, duration, (peg,), tol=tol, contact_step=contact_step)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
@@ -211,7 +211,7 @@ def verify_cast(
     except SimulationError as error:
         late = error.status == Status.OUT_OF_TIME
         return CastOutcome(message=too_long(budget) if late else f"the simulation failed ({error.status})")
-    return evaluate_cast(problem, peg, run, stop)
+    return evaluate_cast(problem, peg, run, end)
 
 
 def too_long(budget: Budget) -> str:
@@ -224,13 +224,13 @@ def too_long(budget: Budget) -> str:
     return f"{TOO_LONG}: this machine is busy, it had {100.0 * share:.0f} % of a processor; give a longer time_budget"
 
 
-def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
-    """Evaluate a run whose arm stopped at `stop`, s."""
+def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, end: float) -> CastOutcome:
+    """Evaluate a run whose motion ended at `end`, s."""
     wound, criteria = winding.measure_winding(run, peg), problem.criteria
-    watched = run.t >= stop + criteria.settle
+    watched = run.t >= end + criteria.settle
     turns = wound.turns[watched]
     turns_kept = float((np.sign(turns[-1]) * turns).min())
-    slips = winding.rope_slip(run, peg, since=stop + criteria.settle)[watched]
+    slips = winding.rope_slip(run, peg, since=end + criteria.settle)[watched]
     on = bool(np.isfinite(slips).all())
     slip = float(np.abs(slips).max())
     enough, held = turns_kept >= criteria.turns, on and slip < criteria.max_slip

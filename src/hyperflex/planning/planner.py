@@ -78,7 +78,7 @@ class Task(ABC):
     enough : float
         Margin with which a search ends.
     ready : float
-        Score of a sample above which it is rolled out before others are drawn.
+        Least score of a sample that is rolled out before others are drawn.
     runs : int
         Simulated runs so far.
     """
@@ -179,7 +179,7 @@ class Planner:
 
     def _with_work(self) -> list[int]:
         """Return the levels that have something to do."""
-        waiting = self.sampled and self.sampled[0].score > self.task.ready
+        waiting = self.sampled and self.sampled[0].score >= self.task.ready
         work = [] if self._exhausted or waiting else [SAMPLE]
         work += [ROLLOUT] if self.sampled else []
         return [*work, VERIFY] if self._promising() is not None else work

@@ -30,7 +30,7 @@ from hyperflex.planning.clearance import (
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import FOLD, at_limits, limit_bend
 from hyperflex.simulation import Batch, check_outside, simulate, simulate_batch
-from hyperflex.trajectory import interpolated
+from hyperflex.trajectory import State, interpolated
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RolloutModel:
         A run in contact ends that makes fewer turns until so many sqrt(length / g): of 2,423 runs 141 wound in the end,
         12 of these had fewer, and 57 % of all simulated time came later.
     check, check_turns : float
-        The same at so many s after the arm's stop.
+        The same at so many s after the motion's end.
     last : float
         End of a run in which turns must stay.
     max_turns : float
@@ -72,8 +72,9 @@ class RolloutModel:
         Weight of turns that are undone again, cost of a second of delay, slip that costs half a turn, and cost of a
         rope that comes too near its arm or an obstacle, folds flat, or does not run behind a peg, turns.
     periods : int
-        Periods of its swing that a wound rope is given to settle. Of 31 runs of four ropes that slipped by 4 to 170 mm
-        29 slipped by less than 5 mm after one period, 30 after three.
+        Periods of its swing that a wound rope is given to settle if it slips by more than a tenth of `max_slip`, each
+        if its slip then halves, or falls below `max_slip`; and as many more if it still slips with shorter links. Of 31
+        runs of four ropes that slipped by 4 to 170 mm 29 slipped by less than 5 mm after one period, 30 after three.
     longest : float
         Processor time of a run in contact, at most.
     """
@@ -378,6 +379,9 @@ class _Contact:
         self.periods, self.dwell = periods, 0.0
         self.rope, self.motion, self.peg = batch.ropes[0], batch.motions[0], batch.pegs[0]
         self.pegs, self.most = (self.peg, *problem.criteria.behind), 0.0
+        self.state: State | None = None
+        none, angles = np.zeros(0), np.zeros((0, self.rope.n_links))
+        self.samples: tuple[Array, ...] = none, none, angles, angles  # times, s, turns, angles, rad, and rates, rad/s
 
     def score(self) -> tuple[float, float, float]:
         """Score, turns and slip of the run, in parts: it ends after one that leaves no hope, or without slip."""
@@ -387,39 +391,23 @@ class _Contact:
         sweep = MODEL.sweep * math.sqrt(rope.total_length / max(rope.g, 1e-9))
         usual = min(1.0, criteria.turns / 1.25)  # the limits below suit 1.25 turns, and those of more
         parts = [(min(sweep, check), usual * MODEL.sweep_turns)] if self.sweeping else []
-        t, turns, q, qd = np.zeros(0), np.zeros(0), np.zeros((0, rope.n_links)), np.zeros((0, rope.n_links))
-        hope, state = usual * MODEL.check_turns, None
+        hope = usual * MODEL.check_turns
         setup = Setup(rope, self.motion, self.problem.arm, pegs=self.pegs, q0=self.batch.q[0], qd0=self.batch.qd[0])
         setup = setup.replace(tol=MODEL.contact_tol, contact_step=MODEL.contact_step)
         if not starts_outside(setup):
             return NEVER, 0.0, math.inf
-        parts += [(check, hope), (end, 0.0)]
-        parts += [(end + k * self.problem.period, 0.0) for k in range(1, self.periods + 1)]
-        for until, least in parts:
-            if until > end:
-                stays = self._turns(t, turns, float(t[-1]))[1] >= criteria.turns
-                if not stays or self._slip(t, q, check) <= 0.1 * criteria.max_slip:
-                    break
-                self.dwell = until - end
-            since = float(t[-1]) if t.size else 0.0
-            if since >= until - 1e-9:
-                continue
-            polls: Array = np.arange(since, until + MODEL.step - 1e-9, MODEL.step)[1:]
-            part, limit = setup.replace(duration=polls[-1] - since + 1e-9), self.budget.limit(MODEL.longest)
-            run = simulate(part, t_eval=polls, state=state, throw=False, time_budget=limit)
-            state, more = run.state, (run.t, winding.turns(run, self.peg), run.q, run.qd)
-            t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), more, strict=True))
-            self.most = max(self.most, float(np.abs(more[1]).max(initial=0.0)))
-            if not run.success:
+        for until, least in [*parts, (check, hope), (end, 0.0)]:
+            if not self._run(setup, until):
                 return NEVER, 0.0, math.inf
+            t, turns, _, _ = self.samples
             seen = turns if until < check - 1e-9 else turns[-1:]
             if float(np.abs(seen).max()) < least:
-                return self._turns(t, turns, float(t[-1]))[0], 0.0, math.inf
-        score, stay = self._turns(t, turns, end + self.dwell)
-        way = math.inf
+                return self._turns(float(t[-1]))[0], 0.0, math.inf
+        way = self._settled(setup, end, max(check, stop + criteria.settle))
+        score, stay = self._turns(end + self.dwell)
         if stay >= criteria.turns:
-            way = self._slip(t, q, check)
             score -= way / (way + MODEL.slip) if math.isfinite(way) else 1.0
+        t, _, q, qd = self.samples
         faults = self._faults(t, q, qd)
         if faults > 0.0:
             score, stay = score - max(min(stay, 3.0) - criteria.turns, 0.0) - faults, min(stay, hope)
@@ -427,13 +415,53 @@ class _Contact:
             score -= MODEL.fault
         return score, stay, way
 
-    def _slip(self, t: Array, q: Array, check: float) -> float:
-        """Return the greatest slip, m, since a time `check` and the dwell, s."""
-        some = t >= check + self.dwell
+    def _run(self, setup: Setup, until: float) -> bool:
+        """Simulate on until a time, s; return whether it succeeds. If not, the samples stay as they are."""
+        t = self.samples[0]
+        since = float(t[-1]) if t.size else 0.0
+        if since >= until - 1e-9:
+            return True
+        polls: Array = np.arange(since, until + MODEL.step - 1e-9, MODEL.step)[1:]
+        part, limit = setup.replace(duration=polls[-1] - since + 1e-9), self.budget.limit(MODEL.longest)
+        run = simulate(part, t_eval=polls, state=self.state, throw=False, time_budget=limit)
+        turns = winding.turns(run, self.peg)
+        self.most = max(self.most, float(np.abs(turns).max(initial=0.0)))
+        if run.success:
+            more = run.t, turns, run.q, run.qd
+            self.state = run.state
+            self.samples = tuple(np.concatenate(each) for each in zip(self.samples, more, strict=True))
+        return run.success
+
+    def _settled(self, setup: Setup, end: float, since: float) -> float:
+        """Wait until a wound rope at the `end`, s, does not slip, as long as it helps; return its slip, m.
+
+        It is the greatest since a time, s, and the dwell; inf if too few turns stay.
+        """
+        criteria = self.problem.criteria
+        if self._turns(end)[1] < criteria.turns:
+            return math.inf
+        way = self._slip(since)
+        for wait in (self.problem.period * np.arange(1.0, self.periods + 1.0)).tolist():
+            before = self.samples
+            if way <= 0.1 * criteria.max_slip or not self._run(setup, end + wait):
+                break
+            slip = self._slip(since + wait)
+            helps = slip < 0.5 * way or slip < criteria.max_slip <= way
+            if not helps or self._turns(end + wait)[1] < criteria.turns:
+                self.samples = before
+                break
+            self.dwell, way = wait, slip
+        return way
+
+    def _slip(self, since: float) -> float:
+        """Return the greatest slip, m, since a time, s; inf if a link has left the peg."""
+        t, _, q, _ = self.samples
+        some = t >= since
         return float(np.abs(winding.slid(self.rope, self.peg, q[some], self._joints(t, q)[some])).max())
 
-    def _turns(self, t: Array, turns: Array, span: float) -> tuple[float, float]:
-        """Score by the turns (T,) at times t (T,) up to a span, s, alone, and the least turns in its last part."""
+    def _turns(self, span: float) -> tuple[float, float]:
+        """Score by the turns up to a span, s, alone, and the least turns in its last part."""
+        t, turns, _, _ = self.samples
         most = MODEL.max_turns + self.problem.criteria.turns
         ending = turns[t >= span - MODEL.last]
         stay = max(float((np.sign(ending.sum()) * ending).min()), 0.0)
@@ -464,13 +492,13 @@ class _Contact:
         return self.rope.joints(q, self.problem.arm.tip(self.motion.angle(t)))
 
 
-def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget) -> WindingScores:
+def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget, dwell: float = 0.0) -> WindingScores:
     """Simulate moves (M,) in free flight until they strike, and in contact from there.
 
-    They must strike within the time of the problem, or until 0.5 s after the arm's stop. Turns are 0 without a strike
-    or if a run fails.
+    They must strike within the time of the problem, or until 0.5 s after the arm's stop: `dwell`, s, before the
+    motions' end. Turns are 0 without a strike or if a run fails.
     """
-    stop = max(motion.end for motion in batch.motions)
+    stop = max(motion.end for motion in batch.motions) - dwell
     found = fly_to_strikes(problem, batch.pegs[0], batch, budget, max(problem.time, batch.since + stop + 0.5))
     return wound_after(problem, batch, found, budget)
 

@@ -66,7 +66,7 @@ class CastReport(PlanReport[CastPlan]):
     @property
     def stop(self) -> float:
         """When the arm stops, s."""
-        return 0.0 if self.plan.motion is None else self.plan.motion.end
+        return 0.0 if self.plan.moves is None else self.plan.moves.stops(self.plan.problem.limits)
 
     def strobe_of_event(self, ax: "Axes | None" = None) -> "Figure":
         """Draw the rope about the strike, or before the arm stops."""
@@ -109,8 +109,9 @@ class CastReport(PlanReport[CastPlan]):
             lines = (Line("towards the arm", wound.before), Line("towards the tip", wound.after))
             second = Plot("tension of the rope where it leaves the target", "N", lines)
         figure = self.course(f"strikes at {self.event:.2f} s", self._turns(), second)
+        watched = self.plan.required(self.plan.motion, "motion").end + self.plan.problem.criteria.settle
         for axis in figure.axes:
-            axis.axvspan(self.stop + self.plan.problem.criteria.settle, self.run.t[-1], color=GREEN, alpha=0.1, lw=0)
+            axis.axvspan(watched, self.run.t[-1], color=GREEN, alpha=0.1, lw=0)
         return figure
 
 

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 
 def cast_run_figure(run: "CastRun") -> "Figure":
     """Draw a run: the arm's angle and its goal, the tracking error, the torque, and the deviation of tip and middle."""
-    sent, stop = run.log.column("sent"), run.motion.end
+    sent, moves = run.log.column("sent"), (run.follow or run.plan).moves
+    stop = run.motion.end - (0.0 if moves is None else moves.dwell)
     some = sent >= 0.0
     t = sent[some]
     with new_figure(7.2, 6.4) as figure:

@@ -82,7 +82,6 @@ class WindTask(Task):
         anew: bool = True,
     ) -> None:
         self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
-        self.ready = 1e9
         self.sides = free_sides(problem, problem.beside(peg))
         cuts = self._cuts = pieces_in_contact(problem, peg, options.coarse)
         pieces = max(options.pieces, cuts + 1)
@@ -99,7 +98,8 @@ class WindTask(Task):
         if uncertainty is not None:
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
         self.most_turns, self.furthest, self._flights = 0.0, 0, 0
-        self._start, self._samples = [one for one in start if one.side in self.sides], 0
+        self._start = [replace(one, dwell=0.0) for one in start if one.side in self.sides]
+        self._samples = 0
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
