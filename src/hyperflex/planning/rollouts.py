@@ -435,7 +435,7 @@ class _Contact:
     def _settled(self, setup: Setup, end: float, since: float) -> float:
         """Wait until a wound rope at the `end`, s, does not slip, as long as it helps; return its slip, m.
 
-        It is the greatest since a time, s, and the dwell; inf if too few turns stay.
+        It is the greatest since a time, s, and the dwell, or in a wait that does not help; inf if too few turns stay.
         """
         criteria = self.problem.criteria
         if self._turns(end)[1] < criteria.turns:
@@ -445,10 +445,12 @@ class _Contact:
             before = self.samples
             if way <= 0.1 * criteria.max_slip or not self._run(setup, end + wait):
                 break
+            if self._turns(end + wait)[1] < criteria.turns:
+                self.dwell = wait
+                return math.inf
             slip = self._slip(since + wait)
-            helps = slip < 0.5 * way or slip < criteria.max_slip <= way
-            if not helps or self._turns(end + wait)[1] < criteria.turns:
-                self.samples = before
+            if slip >= 0.5 * way and not slip < criteria.max_slip <= way:
+                self.samples, way = before, max(way, slip)
                 break
             self.dwell, way = wait, slip
         return way
