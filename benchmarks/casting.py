@@ -11,10 +11,10 @@ python -m benchmarks.casting --outside           targets called out of reach, ea
 For each target: a plan of hyperflex (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
 rule (half turns as the tip passes below the shaft), both until the rope strikes the target; the arm then finishes its
 half turn and rests. Each motion is run with 2.5 times the links, half the library's contact step and a fifth of its
-tolerance; the planner's own verifications use the library's values. A rope is wound if it makes 1.25 turns from the
-arm's tip to its end, and held if it slips by less than 5 mm in the next 2 s. A slow pull at the arm's end then measures
-the load that it holds. All simulated. BLOCK targets are planned one after the other, on all cores, and then checked.
-Rows are kept in casting.jsonl: the same command continues an interrupted run.
+tolerance; the planner's own verifications use the library's values, and 0.1 mm for those with shorter links. A rope is
+wound if it makes 1.25 turns from the arm's tip to its end, and held if it slips by less than 5 mm in the next 2 s. A
+slow pull at the arm's end then measures the load that it holds. All simulated. BLOCK targets are planned one after the
+other, on all cores, and then checked. Rows are kept in casting.jsonl: the same command continues an interrupted run.
 
 Other planners can take part: the ropes, the arm, the motor's limits and the targets are in ``problem`` and ``targets``,
 which require numpy's generator only; the independent check is ``hyperflex.planning.verify_cast`` on ``problem(rope,
