@@ -88,7 +88,6 @@ KEPT = (
     "contact_penalty",
     "joint_torque",
     "joint_mode",
-    "joint_regularized",
 )
 
 

@@ -8,8 +8,7 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.jit import kernel, zeros
 
-# Modes. AHEAD, BACK: the rope slips along the tangent, or against it; a joint turns in the positive sense, or against
-# it. UPPER, LOWER: a joint is held at a limit.
+# Modes. AHEAD, BACK: the rope slips along the tangent, or against it. UPPER, LOWER: a joint is held at a limit.
 OPEN, STICK, AHEAD, BACK, UPPER, LOWER = range(6)
 RELAXED = 0.99  # part of the last forces and torques with which a step starts: what nothing requires dies out
 FRAME, TOUCH = 8, 12  # columns of Motion.frame and Motion.touch; see the names below
@@ -29,7 +28,6 @@ class Impulses(NamedTuple):
     vt: Array  # less that of a peg that turns, without `tangent_target`
     mode: Index
     good_mode: Index  # of the last solution found
-    closed: Index  # how often each closed in this search
     penalty: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
     residual_power: float  # W, power that residual velocities may have
     loose: float  # as ``looseness``
@@ -44,13 +42,12 @@ class Joints(NamedTuple):
     of: Array  # (ROWS, n) see the names below
 
 
-# Rows of Joints.of, by joint. IMPULSE: of friction and limit together, N m s. START: where the proximal method starts
+# Rows of Joints.of, by joint. IMPULSE: of the limit, N m s. START: where the proximal method starts
 # from; GOOD: that of the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST,
 # HIGHEST: the relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER:
-# length of the chain beyond the joint, m. CREEP: stiction tolerance, rad/s, of a joint whose friction is regularized,
-# else 0.0; RUBBED: impulse of that friction, which is not in IMPULSE then, N m s. CREPT: 1.0 where it was so in the
-# last step. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
-IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, CREEP, RUBBED, CREPT, FREE, ROWS = *range(13), 14
+# length of the chain beyond the joint, m. CREEP: stiction tolerance of dry friction, rad/s, 0.0 without; RUBBED:
+# impulse of that friction, N m s. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
+IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, CREEP, RUBBED, FREE, ROWS = *range(12), 13
 
 
 class Motion(NamedTuple):
@@ -82,9 +79,9 @@ class Motion(NamedTuple):
 @kernel
 def new_impulses(most, residual_power, loose):  # type: ignore[no-untyped-def]
     """Impulses of at most so many contacts; `residual_power` and `loose` as in Impulses."""
-    modes = np.zeros((3, most), np.int64)
+    modes = np.zeros((2, most), np.int64)
     values = zeros(most, most, (2, most), (2, most), most, most, most, most)
-    return Impulses(*values, modes[0], modes[1], modes[2], np.zeros(1), residual_power, loose)  # type: ignore[call-arg]
+    return Impulses(*values, modes[0], modes[1], np.zeros(1), residual_power, loose)  # type: ignore[call-arg]
 
 
 @kernel

@@ -1,10 +1,9 @@
-"""Joints in a step in contact: dry friction with stiction, inelastic bend limits, viscous friction and springs.
+"""Joints in a step in contact: inelastic bend limits, dry and viscous friction, springs.
 
-Dry friction with stiction and inelastic bend limits of a joint are one law between the relative rate of a joint after
-the step and its angular impulse L, a staircase that only falls (a maximal monotone graph): at the lower limit any L
-above that of friction, then the friction of a joint that turns back, at rest any L within friction, the friction of one
-that turns ahead, at the upper limit any L below it. A mode is a step of the staircase. Where the rate is given, L = L0
-- M rate by the proximal method, as for contacts: no more than a change of the joint's (T, kappa) in the sweep.
+A joint is held at a limit where it would pass it; its mode says at which. Its impulse is then L = L0 - M (rate - limit)
+by the proximal method, as for contacts: no more than a change of the joint's (T, kappa) in the sweep. Dry friction is
+regularized and has no modes: at rates well below BEND_RATE times the length of a link a joint hardly turns, and creeps.
+Sharp modes of stiction took up to twice as long in wound ropes, and were not found in many steps.
 """
 
 import math
@@ -13,12 +12,9 @@ from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import joint_of, relative
 from hyperflex.core.contact.arrays import (
     AFTER,
-    AHEAD,
-    BACK,
     BEFORE,
     BOUND,
     CREEP,
-    CREPT,
     FREE,
     HIGHEST,
     IMPULSE,
@@ -29,7 +25,6 @@ from hyperflex.core.contact.arrays import (
     RELAXED,
     RUBBED,
     START,
-    STICK,
     UPPER,
 )
 from hyperflex.core.integrate.events import limit_gap
@@ -43,10 +38,8 @@ LIMIT_REACHED = 1e-5
 LIMIT_PASSED = 2e-4
 # rad/s, by which a rate must pass its bound to be held
 JOINT_CLOSING = 1e-9
-# rad/s, below which a joint with dry friction sticks at first
-JOINT_SLOW = 1e-8
-# rad/(s m), stiction tolerance over the length of a link where friction is regularized: at 0.7 of its dry friction, a
-# rope of 1 m that is bent to a circle takes 10 min to straighten. 0.001 took up to three times as long, 0.1 no less
+# rad/(s m), stiction tolerance of dry friction over the length of a link: at 0.7 of its dry friction, a rope of 1 m
+# that is bent to a circle takes 10 min to straighten. 0.001 took up to three times as long, 0.1 no less
 BEND_RATE = 0.01
 # part of the dry friction by which a regularized one may miss its law
 RUBBING = 1e-3
@@ -57,29 +50,16 @@ ANY = 1e9  # rad/s, bound of a rate that nothing holds
 
 
 @non_allocating
-def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untyped-def]
-    """Angular impulse of a joint in a mode, N m s, and the mode that it should have; start is L0, mass is M, kg m^2.
+def joint_mode(mode, rate, lower, upper, start, mass):  # type: ignore[no-untyped-def]
+    """Angular impulse of a joint's limit, N m s, and the mode that it should have; start is L0, mass is M, kg m^2.
 
-    `bound` is that of dry friction, N m s; `lower`, `upper` are bounds of the `rate`, rad/s.
+    `lower`, `upper` are bounds of the `rate`, rad/s.
     """
-    if mode in (UPPER, LOWER):
-        side, limit = (1.0, upper) if mode == UPPER else (-1.0, lower)
-        impulse, beyond_rest = start - mass * (rate - limit), side * limit > 0.0
-        if side * impulse > (-bound if beyond_rest else bound):
-            return impulse, OPEN if bound == 0.0 else AHEAD if beyond_rest == (mode == UPPER) else BACK
-        return impulse, mode
-    impulse = start - mass * rate
-    if mode == STICK:
-        return impulse, AHEAD if impulse < -bound else BACK if impulse > bound else mode
-    sense = 1.0 if mode == AHEAD else -1.0 if mode == BACK else 0.0
-    new_mode = mode
-    if rate > upper + JOINT_CLOSING:
-        new_mode = UPPER
-    elif rate < lower - JOINT_CLOSING:
-        new_mode = LOWER
-    elif lower < 0.0 < upper and -sense * impulse < bound:
-        new_mode = STICK
-    return -sense * bound, new_mode
+    if mode == OPEN:
+        return 0.0, UPPER if rate > upper + JOINT_CLOSING else LOWER if rate < lower - JOINT_CLOSING else mode
+    side, limit = (1.0, upper) if mode == UPPER else (-1.0, lower)
+    impulse = start - mass * (rate - limit)
+    return impulse, OPEN if side * impulse > 0.0 else mode
 
 
 @non_allocating
@@ -96,12 +76,13 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
         rate = relative(motion.w, i, workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
         of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
-        of[CREEP, i] = of[RUBBED, i] = 0.0
-        of[CREPT, i] = memory.regularized[i]
         of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
         of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
-        of[START, i] = RELAXED * h * memory.torque[i]
-        joints.mode[i] = initial_joint_mode(memory.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
+        last, bound = RELAXED * h * memory.torque[i], of[BOUND, i]
+        of[CREEP, i] = BEND_RATE * chain.length[i] if bound > 0.0 else 0.0
+        of[AFTER, i], of[RUBBED, i] = rate, max(-bound, min(last, bound))
+        of[START, i] = last - of[RUBBED, i]
+        joints.mode[i] = memory.bent[i]
 
 
 @non_allocating
@@ -119,32 +100,14 @@ def allowed_rate(workspace, gap, closing, h, struck):  # type: ignore[no-untyped
 
 
 @non_allocating
-def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
-    """Mode of a joint to begin the search with, from that of the last step."""
-    mode = last
-    if bound == 0.0:
-        mode = last if last >= UPPER else OPEN
-    elif last == OPEN:
-        mode = STICK if abs(rate) <= JOINT_SLOW else AHEAD if rate > 0.0 else BACK
-    if mode in (STICK, AHEAD) and upper <= 0.0:
-        return UPPER
-    if mode in (STICK, BACK) and lower >= 0.0:
-        return LOWER
-    return mode
-
-
-@non_allocating
 def write_joints(motion, joints, penalty):  # type: ignore[no-untyped-def]
     """Write the joints, with their present modes, to ``motion.joint``; `penalty` is M of the contacts, kg."""
     of, joint = joints.of, motion.joint
     for i in joints.which:
         mode, torque, slope = joints.mode[i], 0.0, 0.0
-        if mode in (AHEAD, BACK):
-            torque = -of[BOUND, i] if mode == AHEAD else of[BOUND, i]
-        elif mode != OPEN:
+        if mode != OPEN:
             slope = penalty * of[LEVER, i] * of[LEVER, i]
-            at = of[HIGHEST, i] if mode == UPPER else of[LOWEST, i] if mode == LOWER else 0.0
-            torque = of[START, i] - slope * (of[BEFORE, i] - at)
+            torque = of[START, i] - slope * (of[BEFORE, i] - (of[HIGHEST, i] if mode == UPPER else of[LOWEST, i]))
         if of[CREEP, i] > 0.0:
             rubbed, rubbing = regularized_impulse(joints, i)
             torque, slope = torque + rubbed, slope + rubbing
@@ -166,11 +129,8 @@ def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-unty
             of[RUBBED, i] = rubbed - rubbing * (rate - of[BEFORE, i])
             law = -bound * rate / math.hypot(rate, of[CREEP, i])
             violations += abs(of[RUBBED, i] - law) > RUBBING * bound
-            bound = 0.0
         of[AFTER, i] = rate
-        of[IMPULSE, i], new_mode = joint_mode(
-            joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], bound, of[START, i], mass
-        )
+        of[IMPULSE, i], new_mode = joint_mode(joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[START, i], mass)
         if new_mode != joints.mode[i]:
             violations += 1
             if change:
@@ -184,30 +144,11 @@ def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
     of = joints.of
     worst = given = 0.0
     for i in joints.which:
-        mode, lever, impulse = joints.mode[i], of[LEVER, i], of[IMPULSE, i]
-        if mode in (AHEAD, BACK):
-            left = max(0.0, -of[AFTER, i] if mode == AHEAD else of[AFTER, i]) * lever
-        elif mode == OPEN:
-            left = 0.0
-        else:
-            left = abs(impulse - of[START, i]) / (penalty * lever)
+        lever, impulse = of[LEVER, i], of[IMPULSE, i]
+        left = 0.0 if joints.mode[i] == OPEN else abs(impulse - of[START, i]) / (penalty * lever)
         worst, given = max(worst, left), given + left / lever * abs(impulse)
         of[START, i] = impulse
     return worst, given
-
-
-@non_allocating
-def regularize_joints(chain, joints):  # type: ignore[no-untyped-def]
-    """Regularize dry friction for this step, where no modes are found: joints then have none but those of limits."""
-    of = joints.of
-    for i in joints.which:
-        if of[BOUND, i] > 0.0:
-            bound = of[BOUND, i]
-            of[CREEP, i], of[AFTER, i] = BEND_RATE * chain.length[i], of[BEFORE, i]
-            of[RUBBED, i] = max(-bound, min(of[START, i], bound))
-            of[START, i] -= of[RUBBED, i]
-            if joints.mode[i] < UPPER:
-                joints.mode[i] = OPEN
 
 
 @non_allocating
@@ -235,26 +176,13 @@ def within_friction(joints):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def guess_joint_modes(joints):  # type: ignore[no-untyped-def]
-    """Give joints their dry friction back, with the modes and impulses that the solution with regularized one says."""
-    of = joints.of
-    for i in joints.which:
-        if of[CREEP, i] > 0.0:
-            rate, bound = of[AFTER, i], of[BOUND, i]
-            of[START, i] = of[RUBBED, i] + of[IMPULSE, i]
-            if joints.mode[i] < UPPER:
-                of[START, i] = max(-bound, min(of[START, i], bound))
-                joints.mode[i] = STICK if abs(rate) <= of[CREEP, i] else AHEAD if rate > 0.0 else BACK
-            of[CREEP, i] = of[RUBBED, i] = 0.0
-
-
-@non_allocating
 def release_joints(joints):  # type: ignore[no-untyped-def]
     """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
     of = joints.of
     for i in joints.which:
-        of[CREEP, i] = of[RUBBED, i] = 0.0
-        joints.mode[i] = OPEN if of[BOUND, i] == 0.0 else AHEAD if of[BEFORE, i] > 0.0 else BACK
+        joints.mode[i], of[CREEP, i] = OPEN, 0.0
+        of[RUBBED, i] = -math.copysign(of[BOUND, i], of[BEFORE, i])
+        of[FREE, i] += of[RUBBED, i]
 
 
 @non_allocating
@@ -264,10 +192,7 @@ def joint_losses(joints):  # type: ignore[no-untyped-def]
     for i in joints.which:
         mean = 0.5 * (of[BEFORE, i] + of[AFTER, i])
         friction -= of[RUBBED, i] * mean
-        if joints.mode[i] >= UPPER:
-            limits -= of[IMPULSE, i] * mean
-        else:
-            friction -= of[IMPULSE, i] * mean
+        limits -= of[IMPULSE, i] * mean
     return friction, limits
 
 

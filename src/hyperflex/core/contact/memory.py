@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.contact.arrays import CREEP, IMPULSE, OPEN, RELAXED, RUBBED, UNHELD
+from hyperflex.core.contact.arrays import IMPULSE, OPEN, RELAXED, RUBBED, UNHELD
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.jit import kernel, non_allocating, zeros
 
@@ -21,14 +21,13 @@ class ContactMemory(NamedTuple):
     penalty: Array  # (1,) kg, as in Impulses
     torque: Array  # (n,) N m, of the joints' dry friction and limits
     bent: Index  # (n,) their modes
-    regularized: Index  # (n,) 1 where their friction was regularized
 
 
 @kernel
 def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
     """An empty memory."""
-    modes, joints = np.zeros((n, pegs), np.int64), np.zeros((2, n), np.int64)
-    return ContactMemory(*zeros((n, pegs), (n, pegs)), modes, *zeros(1, n), joints[0], joints[1])  # type: ignore[call-arg]
+    modes, joints = np.zeros((n, pegs), np.int64), np.zeros(n, np.int64)
+    return ContactMemory(*zeros((n, pegs), (n, pegs)), modes, *zeros(1, n), joints)  # type: ignore[call-arg]
 
 
 @non_allocating
@@ -38,7 +37,6 @@ def clear_memory(memory):  # type: ignore[no-untyped-def]
     memory.normal[:] = memory.tangent[:] = memory.torque[:] = 0.0
     memory.mode[:] = OPEN
     memory.bent[:] = OPEN
-    memory.regularized[:] = 0
 
 
 @non_allocating
@@ -60,7 +58,6 @@ def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyp
     for i in joints.which:
         memory.torque[i] = (joints.of[IMPULSE, i] + joints.of[RUBBED, i]) / h
         memory.bent[i] = joints.mode[i]
-        memory.regularized[i] = joints.of[CREEP, i] > 0.0
     for c in range(contacts.total[0]):
         i, p = contacts.link[c], contacts.peg[c]
         memory.mode[i, p] = impulses.mode[c]

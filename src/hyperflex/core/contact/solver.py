@@ -10,10 +10,8 @@ on the cone. Its residual velocity is (P - P0) / M and dies out where the load i
 import math
 
 from hyperflex.core.assign import assign, assign_rows
-from hyperflex.core.contact.arrays import AHEAD, BACK, BOUND, CREEP, CREPT, GOOD, OPEN, START, STICK
+from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import (
-    guess_joint_modes,
-    regularize_joints,
     release_joints,
     update_joint_modes,
     update_joint_multipliers,
@@ -109,7 +107,7 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
             impulses.normal[c] = impulses.tangent[c] = 0.0
             if vn + impulses.target[c] < -CLOSING:
                 new_mode = AHEAD if vt >= 0.0 else BACK
-                if mu > 0.0 and (abs(vt) <= SLOW or impulses.closed[c] % 2 == 1):
+                if mu > 0.0 and abs(vt) <= SLOW:
                     new_mode = STICK
         else:
             impulses.normal[c] = pn
@@ -128,7 +126,6 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
         if new_mode != mode:
             if change == ALL or change == EVEN + c % 2:
                 impulses.mode[c] = new_mode
-                impulses.closed[c] += int(mode == OPEN)
             violations += 1
     return violations
 
@@ -176,11 +173,7 @@ def looseness(tol):  # type: ignore[no-untyped-def]
 def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if none are found."""
     settled = SETTLED * impulses.loose * max(0.1, min(1.0, h / USUAL_STEP))
-    for c in range(contacts.total[0]):
-        impulses.closed[c] = 0
     hasty = h > 0.0 and impulses.loose > 1.0
-    # where it stalls: there is another way, see `solve`
-    ends = hasty or (joints.of[BOUND].any() and not joints.of[CREEP].any())
     fewest, stalled = contacts.total[0] + motion.w.size + 1, 0
     for turn in range(ROUNDS):
         if turn == 0 or h > 0.0:  # an impact is linear
@@ -194,7 +187,7 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
             motion.pull[:] = 0.0
             return -(turn + 1)
         stalled = 0 if violations < fewest else stalled + 1
-        if ends and stalled == STALLED:
+        if hasty and stalled == STALLED:
             return -(turn + 1)
         fewest = violations if violations > 0 else fewest
     return -ROUNDS
@@ -258,10 +251,10 @@ def settle(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
 
 
 @absorbed
-def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  # type: ignore[no-untyped-def]
+def climb(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Search modes for larger and larger M; arguments as for :func:`solve`.
 
-    Where none are found for the first M, softer ones are tried if `patient`. Each solution starts the next search, for
+    Where none are found for the first M, softer ones are tried. Each solution starts the next search, for
     the M that :func:`update_multipliers` returns, until the residual (P - P0) / M is slight. Where a larger M fails,
     the last one is tried again, from the P0 that it had. Unless its residual falls, M grows by ``MOST_GROWTH`` from
     then on, and by the square root of that where a search fails.
@@ -281,7 +274,7 @@ def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  
         total += abs(rounds)
         if rounds < 0:
             restore(impulses, joints)
-            if (last == 0.0 and not patient) or (climbs and penalty < LEAST_GROWTH * last):
+            if climbs and penalty < LEAST_GROWTH * last:
                 break
             if last == 0.0:
                 penalty *= SOFTER
@@ -313,11 +306,8 @@ def climb(chain, contacts, impulses, motion, joints, spin, h, whole, patient):  
 def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
-    Where none do, the friction of joints is regularized, so that it has no modes. That solution says which modes to
-    search for once more; where these do not obey the law either, friction stays regularized in this step. A step after
-    such a step does not search once more, nor do runs with loose impulses. The last solution found is the result, where
-    the last search for modes found one: its impulses obey Coulomb's law, its velocities obey it up to the residual. The
-    next step starts with a slightly larger M.
+    The last solution found is the result: its impulses obey Coulomb's law, its velocities obey it up to the residual.
+    Where none is found at all, contacts and joints are let go. The next step starts with a slightly larger M.
 
     Parameters
     ----------
@@ -330,22 +320,9 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or more where `impulses` are loose, or
         regularized friction not to within RUBBING.
     """
-    again = impulses.loose > 1.0 or joints.of[CREPT].any()
-    dry = joints.of[BOUND].any()
-    total, solved = 0, False
-    for turn in range(4):
-        sharp = dry and turn % 2 == 0
-        store(impulses, joints)
-        some, last, penalty, residual = climb(chain, contacts, impulses, motion, joints, spin, h, whole, not sharp)
-        total += some
-        solved = residual <= SLIGHT_SPEED * impulses.loose and within_friction(joints)
-        if turn == 3 or not dry or solved == sharp or (again and not sharp):
-            break
-        if sharp:
-            regularize_joints(chain, joints)
-        else:
-            impulses.penalty[0] = min(last, STIFF * whole)
-            guess_joint_modes(joints)
+    store(impulses, joints)
+    total, last, penalty, residual = climb(chain, contacts, impulses, motion, joints, spin, h, whole)
+    solved = residual <= SLIGHT_SPEED * impulses.loose and within_friction(joints)
     if last == 0.0:  # nothing was found at all: let go
         release_joints(joints)
         for c in range(contacts.total[0]):
