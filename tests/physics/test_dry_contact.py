@@ -5,7 +5,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
-from hyperflex.core.contact.arrays import CREEP, IMPULSE, OPEN, RUBBED
+from hyperflex.core.contact.arrays import IMPULSE, OPEN, RUBBED
+from hyperflex.core.contact.joints import BEND_RATE
 from hyperflex.core.contact.memory import new_contact_memory, save_memory, save_trend
 from hyperflex.core.contact.run import new_contact_workspace, try_step
 from tests.core.helpers import scene_of
@@ -24,17 +25,24 @@ def test_a_rope_whose_joints_stick_holds_a_load_up_to_the_torque_of_its_first_jo
     """It hangs straight; a force F across its tip gives a moment F times the length beyond a joint, largest at the
     first one."""
     rope = hf.Rope.uniform(0.8, 0.05, n, friction=0.0, dry_friction=4e-3)
-    limit = 4e-3 / 0.8
+    limit, link = 4e-3 / 0.8, 0.8 / n
+
+    def creep(load):  # rad/s, of regularized friction
+        return BEND_RATE * link * load / np.sqrt(1.0 - load**2)
+
     held = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(0.98 * limit, 0.0), refine=False)
-    assert np.abs(held.q).max() < 1e-6
-    # Residual of the proximal method: 1 % of the torque's impulse over a thousand ropes' inertia, 1e-7 rad/s.
-    assert np.abs(held.qd[-1]).max() < 1e-6
+    back = 0.05 * 9.81 * 0.4 * held.q[-1, 0] / 4e-3  # gravity's moment over the friction
+    # Friction misses its law by 1e-3 at most, and the rate by 20 times as much, so near to the limit.
+    assert held.qd[-1, 0] == pytest.approx(creep(0.98 - back), rel=0.05)
+    assert np.abs(held.q[:, 0]).max() < 1.1 * 2.0 * creep(0.98)
     assert held.attrs["contact_unsolved"] == 0
-    moved = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(1.02 * limit, 0.0), refine=False)
-    # 2 % of the torque swings it about the angle at which it would hang so, once, and then friction holds it there.
-    assert moved.q[-1, 0] == pytest.approx(2.0 * 0.02 * 4e-3 / (0.05 * 9.81 * 0.4), rel=1e-3)
+    moved = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(1.1 * limit, 0.0), refine=False)
+    # 10 % of the torque swings it about the angle at which it would hang so, once, and then friction holds it there.
+    swung = 2.0 * 0.1 * 4e-3 / (0.05 * 9.81 * 0.4)
+    assert 0.99 * swung < moved.q[-1, 0] < 1.01 * swung + 2.0 * creep(0.91)
     # The first joint alone comes loose: the others bear less.
-    np.testing.assert_allclose(np.diff(moved.q, axis=1), 0.0, atol=1e-6)
+    bends = np.abs(np.diff(moved.q, axis=1))
+    assert bends.max(initial=0.0) < 1.1 * 2.0 * creep(1.1 * 0.7 / 0.8)
 
 
 def test_far_from_pegs_the_contact_stepper_converges_to_free_flight():
@@ -44,7 +52,7 @@ def test_far_from_pegs_the_contact_stepper_converges_to_free_flight():
     free = hf.simulate(rope, tol=1e-8, **how)
     errors = []
     for step in (4e-3, 2e-3, 1e-3, 5e-4):
-        run = hf.simulate(rope, pegs=[FAR], refine=False, contact_step=step, tip_force=(1e-15, 0.0), tol=1e-2, **how)
+        run = hf.simulate(rope, pegs=[FAR], refine=False, contact_step=step, tip_force=(1e-15, 0.0), tol=1e-4, **how)
         assert run.attrs["free_flights"] == 0
         errors.append(float(np.abs(run.tip - free.tip).max()))
         assert run.dissipated_energy[-1] == pytest.approx(free.dissipated_energy[-1], rel=0.1 * step)
@@ -86,35 +94,32 @@ def test_energy_never_grows_in_throws_with_dry_friction(index, dry):
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
-def draped(n: int, dry: float, h: float, count: int) -> tuple[np.ndarray, int, float]:
+def draped(n: int, dry: float, h: float, count: int) -> tuple[np.ndarray, float]:
     """Let a level rope fall over a peg in steps h, s.
 
-    Returns its joints in the end (n, 2), m, in how many steps friction was regularized, and the greatest impulse of a
-    joint over dry friction's bound. Each step is solved.
+    Returns its joints in the end (n, 2), m, and the greatest impulse of a joint over dry friction's bound. Each step is
+    solved.
     """
     rope = hf.Rope.uniform(0.8, 0.05, n, 0.003, friction=1e-4, dry_friction=dry)
     scene = scene_of(hf.Setup(rope, pegs=[hf.Peg(0.25, -0.04, 0.03, 0.3)]))
     workspace, memory = new_contact_workspace(scene, 1e-6, h, 1e-5), new_contact_memory(n, 1)
-    y, regularized, most = np.repeat([1.5, 0.0], n), 0, 0.0
+    y, most = np.repeat([1.5, 0.0], n), 0.0
     for k in range(count):
         begin = segment(scene.drive, 0.0), k * h, h, y, memory, workspace, True, 0.0, True
         assert try_step(scene, *begin)[1] > 0
         of = workspace.joints.of
         most = max(most, float(np.abs(of[IMPULSE] + of[RUBBED]).max()) / (h * dry))
-        regularized += int(of[CREEP].any())
         save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, h)
         save_trend(memory, workspace, h)
         y = workspace.out.copy()
     assert (workspace.impulses.mode[: workspace.contacts.total[0]] != OPEN).any()
-    return rope.joints(y[:n], np.zeros(2)), regularized, most
+    return rope.joints(y[:n], np.zeros(2)), most
 
 
 def test_friction_stays_within_its_bound_in_every_step_of_a_draped_rope():
-    """It was up to 250 times the bound in steps in which no modes were found."""
-    coarse, regularized, most = draped(48, 2e-3, 1e-3, 600)
-    assert regularized > 50
+    coarse, most = draped(48, 2e-3, 1e-3, 600)
     assert most < 1.001
-    fine, _, most = draped(48, 2e-3, 1e-4, 6000)
+    fine, most = draped(48, 2e-3, 1e-4, 6000)
     assert most < 1.001
     # 0.17 mm; 0.02 mm are left with the short steps
     assert np.abs(coarse - fine).max() < 4e-4

@@ -23,7 +23,8 @@ from hyperflex.planning import (
     verify_cast,
 )
 from hyperflex.planning.casting import CastRequest, fewer_turns, plan_each
-from hyperflex.planning.ensemble import SPARE, margin, repeatable
+from hyperflex.planning.ensemble import SPARE, margin, repeatable, verify_members
+from hyperflex.planning.planner import Candidate
 from hyperflex.planning.rollouts import MODEL, RolloutBatch, fly_to_strikes, simulate, simulate_contact
 from hyperflex.planning.swings import DELAY, Strike
 from hyperflex.planning.tasks.wind import WindTask, pumped
@@ -316,6 +317,21 @@ def test_runs_that_disagree_leave_the_cast_to_chance():
     assert not repeatable(outcome, replace(outcome, touch_time=outcome.touch_time + 0.1)).success
     assert not repeatable(outcome, replace(outcome, turns=-outcome.turns)).success
     assert not repeatable(replace(outcome, spare_clearance=8e-3), replace(outcome, spare_clearance=1e-3)).success
+
+
+@pytest.mark.parametrize(("third", "succeeds"), [(0.1, True), (0.2, False)])
+def test_a_rope_that_touches_at_another_time_with_shorter_links_does_so_with_others_too(monkeypatch, third, succeeds):
+    outcome, links = planned().outcome, CORD.n_links
+    later = {links: 0.0, 3 * links: 0.1, 2 * links: third}
+
+    def verified(problem, *_, **__):
+        return replace(outcome, touch_time=1.0 + later[problem.rope.n_links], strike_time=1.0)
+
+    monkeypatch.setattr("hyperflex.planning.ensemble.verify_cast", verified)
+    problem, one = hf.Problem(CORD, ARM), Candidate(planned().moves, 1.0, 1.0)
+    found = verify_members(problem, [problem.cut(3), problem.cut(2)], PEG, one, Budget(threads=1))
+    assert (not found.message) == succeeds
+    assert found.message.startswith("with shorter links it touches the peg 0.10 s later") != succeeds
 
 
 def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():

@@ -64,12 +64,12 @@ SPARE = Spare()
 def verify_members(
     problem: Problem, finer: Sequence[Problem], peg: Peg, one: Candidate, budget: Budget, since: float = 0.0
 ) -> Verified:
-    """Verify moves on the rope as planned, and on the same with shorter links, in one or more ways.
+    """Verify moves on the rope as planned, and on the same with shorter links, in one or two ways.
 
-    Ways after the first are for a rope that comes off the target after its first touch and winds later: what it does in
-    between depends on little, so that two runs may agree by chance. The first member to fail ends the other. A
-    candidate whose runs take more than three quarters of the remaining time fails. Where the problem begins in the
-    middle of the moves, `since` is the time there, s.
+    The second way is for a rope that touches the target at another time with shorter links, or that comes off after its
+    first touch and winds later: what it does in between depends on little, so that two runs may agree by chance. Both
+    ways must then agree. The first member to fail ends the other. A candidate whose runs take more than three quarters
+    of the remaining time fails. Where the problem begins in the middle of the moves, `since` is the time there, s.
     """
     motion, share = one.moves.motion(problem.limits, since), budget.share(0.75)
     step = DEFAULT_CONTACT_STEP
@@ -91,31 +91,32 @@ def verify_members(
     budget.check()
     if failed and failed[0] == 0:
         return Verified(one, found[0], None, found[0].message, -1.0)
-    second = found[1] if failed else repeatable(found[0], found[1])
-    if not second.message and any(each.strike_time > each.touch_time for each in found.values()):
-        for k in range(2, len(members)):
-            found[k] = repeatable(found[0], run(k))
-            second = found[k] if found[k].message and not second.message else second
+    more = len(members) > 2
+    second = found[1] if failed else repeatable(found[0], found[1], math.inf if more else SPARE.delay)
+    late = any(each.strike_time > each.touch_time for each in found.values())
+    if not second.message and more and (late or repeatable(found[0], found[1]).message):
+        found[2] = repeatable(found[1], run(2))
         budget.check()
+        second = found[2] if found[2].message else second
     first = None if 0 in failed else found[0]  # it did not end
     message = f"with shorter links {second.message}" if second.message else ""
     return Verified(one, first, second, message, -1.0 if message else margin(problem.criteria, *found.values()))
 
 
-def repeatable(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
+def repeatable(first: CastOutcome, finer: CastOutcome, most: float = SPARE.delay) -> CastOutcome:
     """Return the outcome with shorter links, as failed if both do not agree on what a real rope does.
 
-    That is so if the rope winds the other way, touches the target at another time, or passes arm, shaft or obstacle
-    with little to spare and less than the difference of both runs.
+    That is so if the rope winds the other way, touches the target more than `most` s sooner or later, or passes arm,
+    shaft or obstacle with little to spare and less than the difference of both runs.
     """
     if not finer.success:
         return finer
     delay, given, now = finer.touch_time - first.touch_time, first.spare_clearance, finer.spare_clearance
     if first.turns * finer.turns < 0.0:
         return replace(finer, message="it winds the other way: the swing is left to chance")
-    if abs(delay) > SPARE.delay:
+    if abs(delay) > most:
         how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
-        return replace(finer, message=f"it {how}, {SPARE.delay:g} allowed: the swing is left to chance")
+        return replace(finer, message=f"it {how}, {most:g} allowed: the swing is left to chance")
     if min(given, now) < min(SPARE.clearance, abs(given - now)):
         how = f"with {1e3 * now:.1f} mm to spare, not {1e3 * given:.1f} mm"
         return replace(finer, message=f"it passes arm, shaft or obstacle {how}: whether it touches is left to chance")
