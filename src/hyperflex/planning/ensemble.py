@@ -73,8 +73,7 @@ def verify_members(
     """
     motion, share = one.moves.motion(problem.limits, since), budget.share(0.75)
     step = DEFAULT_CONTACT_STEP
-    longer = step if problem.rope.dry_friction.any() else 2.0 * step  # leaves steps of dry joints unsolved
-    members = [(problem, DEFAULT_TOL, step), *((each, FINER_TOL, longer) for each in finer)]
+    members = [(problem, DEFAULT_TOL, step), *((each, FINER_TOL, 2.0 * step) for each in finer)]
     failed = list[int]()
 
     def run(k: int) -> CastOutcome:
