@@ -5,7 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
-from hyperflex.core.contact.arrays import IMPULSE, OPEN, RUBBED
+from hyperflex.core.contact.arrays import AFTER, IMPULSE, OPEN, RUBBED
 from hyperflex.core.contact.joints import BEND_RATE
 from hyperflex.core.contact.memory import new_contact_memory, save_memory, save_trend
 from hyperflex.core.contact.run import new_contact_workspace, try_step
@@ -51,15 +51,14 @@ def test_far_from_pegs_the_contact_stepper_converges_to_free_flight():
     how = {"duration": 0.8, "q0": np.full(6, 1.2), "t_eval": np.linspace(0.1, 0.8, 8)}
     free = hf.simulate(rope, tol=1e-8, **how)
     errors = []
-    for step in (4e-3, 2e-3, 1e-3, 5e-4):
+    for step in (2e-3, 1e-3, 5e-4):
         run = hf.simulate(rope, pegs=[FAR], refine=False, contact_step=step, tip_force=(1e-15, 0.0), tol=1e-4, **how)
         assert run.attrs["free_flights"] == 0
         errors.append(float(np.abs(run.tip - free.tip).max()))
         assert run.dissipated_energy[-1] == pytest.approx(free.dissipated_energy[-1], rel=0.1 * step)
-    assert errors[0] < 5e-4
+    assert errors[0] < 1e-4
     assert errors[1] < 0.65 * errors[0]
     assert errors[2] < 0.65 * errors[1]
-    assert errors[3] < 0.65 * errors[2]
 
 
 def test_a_joint_that_sticks_flies_on_as_stuck():
@@ -97,8 +96,8 @@ def test_energy_never_grows_in_throws_with_dry_friction(index, dry):
 def draped(n: int, dry: float, h: float, count: int) -> tuple[np.ndarray, float]:
     """Let a level rope fall over a peg in steps h, s.
 
-    Returns its joints in the end (n, 2), m, and the greatest impulse of a joint over dry friction's bound. Each step is
-    solved.
+    Returns its joints in the end (n, 2), m, and by how much the impulse of a joint misses the law of friction at most,
+    over its bound. Each step is solved.
     """
     rope = hf.Rope.uniform(0.8, 0.05, n, 0.003, friction=1e-4, dry_friction=dry)
     scene = scene_of(hf.Setup(rope, pegs=[hf.Peg(0.25, -0.04, 0.03, 0.3)]))
@@ -108,7 +107,8 @@ def draped(n: int, dry: float, h: float, count: int) -> tuple[np.ndarray, float]
         begin = segment(scene.drive, 0.0), k * h, h, y, memory, workspace, True, 0.0, True
         assert try_step(scene, *begin)[1] > 0
         of = workspace.joints.of
-        most = max(most, float(np.abs(of[IMPULSE] + of[RUBBED]).max()) / (h * dry))
+        law = -h * dry * of[AFTER] / np.hypot(of[AFTER], BEND_RATE * rope.length)
+        most = max(most, float(np.abs(of[IMPULSE] + of[RUBBED] - law).max()) / (h * dry))
         save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, h)
         save_trend(memory, workspace, h)
         y = workspace.out.copy()
@@ -116,11 +116,11 @@ def draped(n: int, dry: float, h: float, count: int) -> tuple[np.ndarray, float]
     return rope.joints(y[:n], np.zeros(2)), most
 
 
-def test_friction_stays_within_its_bound_in_every_step_of_a_draped_rope():
+def test_friction_obeys_its_law_in_every_step_of_a_draped_rope():
     coarse, most = draped(48, 2e-3, 1e-3, 600)
-    assert most < 1.001
+    assert most < 1.1e-3
     fine, most = draped(48, 2e-3, 1e-4, 6000)
-    assert most < 1.001
+    assert most < 1.1e-3
     # 0.17 mm; 0.02 mm are left with the short steps
     assert np.abs(coarse - fine).max() < 4e-4
 

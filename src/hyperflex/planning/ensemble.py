@@ -29,6 +29,7 @@ from hyperflex.planning.uncertainty import Scenario, Uncertainty
 # m, tolerance of runs with shorter links, which check the length of links alone: those of three casts of ropes with dry
 # friction took 0.5, 0.6 and 0.8 of the time with the usual one, and wound as often
 FINER_TOL = 1e-4
+SAME_PASS = 0.25  # periods, by which touches in one pass differ at most
 COUNTED = 8  # samples of an estimate that are simulated at once
 STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
 
@@ -66,10 +67,11 @@ def verify_members(
 ) -> Verified:
     """Verify moves on the rope as planned, and on the same with shorter links, in one or two ways.
 
-    The second way is for a rope that touches the target at another time with shorter links, or that comes off after its
-    first touch and winds later: what it does in between depends on little, so that two runs may agree by chance. Both
-    ways must then agree. The first member to fail ends the other. A candidate whose runs take more than three quarters
-    of the remaining time fails. Where the problem begins in the middle of the moves, `since` is the time there, s.
+    The second way is for a rope that touches the target at another time with shorter links, if in the same pass: then
+    both ways must agree. And for a rope that comes off after its first touch and winds later: what it does in between
+    depends on little, so that two runs may agree by chance. The first member to fail ends the other. A candidate whose
+    runs take more than three quarters of the remaining time fails. Where the problem begins in the middle of the moves,
+    `since` is the time there, s.
     """
     motion, share = one.moves.motion(problem.limits, since), budget.share(0.75)
     step = DEFAULT_CONTACT_STEP
@@ -91,14 +93,15 @@ def verify_members(
     if failed and failed[0] == 0:
         return Verified(one, found[0], None, found[0].message, -1.0)
     more = len(members) > 2
-    second = found[1] if failed else repeatable(found[0], found[1], math.inf if more else SPARE.delay)
+    second = found[1] if failed else repeatable(found[0], found[1], SAME_PASS * problem.period if more else SPARE.delay)
     late = any(each.strike_time > each.touch_time for each in found.values())
-    if not second.message and more and (late or repeatable(found[0], found[1]).message):
-        found[2] = repeatable(found[1], run(2))
+    apart, links = not second.message and bool(repeatable(found[0], found[1]).message), "shorter"
+    if not second.message and more and (late or apart):
+        found[2] = repeatable(found[1 if apart else 0], run(2))
         budget.check()
-        second = found[2] if found[2].message else second
+        second, links = (found[2], "other") if found[2].message else (second, links)
     first = None if 0 in failed else found[0]  # it did not end
-    message = f"with shorter links {second.message}" if second.message else ""
+    message = f"with {links} links {second.message}" if second.message else ""
     return Verified(one, first, second, message, -1.0 if message else margin(problem.criteria, *found.values()))
 
 

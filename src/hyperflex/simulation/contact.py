@@ -201,7 +201,7 @@ class ContactRollout(Rollout):
         return status.RUNNING if self.time < stop else status.OK
 
     def _lock(self) -> None:
-        """Set the rates of stuck joints to rest, as free flight needs; the proximal method leaves small ones."""
+        """Set the rates of joints that creep to rest: in free flight they stick."""
         rates = self.progress.y[self.chain.length.size : -2]
         for i in np.flatnonzero(self.contact.memory.bent == STICK):
             rates[i] = rates[i - 1] if i > 0 else base_motion(self.drive, self.time)[3]

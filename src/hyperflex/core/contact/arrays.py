@@ -42,12 +42,15 @@ class Joints(NamedTuple):
     of: Array  # (ROWS, n) see the names below
 
 
-# Rows of Joints.of, by joint. IMPULSE: of the limit, N m s. START: where the proximal method starts
-# from; GOOD: that of the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST,
-# HIGHEST: the relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER:
-# length of the chain beyond the joint, m. CREEP: stiction tolerance of dry friction, rad/s, 0.0 without; RUBBED:
-# impulse of that friction, N m s. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
-IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, CREEP, RUBBED, FREE, ROWS = *range(12), 13
+# Rows of Joints.of, by joint. IMPULSE: of the limit, N m s. START: where the proximal method starts from; AFTER:
+# relative rate after the step, rad/s; RUBBED: impulse of dry friction, N m s; GOOD and the next two: these three of
+# the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST, HIGHEST: the relative
+# rate after the step may be between these, rad/s. BEFORE: that before, rad/s. LEVER: length of the chain beyond the
+# joint, m. CREEP: stiction tolerance of dry friction, rad/s, 0.0 without. FREE, FREE + 1: as ``Motion.joint``, without
+# friction and limits.
+SEARCHED = 3  # rows from START on
+IMPULSE, START, AFTER, RUBBED, GOOD = range(5)
+BOUND, LOWEST, HIGHEST, BEFORE, LEVER, CREEP, FREE, ROWS = *range(GOOD + SEARCHED, GOOD + SEARCHED + 7), 16
 
 
 class Motion(NamedTuple):

@@ -2,8 +2,7 @@
 
 A joint is held at a limit where it would pass it; its mode says at which. Its impulse is then L = L0 - M (rate - limit)
 by the proximal method, as for contacts: no more than a change of the joint's (T, kappa) in the sweep. Dry friction is
-regularized and has no modes: at rates well below BEND_RATE times the length of a link a joint hardly turns, and creeps.
-Sharp modes of stiction took up to twice as long in wound ropes, and were not found in many steps.
+regularized and has no modes in the search: below it a joint creeps, see BEND_RATE.
 """
 
 import math
@@ -12,6 +11,8 @@ from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import joint_of, relative
 from hyperflex.core.contact.arrays import (
     AFTER,
+    AHEAD,
+    BACK,
     BEFORE,
     BOUND,
     CREEP,
@@ -25,6 +26,7 @@ from hyperflex.core.contact.arrays import (
     RELAXED,
     RUBBED,
     START,
+    STICK,
     UPPER,
 )
 from hyperflex.core.integrate.events import limit_gap
@@ -39,8 +41,9 @@ LIMIT_PASSED = 2e-4
 # rad/s, by which a rate must pass its bound to be held
 JOINT_CLOSING = 1e-9
 # rad/(s m), stiction tolerance of dry friction over the length of a link, at the usual tolerance of positions, and in
-# proportion more at a larger one. At 0.7 of its dry friction, a rope of 1 m that is bent to a circle takes 17 h to
-# straighten. Two verified runs of wound ropes took 10 % longer with it than with a hundred times as much
+# proportion more at a larger one: a joint creeps at this times x / sqrt(1 - x^2) where its torque is x times the dry
+# friction. At 0.7, a rope of 1 m that is bent to a circle takes 18 h to straighten. Two verified runs of wound ropes
+# took 10 % longer with it than with a hundred times as much
 BEND_RATE = 1e-4
 # part of the dry friction by which a regularized one may miss its law
 RUBBING = 1e-3
@@ -81,9 +84,10 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
         of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
         last, bound = RELAXED * h * memory.torque[i], of[BOUND, i]
         of[CREEP, i] = BEND_RATE * workspace.impulses.loose * chain.length[i] if bound > 0.0 else 0.0
-        of[AFTER, i], of[RUBBED, i] = rate, max(-bound, min(last, bound))
+        held = memory.bent[i] >= UPPER
+        joints.mode[i] = memory.bent[i] if held else OPEN
+        of[AFTER, i], of[RUBBED, i] = rate, 0.0 if held else max(-bound, min(last, bound))
         of[START, i] = last - of[RUBBED, i]
-        joints.mode[i] = memory.bent[i]
 
 
 @non_allocating
@@ -124,13 +128,12 @@ def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-unty
     of, violations = joints.of, 0
     for i in joints.which:
         rate = of[BEFORE, i] + relative(motion.change, i, motion.base[2])
-        mass, bound = penalty * of[LEVER, i] * of[LEVER, i], of[BOUND, i]
+        mass = penalty * of[LEVER, i] * of[LEVER, i]
         if of[CREEP, i] > 0.0:
             rubbed, rubbing = regularized_impulse(joints, i)
             of[RUBBED, i] = rubbed - rubbing * (rate - of[BEFORE, i])
-            law = -bound * rate / math.hypot(rate, of[CREEP, i])
-            violations += abs(of[RUBBED, i] - law) > RUBBING * bound
         of[AFTER, i] = rate
+        violations += abs(of[RUBBED, i] - friction_law(joints, i)) > RUBBING * of[BOUND, i]
         of[IMPULSE, i], new_mode = joint_mode(joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[START, i], mass)
         if new_mode != joints.mode[i]:
             violations += 1
@@ -168,22 +171,36 @@ def regularized_impulse(joints, i):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def within_friction(joints):  # type: ignore[no-untyped-def]
-    """Whether regularized friction is nowhere more than dry friction, but for RUBBING."""
-    of, within = joints.of, True
+def obeys_friction(joints):  # type: ignore[no-untyped-def]
+    """Whether regularized friction obeys its law to within RUBBING."""
+    of, obeys = joints.of, True
     for i in joints.which:
-        within = within and abs(of[RUBBED, i]) <= (1.0 + RUBBING) * of[BOUND, i]
-    return within
+        obeys = obeys and abs(of[RUBBED, i] - friction_law(joints, i)) <= RUBBING * of[BOUND, i]
+    return obeys
+
+
+@non_allocating
+def friction_law(joints, i):  # type: ignore[no-untyped-def]
+    """Impulse of regularized friction at the rate after the step, N m s."""
+    of = joints.of
+    return -of[BOUND, i] * of[AFTER, i] / math.hypot(of[AFTER, i], of[CREEP, i]) if of[CREEP, i] > 0.0 else 0.0
 
 
 @non_allocating
 def release_joints(joints):  # type: ignore[no-untyped-def]
-    """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
+    """Where no modes are found: limits hold nothing, and friction starts anew."""
     of = joints.of
     for i in joints.which:
-        joints.mode[i], of[CREEP, i] = OPEN, 0.0
-        of[RUBBED, i] = -math.copysign(of[BOUND, i], of[BEFORE, i])
-        of[FREE, i] += of[RUBBED, i]
+        joints.mode[i], of[AFTER, i], of[RUBBED, i] = OPEN, of[BEFORE, i], 0.0
+
+
+@non_allocating
+def seen_mode(joints, i):  # type: ignore[no-untyped-def]
+    """Mode of joint i after a step: its limit, or else whether it creeps (STICK) or turns against dry friction."""
+    rate, creep = joints.of[AFTER, i], joints.of[CREEP, i]
+    if joints.mode[i] != OPEN or creep == 0.0:
+        return joints.mode[i]
+    return STICK if abs(rate) <= creep else AHEAD if rate > 0.0 else BACK
 
 
 @non_allocating

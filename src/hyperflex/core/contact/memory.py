@@ -7,6 +7,7 @@ import numpy as np
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, RELAXED, RUBBED, UNHELD
 from hyperflex.core.contact.gaps import Index
+from hyperflex.core.contact.joints import seen_mode
 from hyperflex.core.jit import kernel, non_allocating, zeros
 
 LATEST, EARLIER, STEADY = range(3)  # of ContactWorkspace.pace
@@ -20,7 +21,7 @@ class ContactMemory(NamedTuple):
     mode: Index
     penalty: Array  # (1,) kg, as in Impulses
     torque: Array  # (n,) N m, of the joints' dry friction and limits
-    bent: Index  # (n,) their modes
+    bent: Index  # (n,) their modes, as ``seen_mode``
 
 
 @kernel
@@ -57,7 +58,7 @@ def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyp
     memory.penalty[0] = impulses.penalty[0]
     for i in joints.which:
         memory.torque[i] = (joints.of[IMPULSE, i] + joints.of[RUBBED, i]) / h
-        memory.bent[i] = joints.mode[i]
+        memory.bent[i] = seen_mode(joints, i)
     for c in range(contacts.total[0]):
         i, p = contacts.link[c], contacts.peg[c]
         memory.mode[i, p] = impulses.mode[c]
@@ -68,7 +69,7 @@ def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyp
 def keeps_modes(memory, contacts, impulses, joints):  # type: ignore[no-untyped-def]
     """Whether contacts and joints have the modes of the last step; `joints` are the Joints."""
     for i in joints.which:
-        if memory.bent[i] != joints.mode[i]:
+        if memory.bent[i] != seen_mode(joints, i):
             return False
     changed = 0
     for c in range(contacts.total[0]):

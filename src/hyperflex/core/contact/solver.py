@@ -10,12 +10,12 @@ on the cone. Its residual velocity is (P - P0) / M and dies out where the load i
 import math
 
 from hyperflex.core.assign import assign, assign_rows
-from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
+from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, SEARCHED, START, STICK
 from hyperflex.core.contact.joints import (
+    obeys_friction,
     release_joints,
     update_joint_modes,
     update_joint_multipliers,
-    within_friction,
     write_joints,
 )
 from hyperflex.core.contact.spin import turn_pegs
@@ -42,7 +42,7 @@ LEAST_GROWTH = 1.4
 CLOSING = 1e-9
 # m/s, below which a contact that closes sticks at first
 SLOW = 1e-6
-# of a search; a longer one goes in a circle more often than not, also where many joints have dry friction
+# of a search; a longer one goes in a circle more often than not
 ROUNDS = 24
 # rounds in a row with no fewer violations than before, after which a search of a coarse run ends.
 # Until then it changes the modes of every second contact alone, in turn: changed at once,
@@ -195,9 +195,10 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
 
 @non_allocating
 def store(impulses, joints):  # type: ignore[no-untyped-def]
-    """Remember where the proximal method starts from, and the modes; `joints` are the Joints."""
+    """Remember where the next search starts from, and the modes; `joints` are the Joints."""
     assign(joints.good_mode, joints.mode)
-    assign(joints.of[GOOD], joints.of[START])
+    for k in range(SEARCHED):
+        assign(joints.of[GOOD + k], joints.of[START + k])
     assign(impulses.good_mode, impulses.mode)
     assign_rows(impulses.good, impulses.start)
 
@@ -206,7 +207,8 @@ def store(impulses, joints):  # type: ignore[no-untyped-def]
 def restore(impulses, joints):  # type: ignore[no-untyped-def]
     """Go back to what was stored last."""
     assign(joints.mode, joints.good_mode)
-    assign(joints.of[START], joints.of[GOOD])
+    for k in range(SEARCHED):
+        assign(joints.of[START + k], joints.of[GOOD + k])
     assign(impulses.mode, impulses.good_mode)
     assign_rows(impulses.start, impulses.good)
 
@@ -322,7 +324,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     """
     store(impulses, joints)
     total, last, penalty, residual = climb(chain, contacts, impulses, motion, joints, spin, h, whole)
-    solved = residual <= SLIGHT_SPEED * impulses.loose and within_friction(joints)
+    solved = residual <= SLIGHT_SPEED * impulses.loose and obeys_friction(joints)
     if last == 0.0:  # nothing was found at all: let go
         release_joints(joints)
         for c in range(contacts.total[0]):

@@ -233,7 +233,7 @@ class WindTask(Task):
         if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
             since, q, qd = last.states[0]
             problem = replace(problem, side=one.moves.side, q0=tuple(q), qd0=tuple(qd))
-        finer = [problem.cut(each) for each in (pieces, pieces - 1) if each > 0]
+        finer = [problem.cut(each) for each in ((pieces, pieces - 1) if pieces > 2 else (pieces,))]
         found = verify_members(problem, finer, self.peg, one, budget, since)
         if found.message or not self.scenarios:
             return found
