@@ -140,10 +140,10 @@ def test_a_joint_at_its_limit_has_friction_beside(gap):
 
 
 def test_a_pressed_rope_with_friction_starts_from_the_impulses_of_its_limits():
-    """The sum of both impulses is kept: with a part of it as friction, each step took 15 rounds."""
+    """Only the sum of both impulses is kept: with a part of it as friction, each step took 7 rounds."""
     n = 8
-    rope = hf.Rope.uniform(0.8, 0.1, n, friction=1e-3, dry_friction=0.1).replace(max_bend=np.full(n, 0.2))
+    rope = hf.Rope.uniform(0.8, 0.1, n, friction=1e-3, dry_friction=1.0).replace(max_bend=np.full(n, 0.2))
     q = 0.2 * np.arange(1.0, n + 1.0)
     workspace, rounds = step(rope, q, np.zeros(n), STEP, again=7, force=3.0)
     assert (workspace.joints.mode == UPPER).sum() >= 3
-    assert 0 < rounds < 8
+    assert 0 < rounds <= 2

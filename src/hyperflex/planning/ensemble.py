@@ -29,7 +29,7 @@ from hyperflex.planning.uncertainty import Scenario, Uncertainty
 # m, tolerance of runs with shorter links, which check the length of links alone: those of three casts of ropes with dry
 # friction took 0.5, 0.6 and 0.8 of the time with the usual one, and wound as often
 FINER_TOL = 1e-4
-SAME_PASS = 0.25  # periods, by which touches in one pass differ at most
+SAME_PASS = 0.25  # periods, by which touches in one pass differ at most: the next pass is half a period later
 COUNTED = 8  # samples of an estimate that are simulated at once
 STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
 
@@ -94,8 +94,8 @@ def verify_members(
         return Verified(one, found[0], None, found[0].message, -1.0)
     more = len(members) > 2
     second = found[1] if failed else repeatable(found[0], found[1], SAME_PASS * problem.period if more else SPARE.delay)
-    late = any(each.strike_time > each.touch_time for each in found.values())
-    apart, links = not second.message and bool(repeatable(found[0], found[1]).message), "shorter"
+    late, links = any(each.strike_time > each.touch_time for each in found.values()), "shorter"
+    apart = abs(found[1].touch_time - found[0].touch_time) > SPARE.delay
     if not second.message and more and (late or apart):
         found[2] = repeatable(found[1 if apart else 0], run(2))
         budget.check()
@@ -118,7 +118,7 @@ def repeatable(first: CastOutcome, finer: CastOutcome, most: float = SPARE.delay
         return replace(finer, message="it winds the other way: the swing is left to chance")
     if abs(delay) > most:
         how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
-        return replace(finer, message=f"it {how}, {most:g} allowed: the swing is left to chance")
+        return replace(finer, message=f"it {how}, {most:.2g} allowed: the swing is left to chance")
     if min(given, now) < min(SPARE.clearance, abs(given - now)):
         how = f"with {1e3 * now:.1f} mm to spare, not {1e3 * given:.1f} mm"
         return replace(finer, message=f"it passes arm, shaft or obstacle {how}: whether it touches is left to chance")

@@ -8,7 +8,8 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.jit import kernel, zeros
 
-# Modes. AHEAD, BACK: the rope slips along the tangent, or against it. UPPER, LOWER: a joint is held at a limit.
+# Modes. AHEAD, BACK: the rope slips along the tangent, or against it. UPPER, LOWER: a joint is held at a limit. In the
+# memory a joint with dry friction also has those of contacts, as ``seen_mode``.
 OPEN, STICK, AHEAD, BACK, UPPER, LOWER = range(6)
 RELAXED = 0.99  # part of the last forces and torques with which a step starts: what nothing requires dies out
 FRAME, TOUCH = 8, 12  # columns of Motion.frame and Motion.touch; see the names below
@@ -49,8 +50,7 @@ class Joints(NamedTuple):
 # joint, m. CREEP: stiction tolerance of dry friction, rad/s, 0.0 without. FREE, FREE + 1: as ``Motion.joint``, without
 # friction and limits.
 SEARCHED = 3  # rows from START on
-IMPULSE, START, AFTER, RUBBED, GOOD = range(5)
-BOUND, LOWEST, HIGHEST, BEFORE, LEVER, CREEP, FREE, ROWS = *range(GOOD + SEARCHED, GOOD + SEARCHED + 7), 16
+IMPULSE, START, AFTER, RUBBED, GOOD, _, _, BOUND, LOWEST, HIGHEST, BEFORE, LEVER, CREEP, FREE, ROWS = *range(14), 15
 
 
 class Motion(NamedTuple):

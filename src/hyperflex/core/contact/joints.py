@@ -43,7 +43,7 @@ JOINT_CLOSING = 1e-9
 # rad/(s m), stiction tolerance of dry friction over the length of a link, at the usual tolerance of positions, and in
 # proportion more at a larger one: a joint creeps at this times x / sqrt(1 - x^2) where its torque is x times the dry
 # friction. At 0.7, a rope of 1 m that is bent to a circle takes 18 h to straighten. Two verified runs of wound ropes
-# took 10 % longer with it than with a hundred times as much
+# took 6 and 18 % longer with it than with a hundred times as much
 BEND_RATE = 1e-4
 # part of the dry friction by which a regularized one may miss its law
 RUBBING = 1e-3

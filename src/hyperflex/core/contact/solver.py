@@ -1,4 +1,4 @@
-"""Contact solver: an active-set search finds which contacts are open, stick or slip, and the modes of the joints.
+"""Contact solver: an active-set search finds which contacts are open, stick or slip, and which joints are at a limit.
 
 With fixed modes rope, contacts and pegs that turn are one linear problem (``sweep``, ``spin``).
 
@@ -256,10 +256,10 @@ def settle(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
 def climb(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Search modes for larger and larger M; arguments as for :func:`solve`.
 
-    Where none are found for the first M, softer ones are tried. Each solution starts the next search, for
-    the M that :func:`update_multipliers` returns, until the residual (P - P0) / M is slight. Where a larger M fails,
-    the last one is tried again, from the P0 that it had. Unless its residual falls, M grows by ``MOST_GROWTH`` from
-    then on, and by the square root of that where a search fails.
+    Where none are found for the first M, softer ones are tried. Each solution starts the next search, for the M that
+    :func:`update_multipliers` returns, until the residual (P - P0) / M is slight. Where a larger M fails, the last one
+    is tried again, from the P0 that it had. Unless its residual falls, M grows by ``MOST_GROWTH`` from then on, and by
+    the square root of that where a search fails.
 
     Returns
     -------
