@@ -59,7 +59,8 @@ class String:
             return np.append(rate, self.accelerations(y[: c.size], rate, *(still if motion is None else motion(now))))
 
         start = np.append(c, np.zeros(c.size))
-        return solve_ivp(slope, t[[0, -1]], start, method="BDF", t_eval=t, rtol=tol, atol=tol).y[: c.size].T
+        # Radau: BDF of scipy computes with numbers that it has not set, and warns of some.
+        return solve_ivp(slope, t[[0, -1]], start, method="Radau", t_eval=t, rtol=tol, atol=tol).y[: c.size].T
 
     def tip(self, c: Array) -> Array:
         """Return the tip relative to the base (T, 2), m."""
