@@ -26,7 +26,7 @@ def planned_insert(enters: bool = True) -> InsertPlan:
     found = InsertTask(problem, slot).verify(Candidate(MOVES, 1.0, NEAR), Budget(math.inf))
     known, probability = TipFeasibility(0.98, 0.02, ""), None if found.message else SuccessProbability(45, 50)
     made = problem, slot, known, MOVES, found.outcome, found.finer_outcome, found.message, 1, 0.5
-    return InsertPlan(*made, success_probability=probability, position_std=0.004)
+    return InsertPlan(*made, success_probability=probability, position_std=0.004, decided=True)
 
 
 def far_insert() -> InsertPlan:

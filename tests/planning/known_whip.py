@@ -39,6 +39,7 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
         runs=1,
         seconds=0.5,
         position_std=0.004,
+        decided=True,
     )
 
 

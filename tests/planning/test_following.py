@@ -74,8 +74,9 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back():
     late = replace(WINDS, rests=rests)
     now = rest_before(late, move)
     seen = TrueState(CAST_SETUP.rope, CAST_SETUP.arm, tol=1e-4).state(now, late.motion(LIMITS))
-    loop = _Loop(PLAN, late, OPTIONS, None)
-    best = loop.corrected(goal, loop._flights(goal, seen, [late])[0], seen, move).moves
+    loop = _Loop(CAST_SETUP, PEG, late, goal, OPTIONS, None)
+    loop.seen = seen
+    best = loop.corrected(loop.flights([late])[0], move).moves
     assert best.rests[:move].tolist() == late.rests[:move].tolist()  # what was done stays done
     assert best.ends[:move].tolist() == late.ends[:move].tolist()
     assert best.rests[move] >= 0.1
@@ -255,7 +256,7 @@ def test_in_real_time_a_late_decision_is_not_carried_out():
             PLAN,
             ScenarioStateSource(world, CAST_SETUP.arm),
             motor=Kept(),
-            options=hf.FollowOptions(decision_time=0.0, real_time=real_time),
+            options=hf.FollowOptions(decision_time=0.0, real_time=real_time, sending=10.0),
         )
         for real_time in (False, True)
     )

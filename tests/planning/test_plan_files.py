@@ -84,7 +84,7 @@ def expected_only() -> CastPlan:
 
 
 def unverified_whip() -> WhipPlan:
-    return replace(planned_whip(meets=False), outcome=None, finer_outcome=None, interrupted=True)
+    return replace(planned_whip(meets=False), outcome=None, finer_outcome=None, interrupted=True, decided=False)
 
 
 @pytest.mark.parametrize(

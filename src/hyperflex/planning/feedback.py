@@ -231,9 +231,13 @@ def follow_plan(
         fix = "Follow a plan without state0"
         raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
     chosen = options or FollowOptions()
-    loop = _Loop(plan, moves, chosen, threads, rope)
     if motor is not None:
-        motor.set_motion(loop.motion(), 0.0)
+        motor.set_motion(moves.motion(problem.limits), 0.0)
+    goal = Goal.of(problem, plan.target, moves, chosen)
+    if goal is None:
+        return FollowResult(moves, moves.motion(problem.limits), (), chosen, "the planned moves do not strike")
+    rope = rope or problem.rope
+    loop = _Loop(replace(problem, rope=rope), plan.target, moves, goal.at(problem.rope, rope), chosen, threads)
     decisions: list[Decision] = []
     while (decision := loop.decide(source, motor)) is not None:
         if motor is not None and decision.action in ("changed", "aborted") and not loop.command(motor, decision):
@@ -241,9 +245,10 @@ def follow_plan(
         decisions.append(decision)
         if decision.action == "aborted":
             break
-    planned = plan.message if loop.goal else "the planned moves do not strike"
     turns = loop.predicted_turns() if decisions and decisions[-1].action != "aborted" else math.nan
-    return FollowResult(loop.moves, loop.motion(), tuple(decisions), chosen, planned, turns, problem.criteria.turns)
+    return FollowResult(
+        loop.moves, loop.motion(), tuple(decisions), chosen, plan.message, turns, problem.criteria.turns
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,15 +312,11 @@ class _Loop:
     """The cast as decided so far, the next move, and the delay of the strike so far, s."""
 
     def __init__(
-        self, plan: CastPlan, moves: Moves, options: FollowOptions, threads: int | None, rope: Rope | None = None
+        self, problem: Problem, target: Peg, moves: Moves, goal: Goal, options: FollowOptions, threads: int | None
     ) -> None:
-        rope = rope or plan.problem.rope
-        self.problem, self.moves, self.options = replace(plan.problem, rope=rope), moves, options
-        self.target, self.budget = plan.target, Budget(threads=threads)
-        planned = Goal.of(plan.problem, plan.target, moves, options)
-        self.goal = planned and planned.at(plan.problem.rope, rope)
-        self.move, self.last, self.delay = 1, moves.ends.size - 1, 0.0
-        self._seen = hanging_state(plan.problem.rope)
+        self.problem, self.target, self.moves, self.goal, self.options = problem, target, moves, goal, options
+        self.budget, self.move, self.last, self.delay = Budget(threads=threads), 1, moves.ends.size - 1, 0.0
+        self.seen = hanging_state(problem.rope)
         self._planned = moves, 0.0  # moves and delay before the last decision
 
     def motion(self) -> Motion:
@@ -328,14 +329,14 @@ class _Loop:
 
     def decide(self, source: StateSource, motor: Motor | None) -> Decision | None:
         """Observe the rope at the rest before the next move, and decide; None after the last observation."""
-        if self.goal is None or self.move > self.last:
-            return None
         options, move = self.options, self.move
+        if move > self.last:
+            return None
         left = float(self.moves.timing(self.problem.limits)[0][move])
         now = float(self.starts()[move]) - left
         if now > self.goal.t + self.delay - options.blind_time:
             return None
-        self._planned, self._seen = (self.moves, self.delay), source.state(now, self.motion())
+        self._planned, self.seen = (self.moves, self.delay), source.state(now, self.motion())
         begin = time.monotonic()
         arm_error = math.nan if motor is None else motor.angle(now) - float(self.motion().angle(now))
         first = move if left >= options.decision_time else move + 1  # that may still be changed
@@ -343,7 +344,7 @@ class _Loop:
         if abs(arm_error) > options.max_arm_error:
             self.abort(first)
         else:
-            before, after, action = self.choose(self.goal, self._seen, first)
+            before, after, action = self.choose(first)
         seconds = time.monotonic() - begin
         due = float(self.starts()[min(first, self.last)]) - now - options.sending  # of the first move that may change
         if options.real_time and seconds > due and action == "changed":  # an abort may still begin at a later rest
@@ -360,48 +361,45 @@ class _Loop:
         made = decision.move
         while not taken and decision.action == "aborted" and made <= self.last:
             made += 1
-            self.moves = self._planned[0].first(made).then(0.0, self.options.decision_time, SLOWLY)
+            self.moves = self._aborted(self._planned[0], made)
             taken = motor.set_motion(self.motion(), decision.t)
         if not taken:
             self.moves, self.delay = self._planned
         return taken
 
-    def choose(self, goal: Goal, state: RopeState, first: int) -> tuple[float, float, str]:
+    def choose(self, first: int) -> tuple[float, float, str]:
         """Correct the cast from move `first` on; return its distances from the goal before and after, and the action.
 
         It may be aborted from one move before the last one that starts before the strike.
         """
-        starts, kept = self.starts(), self._flights(goal, state, [self.moves])[0]
-        best = self.corrected(goal, kept, state, first) if first < self.last else kept
+        starts, kept = self.starts(), self.flights([self.moves])[0]
+        best = self.corrected(kept, first) if first < self.last else kept
         before, after = (float(np.linalg.norm(each.residuals)) for each in (kept, best))
         changed = after < before - self.options.min_gain
         chosen = best if changed else kept
-        begun = int((starts < goal.t + self.delay).sum())
-        if self.move >= begun - 1 and first <= self.last and not self.strikes(chosen.moves, state):
-            self.abort(first)
-            return before, math.inf, "aborted"
+        begun = int((starts < self.goal.t + self.delay).sum())
+        if self.move >= begun - 1 and first <= self.last:
+            strikes = fly_to_strikes(self.problem, self.target, self._rollouts([chosen.moves]), self.budget)
+            if not np.isfinite(strikes.t[0]):
+                self.abort(first)
+                return before, math.inf, "aborted"
         self.moves = chosen.moves
         self.delay += float(self.starts()[-1] - starts[-1])
         return before, after if changed else before, "changed" if changed else "kept"
 
-    def strikes(self, moves: Moves, state: RopeState) -> bool:
-        """Whether the model's rope strikes the target from a state."""
-        motion, problem = moves.motion(self.problem.limits), self.problem
-        batch = RolloutBatch.from_state([problem.rope], [self.target], [motion], state)
-        return bool(np.isfinite(fly_to_strikes(problem, self.target, batch, self.budget).t[0]))
-
     def predicted_turns(self) -> float:
         """Return the turns that the model's rope makes and keeps, from the last observed state on."""
-        rope, target = self.problem.rope, self.target
-        batch = RolloutBatch.from_state([rope], [target], [self.motion()], self._seen)
+        batch = self._rollouts([self.moves])
         return float(winding_scores(self.problem, batch, self.budget, self.moves.dwell).turns[0])
 
     def abort(self, first: int) -> None:
         """Take the arm slowly to hanging, from move `first` on."""
-        made = min(first, self.last)
-        self.moves = self.moves.first(made).then(0.0, self.options.decision_time, SLOWLY)
+        self.moves = self._aborted(self.moves, min(first, self.last))
 
-    def corrected(self, goal: Goal, kept: _Flight, state: RopeState, first: int) -> _Flight:
+    def _aborted(self, moves: Moves, made: int) -> Moves:
+        return moves.first(made).then(0.0, self.options.decision_time, SLOWLY)
+
+    def corrected(self, kept: _Flight, first: int) -> _Flight:
         """Return the flight with strokes and rests from move `first` on so that it comes nearer the goal.
 
         The last move stays, and a rest that is due now leaves time for the decision.
@@ -415,21 +413,26 @@ class _Loop:
             change = np.zeros((len(changes), 2 * count))
             change[:, free] = changes
             change[:, due] = np.maximum(change[:, due], least - flight.moves.rests[first])
-            return [*self._flights(goal, state, [flight.moves.varied(each) for each in change])]
+            return [*self.flights([flight.moves.varied(each) for each in change])]
 
         return shoot(kept, scale, fly, options.rounds, options.difference, self.budget)[0]
 
-    def _flights(self, goal: Goal, state: RopeState, casts: Sequence[Moves]) -> list[_Flight]:
-        """Simulate casts (M) from a state, and compare them with the goal where they pass it nearest."""
-        problem, options = self.problem, self.options
-        motions = [cast.motion(problem.limits) for cast in casts]
-        batch = RolloutBatch.from_state([problem.rope] * len(casts), [], motions, state)
-        t, q, qd = batch.fly(problem.arm, goal.t - state.t + options.window, self.budget)
-        near, found = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window), list[_Flight]()
+    def flights(self, casts: Sequence[Moves]) -> list[_Flight]:
+        """Simulate casts (M) from the observed state, and compare them with the goal where they pass it nearest."""
+        options, goal, since, batch = self.options, self.goal, self.seen.t, self._rollouts(casts)
+        t, q, qd = batch.fly(self.problem.arm, goal.t - since + options.window, self.budget)
+        near, found = np.flatnonzero(np.abs(t + since - goal.t) <= options.window), list[_Flight]()
         for m, (cast, motion) in enumerate(zip(casts, batch.motions, strict=True)):
-            rows = features(problem.rope, problem.arm, motion, t[near], q[m, near], qd[m, near], options)
+            passing = t[near], q[m, near], qd[m, near]
+            rows = features(self.problem.rope, self.problem.arm, motion, *passing, options)
             found.append(_Flight(cast, *goal.passed(t[near], rows)))
         return found
+
+    def _rollouts(self, casts: Sequence[Moves]) -> RolloutBatch:
+        """Return rollouts of casts (M) from the observed state."""
+        motions = [cast.motion(self.problem.limits) for cast in casts]
+        count = len(casts)
+        return RolloutBatch.from_state([self.problem.rope] * count, [self.target] * count, motions, self.seen)
 
 
 class ScenarioStateSource:

@@ -23,7 +23,6 @@ from hyperflex.planning.options import Conditions, SearchOptions
 from hyperflex.planning.outcome import excess_torque, run_figures
 from hyperflex.planning.planner import Candidate
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import starts_outside
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
@@ -36,12 +35,12 @@ from hyperflex.planning.tasks.tip import (
     plan_tip,
     random_swings,
     sample_times,
-    simulate_in_time,
     tip_problem,
     touches,
+    verified_run,
 )
 from hyperflex.planning.uncertainty import Uncertainty
-from hyperflex.planning.verification import at_limits, limit_bend, verified_setup
+from hyperflex.planning.verification import at_limits, limit_bend
 from hyperflex.trajectory import Trajectory
 
 
@@ -297,18 +296,11 @@ class InsertTask(TipTask):
         self.room = 0.5 * slot.width - problem.rope.radius
         self.allowed = self.room * (1.0 if slot.touching else 1.0 - MARGIN)
 
-    def prepare(self, budget: Budget) -> TipFeasibility:
-        """Check whether the tip goes through near to the slot in a random swing."""
-        if message := self.geometry():
-            return TipFeasibility(self.distance, math.inf, message)
-        swinging = budget.share(0.5)
-        self.swings = self.scored(random_swings(self.problem, OPTIONS.swings, self.slot.walls), swinging)
-        cost = -self.swings[0].score if self.swings else math.inf
-        if cost > OPTIONS.max_cost:
-            late = "the time budget ended before a swing was simulated that goes through near to it"
-            far = "out of reach: in no swing does the tip go through near to it, in that direction"
-            message = late if swinging.expired else far
-        return TipFeasibility(self.distance, cost, message, bool(message) and swinging.expired)
+    def swing(self, budget: Budget) -> tuple[list[Candidate], float, str]:
+        """Return the swings after which the tip goes through near to the slot."""
+        swings = self.scored(random_swings(self.problem, OPTIONS.swings, self.slot.walls), budget)
+        far = "out of reach: in no swing does the tip go through near to it, in that direction"
+        return swings, -swings[0].score if swings else math.inf, far
 
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest entry of each flight: see :class:`InsertCosts`."""
@@ -349,10 +341,11 @@ class InsertTask(TipTask):
         room = self.room - float(np.abs(aim.place).max()) * math.sqrt(aim.place.size)
         return math.hypot(aim.std, self.given.place) / max(room, 1e-9)
 
-    def simulate(self, one: Candidate, finer: bool, budget: Budget) -> InsertOutcome | None:
+    def simulate(self, problem: Problem, one: Candidate, budget: Budget) -> InsertOutcome | None:
         """Return how the tip goes through the slot in a run with the walls; see :func:`verify_insert`."""
-        problem, motion = self.finer if finer else self.problem, one.moves.motion(self.problem.limits)
-        return verify_insert(problem, self.slot, motion, one.t, tighter=5.0 if finer else 1.0, budget=budget)
+        tighter = 5.0 if problem is self.finer else 1.0
+        motion = one.moves.motion(problem.limits)
+        return verify_insert(problem, self.slot, motion, one.t, tighter=tighter, budget=budget)
 
     def failure(self, one: Candidate, outcome: InsertOutcome | None, first: InsertOutcome | None) -> str:
         """Return why an insertion fails: also if two runs disagree on whether a real rope touches the walls."""
@@ -412,9 +405,9 @@ def verify_insert(
     `tighter` divides the tolerance; above 1 the step in contact is halved. Returns None if the run fails, the rope lies
     on a wall from the start, or the tip does not go through; raises OutOfTime if it does not end within the budget.
     """
-    t, step = sample_times(near), DEFAULT_CONTACT_STEP * (0.5 if tighter > 1.0 else 1.0)
-    setup = verified_setup(problem, motion, float(t[-1]), slot.walls, tol=DEFAULT_TOL / tighter, contact_step=step)
-    run = simulate_in_time(setup, t, budget) if starts_outside(setup) else None
+    step = DEFAULT_CONTACT_STEP * (0.5 if tighter > 1.0 else 1.0)
+    accuracy = {"tol": DEFAULT_TOL / tighter, "contact_step": step}
+    run = verified_run(problem, motion, sample_times(near), budget, slot.walls, **accuracy)
     return None if run is None else evaluate_insert(problem, slot, run, near)
 
 

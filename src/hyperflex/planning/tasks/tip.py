@@ -19,7 +19,7 @@ from hyperflex.checks import Array, Integers
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
-from hyperflex.model import Arm, MotorLimits, Obstacle, Rope, Setup, gap_of, named, obstacle_gaps
+from hyperflex.model import Arm, MotorLimits, Obstacle, Rope, Setup, Wall, gap_of, named, obstacle_gaps
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import sampled_clearance
 from hyperflex.planning.ensemble import SuccessProbability
@@ -29,7 +29,7 @@ from hyperflex.planning.outcome import RunOutcome
 from hyperflex.planning.plan import Plan
 from hyperflex.planning.planner import Candidate, Planner, Task, Verified
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import RolloutBatch, check_start, free_sides
+from hyperflex.planning.rollouts import RolloutBatch, check_start, free_sides, starts_outside
 from hyperflex.planning.shooting import shoot
 from hyperflex.planning.uncertainty import scaled_rope
 from hyperflex.planning.verification import verified_setup
@@ -62,6 +62,8 @@ class TipOptions:
         Time about the instant that counts, s, within which it may move in a step.
     closely : float
         Time before the instant that counts, s, which is sampled at `fine_time`.
+    after : float
+        Time after the instant that counts, s, until which a verified run goes on.
     rounds : int
         Steps of an aim.
     difference : float
@@ -90,6 +92,7 @@ class TipOptions:
     fine_tol: float = 1e-6
     window: float = 0.12
     closely: float = 0.4
+    after: float = 0.15
     rounds: int = 16
     difference: float = 1e-2
     friction_std: float = 0.05
@@ -290,7 +293,7 @@ class TipPlan(Plan):
     @property
     def refuted(self) -> bool:
         """Whether a simulated run shows that the plan fails, or there was nothing more to try."""
-        return (self.decided or self.outcome is not None) and not self.success
+        return self.decided and not self.success
 
     def setup(self) -> Setup:
         """Return the set-up of a run until after the instant that counts, with the walls.
@@ -300,6 +303,13 @@ class TipPlan(Plan):
         motion = self.required(self.motion, "motion")
         end = motion.end if self.outcome is None else float(sample_times(self.outcome.t)[-1])
         return verified_setup(self.problem, motion, end, self.target.walls)
+
+
+@dataclass(frozen=True, eq=False)
+class TipVerified(Verified):
+    """Verified moves with their success probability; None if they fail, or it was not required."""
+
+    probability: SuccessProbability | None = None
 
 
 class TipTask(Task):
@@ -329,6 +339,7 @@ class TipTask(Task):
     close: ClassVar[float]
     improve: ClassVar[float]
     enough = 1.0
+    whole: Budget | None = None  # of search and success probability
 
     def __init__(self, problem: Problem, target: Any, places: Array, finer: Rope, seed: int = 0) -> None:
         self.problem, self.target, self.seed = problem, target, seed
@@ -342,8 +353,11 @@ class TipTask(Task):
         self._sampled, self._least = False, 0.0
 
     @abstractmethod
-    def prepare(self, budget: Budget) -> TipFeasibility:
-        """Simulate random swings, none if geometry rules the target out, and check the feasibility by them."""
+    def swing(self, budget: Budget) -> tuple[list[Candidate], float, str]:
+        """Simulate random swings until the budget expires; return the possible ones, the best first.
+
+        And the cost, m, by which the target is feasible, and why it is out of reach if that is too much.
+        """
 
     @abstractmethod
     def score(self, flights: Flights) -> list[tuple[float, float]]:
@@ -354,7 +368,7 @@ class TipTask(Task):
         """Return what the tip does next to time `near`, s, in fine flight m."""
 
     @abstractmethod
-    def simulate(self, one: Candidate, finer: bool, budget: Budget) -> Any:
+    def simulate(self, problem: Problem, one: Candidate, budget: Budget) -> Any:
         """Return the outcome of a candidate in a simulated run, with the finer rope or not; None if there is none."""
 
     @abstractmethod
@@ -382,13 +396,25 @@ class TipTask(Task):
                 return f"{near}: with its radius and clearance the rope needs {1e3 * self._needed:g} mm"
         return ""
 
+    def prepare(self, budget: Budget) -> TipFeasibility:
+        """Simulate random swings, none if geometry rules the target out, and check the feasibility by them."""
+        if message := self.geometry():
+            return TipFeasibility(self.distance, math.inf, message)
+        self.whole, swinging = budget, budget.share(0.5)
+        self.swings, cost, far = self.swing(swinging)
+        if cost <= OPTIONS.max_cost:
+            return TipFeasibility(self.distance, cost, "")
+        late = swinging.expired
+        message = "the time budget ended before a swing was simulated that comes near it" if late else far
+        return TipFeasibility(self.distance, cost, message, late)
+
     def scored(self, moves: Sequence[Moves], budget: Budget, until: float = math.inf) -> list[Candidate]:
         """Score swings until the budget expires, each until a time, s; return the possible ones, best first."""
-        found = list[Candidate]()
+        flown, scores = list[Moves](), list[tuple[float, float]]()
         for flights in coarse_flights(self.problem, moves, budget, until):
-            scores = zip(flights.moves, self.score(flights), strict=True)
-            found += [Candidate(each, -cost, t) for each, (cost, t) in scores if cost < math.inf]
-        return sorted(found, key=lambda one: -one.score)
+            flown += flights.moves
+            scores += self.score(flights)
+        return ranked(flown, scores)
 
     def freed(self, one: Candidate, budget: Budget) -> Candidate:
         """Return the swing with which an evolution of a swing begins."""
@@ -457,16 +483,19 @@ class TipTask(Task):
 
     def verify(self, one: Candidate, budget: Budget) -> Verified:
         """Simulate moves with the links as planned, with shorter ones, and in scenarios; ends at the first failure."""
-        first, finer = self.simulate(one, False, budget), None
+        first, finer, probability = self.simulate(self.problem, one, budget), None, None
         message = self.failure(one, first, None)
         if not message:
-            finer = self.simulate(one, True, budget)
+            finer = self.simulate(self.finer, one, budget)
             message = self.failure(one, finer, first)
-            message = f"with shorter links {message}" if message else unlikely(self.estimate(one, budget))
+            message = message and f"with shorter links {message}"
+        if not message:
+            probability = self.estimate(one, self.whole or budget)
+            message = unlikely(probability)
         if message:
             return Verified(one, first, finer, message)
         self._least = max(self._least, one.score)
-        return Verified(one, first, finer, "", one.score)
+        return TipVerified(one, first, finer, "", one.score, probability)
 
     def aimed(self, found: Candidate, budget: Budget) -> Aim | None:
         """Change moves so that the tip does the task; None if it does nothing of the kind after these."""
@@ -534,15 +563,28 @@ def unlikely(probability: SuccessProbability | None) -> str:
     return f"it succeeds in {probability.successes} of {probability.samples} sampled scenarios only"
 
 
-def sample_times(near: float, after: float = 0.15, step: float = 2e-3) -> Array:
-    """Return the times of a verified run's samples (T,), s, until `after` the expected time `near`, s."""
-    return step * np.arange(np.ceil((near + after) / step) + 1.0)
+def ranked(moves: Sequence[Moves], scores: Sequence[tuple[float, float]]) -> list[Candidate]:
+    """Return the moves of finite cost, m, with the time, s, at which they do their task: the cheapest first."""
+    found = [Candidate(each, -cost, t) for each, (cost, t) in zip(moves, scores, strict=True) if cost < math.inf]
+    return sorted(found, key=lambda one: -one.score)
 
 
-def simulate_in_time(setup: Setup, t: Array, budget: Budget | None) -> Trajectory | None:
-    """Simulate a set-up; None if the run fails. Raises OutOfTime if it does not end within the budget."""
+def sample_times(near: float) -> Array:
+    """Return the times of a verified run's samples (T,), s, the goal of which is expected at time `near`, s."""
+    return OPTIONS.fine_time * np.arange(np.ceil((near + OPTIONS.after) / OPTIONS.fine_time) + 1.0)
+
+
+def verified_run(
+    problem: Problem, motion: Motion, t: Array, budget: Budget | None, walls: tuple[Wall, ...] = (), **accuracy: float
+) -> Trajectory | None:
+    """Simulate a motion from rest with obstacles and `walls`, with samples at times t (T,), s.
+
+    `accuracy` is that of :func:`verified_setup`. Returns None if the run fails or begins in an obstacle; raises
+    OutOfTime if it does not end within the budget.
+    """
+    setup = verified_setup(problem, motion, float(t[-1]), walls, **accuracy)
     try:
-        return simulate(setup, t_eval=t, time_budget=budget)
+        return simulate(setup, t_eval=t, time_budget=budget) if starts_outside(setup) else None
     except SimulationError as failed:
         if failed.status == Status.OUT_OF_TIME:
             raise OutOfTime from None
@@ -587,9 +629,8 @@ def plan_tip(
 ) -> TipPlanT:
     """Plan a task of the tip: check the target, search, verify, and estimate the success probability."""
     given = Budget.of(time_budget, threads=options.threads)
-    budget, planner, probability = given.limit(given.remaining), None, None
+    budget, planner, exhausted = given.limit(given.remaining), None, False
     known = TipFeasibility(task.distance, math.inf, "interrupted before the random swings were simulated")
-    exhausted, late = False, ""
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         begin = budget.elapsed
         known = task.prepare(budget)
@@ -598,19 +639,28 @@ def plan_tip(
             planner.run()
             exhausted = not (planner.rolled or planner.budget.expired)
             planner.explain(budget)
-            if planner.best is not None and planner.succeeds:
-                probability = task.estimate(planner.best.candidate, budget)
-                late = unlikely(probability)  # of more scenarios than there was time for in the verification
-    one, outcome, finer, message = None, None, None, known.message
+    one, best, message = None, None, known.message
     if planner is not None:
-        one = planner.rolled[0] if planner.rolled else None
+        one, best = planner.rolled[0] if planner.rolled else None, planner.best
         ended = "interrupted" if stop.received else "the time budget ended"
         message = f"{ended} before {'any motion was found' if one is None else 'it was verified'}"
-        if exhausted:
-            message = "no motion was found that brings the tip there"
-        elif (best := planner.best) is not None:
-            one, outcome, finer, message = best.candidate, best.outcome, best.finer_outcome, best.message or late
-    moves, std = (None, math.nan) if one is None else (one.moves, getattr(one, "std", math.nan))
-    decided = exhausted or (planner is not None and planner.best is not None)
-    found = moves, outcome, finer, message, task.runs, budget.elapsed, stop.received, probability, std, decided
-    return stop.deliver(kind(task.problem, task.target, known, *found))
+    if exhausted:
+        message = "no motion was found that brings the tip there"
+    elif best is not None:
+        one, message = best.candidate, best.message
+    plan = kind(
+        task.problem,
+        task.target,
+        known,
+        None if one is None else one.moves,
+        best and best.outcome,
+        best and best.finer_outcome,
+        message,
+        task.runs,
+        budget.elapsed,
+        stop.received,
+        best.probability if isinstance(best, TipVerified) else None,
+        one.std if isinstance(one, Aim) else math.nan,
+        exhausted or best is not None,
+    )
+    return stop.deliver(plan)

@@ -46,12 +46,13 @@ from hyperflex.planning.tasks.tip import (
     coarse_flights,
     plan_tip,
     random_swings,
+    ranked,
     sample_times,
-    simulate_in_time,
     tip_problem,
     touches,
+    verified_run,
 )
-from hyperflex.planning.verification import limit_bend, verified_setup
+from hyperflex.planning.verification import limit_bend
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import closest_points
@@ -299,7 +300,6 @@ class TipStrike(TipOutcome):
 
 
 MISSES = 3.0  # tolerances by which the tip may miss with shorter links, another model of the same rope
-WINDOW = 0.15  # s about its expected time, within which an impact must come
 SUDDEN = 0.01  # of the energy of an impact, above which what is lost in a sample is a collision
 
 
@@ -365,7 +365,7 @@ def simulate_impact(
     motion : Motion
         Of the arm.
     near : float
-        Expected time of the impact, s: the peg must be touched within WINDOW.
+        Expected time of the impact, s: the peg must be touched within :attr:`TipOptions.after`.
     radius, mu : float
         Of the peg, m, and its friction coefficient.
     duration : float
@@ -380,7 +380,7 @@ def simulate_impact(
     radius, step = checks.number("radius", radius, sign="positive", unit="m"), 0.5 * DEFAULT_CONTACT_STEP
     way = np.array([np.cos(direction), np.sin(direction)])
     x, y = point + (radius + problem.rope.radius) * way
-    t = step * np.arange(np.ceil((near + WINDOW + duration) / step))
+    t = step * np.arange(np.ceil((near + OPTIONS.after + duration) / step))
     peg = Peg(float(x), float(y), radius, mu)
     setup = Setup(limit_bend(problem.rope), motion, problem.arm, duration=float(t[-1]), pegs=(peg,))
     if not starts_outside(setup):
@@ -394,7 +394,7 @@ def simulate_impact(
     begin, link = float(t[first]), int(links[first])
     beyond = float(rope.length[link:].sum() - along[first, link])
     tip = beyond <= max(rope.length[-1], 2.0 * radius) + 1e-9
-    if begin < near - WINDOW or not tip:
+    if begin < near - OPTIONS.after or not tip:
         where = f"link {link} touches the peg first, at {begin:.2f} s and {1e2 * beyond:.0f} cm from the tip"
         where = f"the tip touches the peg already at {begin:.2f} s" if tip else where
         return Impact(begin, link=link, message=f"{where}; the tip was expected at {near:.2f} s")
@@ -461,27 +461,18 @@ class WhipTask(TipTask):
         super().__init__(problem, target, target.point[None], divided(problem.rope, 2), seed)
         self.map = whip_map
 
-    def prepare(self, budget: Budget) -> TipFeasibility:
-        """Check whether a peak of the map is close enough; see :func:`check_whip_feasibility`."""
-        if message := self.geometry():
-            return TipFeasibility(self.distance, math.inf, message)
-        known = self.map or build_whip_map(self.problem, time_budget=budget.share(0.4))
+    def swing(self, budget: Budget) -> tuple[list[Candidate], float, str]:
+        """Return the swings of the map by their cheapest peaks; for the feasibility obstacles do not count."""
+        known = self.map or build_whip_map(self.problem, time_budget=budget)
         target, peaks = self.target, known.peaks
-        pairs = zip(known.moves, cheapest_peaks(PeakCosts().of(target, peaks), peaks, len(known.moves)), strict=True)
-        swings = [Candidate(each, -cost, t) for each, (cost, t) in pairs if cost < math.inf]
-        self.swings = sorted(swings, key=lambda one: -one.score)
+        swings = ranked(known.moves, cheapest_peaks(PeakCosts().of(target, peaks), peaks, len(known.moves)))
         free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
-        cost = float(PeakCosts().of(target, free).min(initial=math.inf))
-        late = self.map is None and len(known.moves) < OPTIONS.swings
-        if late and cost > OPTIONS.max_cost:
-            message = "the time budget ended before a swing was simulated whose tip is that fast so near to it"
-        elif cost > OPTIONS.max_cost:
-            message = "out of reach: the tip's speed has no peak so near to it"
-            near = peaks.speed[np.hypot(*(peaks.place - target.point).T) < 0.25]  # m; what is reported
-            if near.size:
-                how = f"{near.max():.1f} m/s at most, or not in that direction"
-                message = f"out of reach: the tip is not that fast so near to it, {how}"
-        return TipFeasibility(self.distance, cost, message, bool(message) and late)
+        far = "out of reach: the tip's speed has no peak so near to it"
+        near = peaks.speed[np.hypot(*(peaks.place - target.point).T) < 0.25]  # m; what is reported
+        if near.size:
+            how = f"{near.max():.1f} m/s at most, or not in that direction"
+            far = f"out of reach: the tip is not that fast so near to it, {how}"
+        return swings, float(PeakCosts().of(target, free).min(initial=math.inf)), far
 
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest peak of each flight."""
@@ -506,10 +497,9 @@ class WhipTask(TipTask):
         """Return the standard deviation of the place over the miss that is allowed with shorter links."""
         return aim.std / float(MISSES * self.target.tolerance)
 
-    def simulate(self, one: Candidate, finer: bool, budget: Budget) -> TipStrike | None:
+    def simulate(self, problem: Problem, one: Candidate, budget: Budget) -> TipStrike | None:
         """Return the peak of the tip's speed; see :func:`verify_whip`."""
-        motion = one.moves.motion(self.problem.limits)
-        return verify_whip(self.finer if finer else self.problem, self.target, motion, one.t, budget=budget)
+        return verify_whip(problem, self.target, one.moves.motion(problem.limits), one.t, budget=budget)
 
     def failure(self, one: Candidate, outcome: TipStrike | None, first: TipStrike | None) -> str:
         """Return why a whip fails; with shorter links speed and direction do not count, and more may be missed."""
@@ -534,8 +524,7 @@ def verify_whip(
     OutOfTime if it does not end within the budget. `tol` is the tolerance, m.
     """
     t = sample_times(near)
-    setup = verified_setup(problem, motion, float(t[-1]), tol=tol)
-    run = simulate_in_time(replace(setup, pegs=()), t, budget) if starts_outside(setup) else None
+    run = verified_run(replace(problem, obstacles=()), motion, t, budget, tol=tol)
     if run is None:
         return None
     found, touched, touch = find_peaks(run.t, run.tip[None], run.tip_velocity[None]), math.inf, ""
@@ -543,8 +532,8 @@ def verify_whip(
     about = away < t[-1] - near
     if not about.any():
         return None
-    if setup.pegs:
-        run = simulate_in_time(setup, np.union1d(t, found.t[about]), budget)
+    if problem.obstacles:
+        run = verified_run(problem, motion, np.union1d(t, found.t[about]), budget, tol=tol)
         if run is None:
             return None
         rows, which = touches(run, problem.obstacles)
