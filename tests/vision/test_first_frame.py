@@ -235,14 +235,6 @@ def test_a_path_does_not_return_beside_itself():
     assert _apart(history, place, np.full(2, np.pi), np.full(2, 22.0)).tolist() == [False, True]
 
 
-def test_a_click_tells_the_look():
-    image, truth = shown(bent(), clutter=8, seed=1)
-    look = RopeLook.from_click(image, truth[120] + [2.0, 0.0])
-    assert look.bgr == pytest.approx([45.0, 45.0, 45.0], abs=15.0)
-    assert look.width == pytest.approx(2.6, abs=0.5)
-    assert max(off(find_rope(image, truth[0], look=look).curve, truth)) < 2.0
-
-
 def test_a_path_that_begins_on_the_wall_shows_no_rope():
     """150 px of wall before 80 px of rope."""
     image, truth = shown(bent())

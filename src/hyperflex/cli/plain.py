@@ -117,7 +117,7 @@ class Plain:
         measures = self._measures(before if line is None else before | {"length": line.total_length}, at)
         image = picture(measures["at"]) if "at" in measures else image
         if lens is not None:
-            check_size(image.shape[1::-1], lens)
+            lens.check_size(image.shape[1::-1])
             lens = replace(lens, exposure=measures.get("exposure", lens.exposure))
         if measures.get("at") != before.get("at"):
             kept.pop("tip", None)  # it was elsewhere
@@ -191,13 +191,6 @@ class Plain:
             allowed = f"{line.total_length:g}"
             raise InvalidInput("--length contradicts --rope", got=self.length, allowed=allowed, fix="Omit --length")
         return line, None if camera is None else read_camera(camera)
-
-
-def check_size(size: tuple[int, ...], lens: "Camera") -> None:
-    """Refuse pictures of another size, px, than a camera's."""
-    if size != lens.image_size:
-        got, allowed = ("x".join(map(str, each)) for each in (size, lens.image_size))
-        raise InvalidInput("the picture has another size than the camera's", got=got, allowed=allowed)
 
 
 def answers_path(video: Path) -> Path:

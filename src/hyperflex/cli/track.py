@@ -19,7 +19,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
-from hyperflex.cli.plain import CLICK_STD, Plain, PlainScene, answers_path, check_size
+from hyperflex.cli.plain import CLICK_STD, Plain, PlainScene, answers_path
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.interruption import stoppable
 
@@ -457,7 +457,7 @@ def watch(
         else:
             lens = read_camera(markers.camera or "")
             if not frames.live:
-                check_size(frames.image_size, lens)
+                lens.check_size(frames.image_size)
             task = markers.task(images)
         task.rehearse()
         tracker = task.tracker()

@@ -36,21 +36,11 @@ class ChangeTests:
     tolerances : mapping of str to float
         Sizes that do not count as a change, in each parameter's unit; of a touch its force, N. By default: 0.2 % of
         lengths, 30 % of friction and drag, 0.4 % of the rope's mass at the tip, 0.1 % of its weight, ...
-    settle_time : float
-        Time after the first frame from which on is tested, s.
-    history, touch_history : float
-        Age of the oldest moment at which a parameter may have changed, and a touch may have begun, s.
-    touch_places : int
-        Number of places along the rope at which a touch is tested.
     """
 
     names: tuple[str, ...] | None = None
     false_alarm_interval: float = 600.0
     tolerances: Mapping[str, float] = field(default_factory=dict)
-    settle_time: float = 1.0
-    history: float = 10.0
-    touch_history: float = 0.35
-    touch_places: int = 10
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -60,9 +50,7 @@ class ChangeTests:
                 raise InvalidInput("there is no test for a change of this", got=name, allowed=allowed)
         for name, value in self.tolerances.items():
             checks.number(f"tolerance of {name}", value, sign="nonnegative")
-        for name in ("false_alarm_interval", "settle_time", "history", "touch_history"):
-            checks.number(name, getattr(self, name), sign="positive", unit="s")
-        checks.count("touch_places", self.touch_places)
+        checks.number("false_alarm_interval", self.false_alarm_interval, sign="positive", unit="s")
 
     def names_for(self, rope: Rope) -> tuple[str, ...]:
         """Return what is tested of a rope."""
@@ -233,6 +221,9 @@ class ChangeDetector:
     by Bonferroni's bound; the tests are correlated, so that false alarms are rarer than stated.
     """
 
+    SETTLE_TIME = 1.0  # s after the first frame, from which on is tested
+    HISTORY, TOUCH_HISTORY = 10.0, 0.35  # s, age of the oldest moment of a change of a parameter, and of a touch
+    TOUCH_PLACES = 10  # along the rope, at which a touch is tested
     MISFIT_TIME = 2.0  # s that a misfit lasts until it is reported: noise levels remember a touch for about as long
     MISFIT_LEVEL = 1.25  # times the declared noise of the markers that does not count
     GAP, LONGER_GAP = 0.25, 2.5  # s without any marker, and usual frame intervals, after which tests start anew
@@ -255,8 +246,8 @@ class ChangeDetector:
         self._tolerances = np.array([tests.tolerance(name, rope) for name in self.names])
         self._least = states.possible(np.full(len(states), -np.inf))[own]
         self._values = np.zeros(len(self.names))
-        count = tests.touch_places if TOUCH in tests.names_for(rope) else 0
-        self.places: Array = np.arange(1.0, count + 1.0) * (rope.total_length / tests.touch_places)
+        count = self.TOUCH_PLACES if TOUCH in tests.names_for(rope) else 0
+        self.places: Array = np.arange(1.0, count + 1.0) * (rope.total_length / self.TOUCH_PLACES)
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
         self._latest = self._touched = -math.inf  # time of the last frame, and of the last sign of a touch, s
@@ -336,7 +327,7 @@ class ChangeDetector:
         if self._shared_until <= t:  # it was a touch: its effect on the innovations is not that of a parameter
             kept[:], self._shared_until = False, math.inf
         self.jumps.keep(kept)
-        self.touches.keep(self.touches.moments > t - self.tests.touch_history)
+        self.touches.keep(self.touches.moments > t - self.TOUCH_HISTORY)
         if found is not None and found.moved.any():
             self.begin(t)
         return found
@@ -382,7 +373,7 @@ class ChangeDetector:
         """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
         moments = self.jumps.moments
         age = t - moments
-        kept = age < self.tests.history
+        kept = age < self.HISTORY
         crowded = (age[1:-1] > self.SPACING) & (
             moments[2:] - moments[:-2] <= np.maximum(self.SPACING, self.SHARE * age[1:-1]) + 1e-6
         )

@@ -10,10 +10,10 @@ import numpy as np
 from hyperflex.checks import Array, Integers
 from hyperflex.errors import SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.changes import MISFIT, Change
+from hyperflex.estimate.changes import Change
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.interval import Smoothed, smooth_linear
-from hyperflex.estimate.moving_horizon import EARLIER, jump_rows
+from hyperflex.estimate.moving_horizon import jump_rows
 from hyperflex.estimate.noise import MOST, QUIET
 from hyperflex.estimate.observations import Observations, whitening
 from hyperflex.estimate.parameters import BASE_KINDS, PLANE_KINDS
@@ -217,14 +217,7 @@ class _Window:
         self.plane = [first + k for k, name in enumerate(estimator.parameters.names) if name in PLANE_KINDS]
         self.linear: list[_Linear] = []
         self.gaps = np.diff([each.t for each in seen]).tolist()
-        self.jumps = [
-            [
-                jump_rows(estimator, change, states[k], gap)
-                for change in changes
-                if change.name != MISFIT and change.time - EARLIER < seen[k + 1].t <= change.noticed
-            ]
-            for k, gap in enumerate(self.gaps)
-        ]
+        self.jumps = jump_rows(estimator, changes, [each.t for each in seen], list(states))
         self.smoothed: list[Smoothed] = []
         self.correlated = 1.0
 

@@ -307,7 +307,7 @@ class RopeFilter:
         self._by_noise = NoiseDerivatives(2, self.x.size)
         self._gate = ValidationGate(len(seen.places))
         if self._detector is not None:
-            self._detector.begin(seen.t + self._detector.tests.settle_time)
+            self._detector.begin(seen.t + self._detector.SETTLE_TIME)
         self._correct(seen, first=True)
 
     def _correct(self, seen: Observations, *, first: bool) -> None:

@@ -174,7 +174,7 @@ class Interval:
     @property
     def x(self) -> Array:
         """The last frame's state (N,)."""
-        return np.asarray(self.states[-1])
+        return self.nodes[-1].x
 
     @property
     def factor(self) -> Array:
@@ -189,8 +189,7 @@ class Interval:
     @property
     def states(self) -> Array:
         """The states of all frames (T, N)."""
-        part = 1.0 if self._largest < CLOSE else 0.0
-        return np.array([node.x + part * each.mean for node, each in zip(self.nodes, self.smoothed, strict=True)])
+        return np.array([node.x for node in self.nodes])
 
     @property
     def rope_states(self) -> tuple[RopeState, ...]:

@@ -1,8 +1,9 @@
 """Moving-horizon estimator and smoother: Gauss-Newton over the last frames, or over all of a recording."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -284,7 +285,7 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
     if estimator.smoothed:
         fix = "Give a new estimator, or restart() it"
         raise InvalidInput("the estimator has begun", got=f"t = {estimator.t} s", fix=fix)
-    frames: list[InputFrame] = []
+    frames, states, changes = list[InputFrame](), list[tuple[Array, Array]](), list[Change]()
     for seen in observations:
         begun = estimator.begun
         estimator.update(seen)
@@ -292,26 +293,30 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
         if horizon is None:
             continue
         if estimator.begun is not begun:
-            frames, jumps, states, touch = [], list[list[Array]](), list[tuple[Array, Array]](), None
+            frames, states, changes = [], [], []
         frames.append(replace(horizon.frames[-1], used=estimator.used))
-        jumps.append([])  # rows by which the frame's noise is wider
         known = zip(horizon.states, (each.rows for each in horizon.smoothed), strict=True)
         states.append((horizon.x, horizon.factor))
         recent = list(known)[-len(states) :]
         states[-len(recent) :] = recent
-        noticed = [change for change in estimator.changes if change.name != MISFIT]
-        for change in noticed:
-            touch = change if change.name == TOUCH else touch
-            _allow(estimator, change, change.time - EARLIER, frames, states, jumps)
-        if estimator.changed and not noticed and touch is not None and len(frames) > 1:
-            _allow(estimator, touch, frames[-2].seen.t, frames, states, jumps)
+        touches = [change for change in changes if change.name == TOUCH]
+        changes += estimator.changes
+        if estimator.changed and not estimator.changes and touches and len(frames) > 1:  # the touch continues
+            between = 0.5 * (frames[-2].seen.t + seen.t)
+            changes.append(replace(touches[-1], time=between + EARLIER, noticed=seen.t))
     if estimator.begun is None:
         raise InvalidInput("no marker was seen", allowed="observations of at least one")
     level, density, process = estimator.measurement_noise.value, estimator.process_noise.value, estimator.process
+    times, names = [each.seen.t for each in frames], estimator.parameters.names
+    jumps = jump_rows(estimator, changes, times, [x for x, _ in states])
     frames = [replace(each, level=level) for each in frames]
-    for k in range(1, len(frames)):
-        noise = process.noise(frames[k].seen.t - frames[k - 1].seen.t, density)
-        frames[k] = replace(frames[k], noise=np.concatenate([noise, *jumps[k]]))
+    for k, (before, now) in enumerate(pairwise(times)):
+        noise = np.concatenate([process.noise(now - before, density), *jumps[k]])
+        frames[k + 1] = replace(frames[k + 1], noise=noise)
+    for change in changes:  # a parameter has changed before it was noticed
+        for k, t in enumerate(times):
+            if change.name in names and change.time < t < change.noticed:
+                states[k][0][2 * estimator.n_links + names.index(change.name)] += change.size
     whole = Interval(process, estimator.model, *estimator.begun, frames[0], np.zeros(estimator.n_links))
     if len(frames) > 1:
         whole.follow(frames[1:], states)
@@ -325,31 +330,25 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
     return SmoothedTrack(whole.rope_states, np.array(places), values, whole.log_likelihood)
 
 
-def _allow(
-    estimator: MovingHorizon,
-    change: Change,
-    since: float,
-    frames: list[InputFrame],
-    states: list[tuple[Array, Array]],
-    jumps: list[list[Array]],
-) -> None:
-    """Allow for a change from a time on until now: in which of the frames it happened is left to the fit."""
-    for k in range(1, len(frames)):
-        if frames[k].seen.t <= since:
-            continue
-        x, factor = states[k]
-        if change.arc_length is None and k < len(frames) - 1 and frames[k].seen.t > change.time:
-            column = 2 * estimator.n_links + estimator.parameters.names.index(change.name)
-            states[k] = x + change.size * (np.arange(x.size) == column), factor
-        jumps[k].append(jump_rows(estimator, change, x, frames[k].seen.t - frames[k - 1].seen.t))
+def jump_rows(
+    estimator: RopeFilter, changes: Sequence[Change], times: Sequence[float], states: Sequence[Array]
+) -> list[list[Array]]:
+    """Return rows (r, N) by which the noise of each step allows for changes: in which one each happened is left open.
 
-
-def jump_rows(estimator: RopeFilter, change: Change, x: Array, gap: float) -> Array:
-    """Return rows (r, N) by which the process noise of a step of `gap` s allows for a change, in the state x (N,)."""
-    n, size = estimator.n_links, abs(change.size) + change.std
-    if change.arc_length is None:
-        column = 2 * n + estimator.parameters.names.index(change.name)
-        return np.asarray(size * (np.arange(x.size) == column)[None])
-    arms = lever_arms(estimator.process.rope, np.array([change.arc_length]))[1]
-    turned = size * np.abs(estimator.process.kicks(x[:n], arms)).max()
-    return estimator.process.noise(gap, turned / np.sqrt(gap))
+    The steps are those between frames at some times, s, in states (N,).
+    """
+    n, process, jumps = estimator.n_links, estimator.process, list[list[Array]]()
+    for x, (before, now) in zip(states, pairwise(times), strict=False):
+        jumps.append([])
+        for change in changes:
+            if change.name == MISFIT or not change.time - EARLIER < now <= change.noticed:
+                continue
+            size = abs(change.size) + change.std
+            if change.arc_length is None:
+                column = 2 * n + estimator.parameters.names.index(change.name)
+                jumps[-1].append(size * (np.arange(x.size) == column)[None])
+                continue
+            arms = lever_arms(process.rope, np.array([change.arc_length]))[1]
+            turned = size * np.abs(process.kicks(x[:n], arms)).max()
+            jumps[-1].append(process.noise(now - before, turned / np.sqrt(now - before)))
+    return jumps

@@ -11,7 +11,7 @@ from scipy.linalg.lapack import dposv
 from hyperflex.checks import Array
 from hyperflex.estimate import square_root as sr
 
-LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
+MOST = 1e4  # times the first guess of a noise level
 QUIET = 0.02  # least process noise over its first guess: a rope at rest gives no information about it
 AT_REST = 0.5  # least noise of places over the declared one: at rest, errors are the same in each frame
 TINY = 1e-2  # ridge of dependent rows, relative to what is negligible, squared
@@ -24,8 +24,6 @@ class NoiseLevel:
     ----------
     value : (c,) array_like or float
         First guess.
-    memory : float
-        Number of frames after which observations have a weight of exp(-1).
     doubt : float
         Standard deviation of the first guess's logarithm.
     least : float
@@ -43,13 +41,14 @@ class NoiseLevel:
     ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
 
+    MEMORY = 60.0  # frames after which observations have a weight of exp(-1)
     LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
     LONGEST = 1.0  # largest change of a logarithm in one frame
 
-    def __init__(self, value: ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
+    def __init__(self, value: ArrayLike, *, doubt: float = 2.0, least: float) -> None:
         self.first = np.atleast_1d(np.asarray(value, dtype=np.float64))
         self._values, self._single = self.first.copy(), np.ndim(value) == 0
-        self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self.first.size) / (2.0 * doubt) ** 2
+        self._prior = np.eye(self.first.size) / (2.0 * doubt) ** 2
         self._least = least * self.first
         self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
         self._known = self._prior
@@ -85,10 +84,10 @@ class NoiseLevel:
             information += moved @ moved.T
         keep = math.exp(-1.0 / self.LATELY)
         self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
-        self._count = self._keep * self._count + 1.0
+        self._count = math.exp(-1.0 / self.MEMORY) * self._count + 1.0
         self._known = self._count * self._information / self._weight + self._prior
-        change = np.minimum(np.maximum(np.linalg.solve(self._known, score), -self.LONGEST), self.LONGEST)
-        self._values = np.minimum(np.maximum(self._values * np.exp(0.5 * change), self._least), MOST * self.first)
+        change = np.clip(np.linalg.solve(self._known, score), -self.LONGEST, self.LONGEST)
+        self._values = np.clip(self._values * np.exp(0.5 * change), self._least, MOST * self.first)
 
 
 class NoiseDerivatives:

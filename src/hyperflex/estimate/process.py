@@ -243,7 +243,6 @@ class Process:
         setup = Setup(self._rope, motion, self._arm, tol=PRECISION * self.rope.total_length)
         most = 3 * (2 * self.rope.n_links + len(self.parameters) + 1)
         self._run = AngleJacobian(setup, self.parameters.directions(), most)
-        self._moment, self._base = math.nan, np.zeros((3, 2))  # of the first joint when it was last asked for
 
     def noise(self, dt: float, density: ArrayLike) -> Array:
         """Return rows (r, N) whose squares are the covariance that `dt` seconds of disturbances add.
@@ -291,11 +290,9 @@ class Process:
             State with the pictures' delay; by default the delay is 0.
         """
         moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
-        if moment != self._moment:
-            now = np.empty(9)
-            motion_at(self._run.drive, moment, now)
-            self._moment, self._base = moment, now[[[7, 8], [5, 6], [0, 1]]]
-        return self._base
+        now = np.empty(9)
+        motion_at(self._run.drive, moment, now)
+        return now[[[7, 8], [5, 6], [0, 1]]]
 
     def _rope_at(self, values: Array) -> Rope:
         """Return the rope with its estimated values; it is created only when they have changed."""

@@ -8,13 +8,12 @@ those are propagated through its equations (Verlaan and Heemink 1997, Stochastic
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dpstrf, dtrtrs
+from scipy.linalg.lapack import dgeqrf, dpotrs, dpstrf, dtrtrs
 
-from hyperflex.checks import Array, Flags
+from hyperflex.checks import Array
 
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
@@ -35,19 +34,9 @@ class Innovation(NamedTuple):
     log_likelihood: float
 
 
-def without_lower(rows: Array) -> Array:
-    """Return rows (m, n) with zeros below their diagonal: np.triu with a cached mask."""
-    return np.where(_above(*rows.shape), rows, 0.0)
-
-
-@lru_cache(32)
-def _above(m: int, n: int) -> Flags:
-    return np.triu(np.ones((m, n), dtype=bool))
-
-
 def triangular(rows: Array) -> Array:
     """Return the upper triangular R (n, n), its diagonal not negative, with R^T R = rows^T rows, for rows (m, n)."""
-    upper = without_lower(dgeqrf(rows)[0][: rows.shape[1]])
+    upper = np.triu(dgeqrf(rows)[0][: rows.shape[1]])
     return upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None]
 
 
@@ -74,7 +63,7 @@ def compressed(rows: Array, least: Array) -> Array:
     even = rows / least
     upper, pivots, rank, _ = dpstrf(even.T @ even, tol=1.0, overwrite_a=True)
     result = np.zeros((max(1, rank), rows.shape[1]))
-    result[:rank, pivots - 1] = without_lower(upper[:rank])
+    result[:rank, pivots - 1] = np.triu(upper[:rank])
     return result * least
 
 
@@ -98,7 +87,7 @@ def innovation_factor(factor: Array, jacobian: Array) -> tuple[Array, Array]:
 
 def weighted(upper: Array, right: Array) -> Array:
     """Return (U^T U)^-1 B for an upper triangular U (m, m)."""
-    return solved(upper, solved(upper, right, transposed=True))
+    return np.asarray(dpotrs(upper, right)[0])
 
 
 def compared(upper: Array, innovation: Array) -> Innovation:

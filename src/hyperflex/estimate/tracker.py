@@ -167,9 +167,7 @@ class RopeTracker:
 
     def look(self, frame: Frame) -> TrackedFrame:
         """Process a frame, in the order of their times, and return its result."""
-        if frame.image.shape[1::-1] != tuple(self.camera.image_size):
-            got, allowed = ("x".join(map(str, size)) for size in (frame.image.shape[1::-1], self.camera.image_size))
-            raise InvalidInput("the frame has another size than the camera's", got=got, allowed=allowed)
+        self.camera.check_size(frame.image.shape[1::-1])
         t, estimator = self.camera.middle_of(frame.time), self.estimator
         expected = self.expect(t)
         base = estimator.process.base(t)[0] + estimator.parameters.base_offset(self.values)

@@ -272,7 +272,7 @@ class Calibration:
         InvalidInput
             If the board is not seen, or the picture has another size.
         """
-        check_size(image, self.camera.image_size)
+        self.camera.check_size(image.shape[1::-1])
         view = self.board.find(image)
         if view is None:
             raise InvalidInput("the board is not seen in the picture of the swing plane", fix="Take another picture")
@@ -340,12 +340,6 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     return replace(fit, images=count, notes=tuple(notes))
 
 
-def check_size(image: Image, size: tuple[int, int]) -> None:
-    """Raise InvalidInput if a picture is not of the required size (width, height), px."""
-    if image.shape[1::-1] != size:
-        raise InvalidInput("pictures differ in size", got=image.shape[1::-1], allowed=f"{size} px, as the others")
-
-
 def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list[BoardView], tuple[int, int], int]:
     """Return the views of the board, the pictures' size and their number."""
     views: list[BoardView] = []
@@ -354,7 +348,8 @@ def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list
     count = 0
     for count, image in enumerate(images, start=1):
         size = size or (image.shape[1], image.shape[0])
-        check_size(image, size)
+        if image.shape[1::-1] != size:
+            raise InvalidInput("pictures differ in size", got=image.shape[1::-1], allowed=f"{size} px, as the others")
         view = board.find(image)
         if view is not None:
             views.append(view)

@@ -344,6 +344,12 @@ class Camera:
                 fix="Calibrate the plane again",
             )
 
+    def check_size(self, size: tuple[int, ...]) -> None:
+        """Raise InvalidInput if a picture of a size (width, height), px, is not this camera's."""
+        if size != self.image_size:
+            got, allowed = ("x".join(map(str, each)) for each in (size, self.image_size))
+            raise InvalidInput("the picture has another size than the camera's", got=got, allowed=allowed)
+
     def project(self, points: ArrayLike) -> Array:
         """Return pixels (K, 2) of points (K, 2) in the plane, or (K, 3) off it, m; see :meth:`linearize`."""
         return self.linearize(points)[0]

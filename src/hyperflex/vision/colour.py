@@ -16,6 +16,7 @@ from hyperflex.vision.video import Image
 LEAST_CHROMA = 35.0  # levels: a colour with less counts as grey
 _LEAST_CONTRAST = 30.0  # levels between marker and surroundings
 NOISE = 1.5  # levels, least noise of a channel
+_LEAST_MARKERS = 3  # of one colour and size in a frame
 _TOLERANCE = 28.0  # levels by which pixels of a clicked marker may differ from the clicked one
 _SIGMAS, _LEAST_SHARE = 4.5, 0.06  # threshold of a pixel's share: times its noise, and at least
 # two directions across grey: shade, shadow and grey ropes do not change them
@@ -69,16 +70,16 @@ class MarkerColour:
             )
 
     @classmethod
-    def from_click(cls, image: Image, place: ArrayLike, bright: bool | None = None) -> "MarkerColour":
+    def from_click(cls, image: Image, place: ArrayLike) -> "MarkerColour":
         """Return the colour of the marker at a place in a frame, and its area, edges by the shares that it covers.
+
+        A marker that is nearly grey is detected by its brightness.
 
         Parameters
         ----------
         image : (height, width, 3) uint8
         place : (2,) array_like
             A pixel of the marker, u, v.
-        bright : bool, optional
-            Whether it is detected by its brightness; by default if it is nearly grey.
 
         Raises
         ------
@@ -94,7 +95,7 @@ class MarkerColour:
                 fix="Click the middle of a marker",
             )
         wall = np.median(image[around], axis=0)
-        grey = bool(np.linalg.norm(_CHROMA @ (colour - wall)) < LEAST_CHROMA) if bright is None else bright
+        grey = bool(np.linalg.norm(_CHROMA @ (colour - wall)) < LEAST_CHROMA)
         contrast = float(np.linalg.norm((_GREY if grey else _CHROMA) @ (colour - wall)))
         if contrast < _LEAST_CONTRAST:
             raise InvalidInput(
@@ -107,14 +108,8 @@ class MarkerColour:
         return replace(found, area=found._area_about(image, inside) or found.area)
 
     @classmethod
-    def from_frame(cls, image: Image, least: int = 3) -> "MarkerColour":
-        """Return the colour that most small things of one size in a frame share.
-
-        Parameters
-        ----------
-        image : (height, width, 3) uint8
-        least : int
-            Markers at least.
+    def from_frame(cls, image: Image) -> "MarkerColour":
+        """Return the colour that most small things of one size in a frame (height, width, 3), uint8, share.
 
         Raises
         ------
@@ -132,19 +127,19 @@ class MarkerColour:
             mask = (near & (strong > LEAST_CHROMA)).astype(np.uint8)
             _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
             compact = [k for k in range(1, len(stats)) if _is_compact(stats[k])]
-            if len(compact) < least:
+            if len(compact) < _LEAST_MARKERS:
                 continue
             group = _alike(stats[compact, cv2.CC_STAT_AREA].astype(float))
             members = np.isin(label, np.array(compact)[group])
             score = float(group.sum()) * (1.0 + 0.002 * float(np.median(strong[members])))
-            if group.sum() >= least and score > best[0]:
+            if group.sum() >= _LEAST_MARKERS and score > best[0]:
                 pixels = image[members & (strong > 0.8 * np.percentile(strong[members], 90))]
                 best = score, cls(np.median(pixels, axis=0)), [label == k for k in compact]
         _, found, things = best
         if found is None:
             raise InvalidInput(
                 "no colour of markers was found in the frame",
-                allowed=f"at least {least} small things of one strong colour and size",
+                allowed=f"at least {_LEAST_MARKERS} small things of one strong colour and size",
                 fix="Show a marker: MarkerColour.from_click(image, (u, v))",
             )
         areas = np.array([area for area in (found._area_about(image, thing) for thing in things) if area])

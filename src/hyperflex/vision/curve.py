@@ -138,11 +138,6 @@ def view_curve(
 class CurveDetector:
     """Finds a rope across where it is expected.
 
-    Parameters
-    ----------
-    blur : float
-        Standard deviation of the blur of a still edge, px.
-
     Notes
     -----
     Several places of a piece may look like the rope (other edges, shadows, things of its colour). Which of them is the
@@ -151,6 +146,7 @@ class CurveDetector:
     """
 
     STEP = 0.5  # px between samples of a profile
+    BLUR = 0.7  # px, standard deviation of the blur of a still edge
     CANDIDATES = 4
     GATE = 4.0  # standard deviations of an offset
     DOUBT = 2.0  # px, standard deviation of an expected place in addition to what the estimator states
@@ -161,14 +157,11 @@ class CurveDetector:
     CLEAR, SURE = 3.0, 10.0  # log-likelihood ratio to "nothing" of what may be the rope, and most that a profile proves
     HIDDEN = 3.0  # log-likelihood ratio at which a piece begins or ends to be hidden
 
-    def __init__(self, blur: float = 0.7) -> None:
-        self.blur = blur
-
     def find(self, image: Image, look: RopeLook, view: CurveView) -> CurveOffsets:
         """Return the observations of the rope in a frame (height, width, 3)."""
         prior = view.covariance + self.DOUBT**2 * view.likeness
         reach = np.minimum(self.GATE * np.sqrt(np.diag(prior)), self.WIDEST)
-        inner = reach + half_sweep(view.sweeps) + 0.5 * look.width + 3.0 * self.blur
+        inner = reach + half_sweep(view.sweeps) + 0.5 * look.width + 3.0 * self.BLUR
         far = inner + profiles.MARGIN + 2.0
         seen = np.empty((len(reach), 2 * int(far.max() / self.STEP) + 1, 3))
         profiles.sample_lines(image, look.tone, view.points, view.normals, self.STEP, far, seen)
@@ -183,7 +176,7 @@ class CurveDetector:
         shares = np.einsum("kxc,kc->kx", seen - walls, weights)
         found = np.empty((len(reach), self.CANDIDATES, profiles.COLUMNS))
         widths = np.full(len(reach), look.width)
-        profiles.match_lines(shares, view.sweeps, widths, self.blur, self.STEP, reach, found)
+        profiles.match_lines(shares, view.sweeps, widths, self.BLUR, self.STEP, reach, found)
         offsets, ratios, variances = self._rated(found)
         streaks = self.STREAK * half_sweep(view.sweeps)
         variances = self.CORRELATED * (variances + (streaks**2 + view.sagittas**2)[:, None])
@@ -215,13 +208,13 @@ class CurveDetector:
     def _end(self, image: Image, look: RopeLook, view: CurveView, offset: float, weights: Array) -> tuple[float, float]:
         """Return the offset of the free end along its direction, px, and its variance; NaN if it is not seen."""
         reach = min(self.GATE * float(np.sqrt(view.end_variance + self.DOUBT**2)), self.WIDEST)
-        half = reach + float(half_sweep(view.end_sweep)) + 3.0 * self.blur + profiles.MARGIN + 2.0
-        side = float(half_sweep(view.sweeps[-1])) + 0.5 * look.width + 3.0 * self.blur
+        half = reach + float(half_sweep(view.end_sweep)) + 3.0 * self.BLUR + profiles.MARGIN + 2.0
+        side = float(half_sweep(view.sweeps[-1])) + 0.5 * look.width + 3.0 * self.BLUR
         along = view.end_tangent
         seen, found = np.empty((2 * int(half / self.STEP) + 1, 3)), np.empty(profiles.COLUMNS)
         beside = view.end + offset * np.array([-along[1], along[0]])
         profiles.sum_across(image, look.tone, beside, along, self.STEP, side, seen)
-        profiles.match_end(seen @ weights, view.end_sweep, self.blur, self.STEP, reach, found)
+        profiles.match_end(seen @ weights, view.end_sweep, self.BLUR, self.STEP, reach, found)
         noise, contrast = found[profiles.RESIDUAL] / self.STEP, found[profiles.AMPLITUDE] / look.width
         if not (found[profiles.GAIN] > 2.0 * self.SURE * noise and abs(contrast - 1.0) < 4.0 * self.CONTRAST_STD):
             return np.nan, np.nan

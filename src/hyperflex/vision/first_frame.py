@@ -10,10 +10,11 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.camera import Camera
-from hyperflex.vision.look import CLICKED, Cover, RopeLook, at_parts, rope_along
-from hyperflex.vision.ridges import BLUR, SHADOW, STEP, Mixture, Path, Ridges
+from hyperflex.vision.look import Cover, RopeLook, at_parts, rope_along
+from hyperflex.vision.ridges import BLUR, CLICKED, SHADOW, STEP, Mixture, Path, Ridges
 from hyperflex.vision.video import Image
 
+LENGTH = 0.1  # relative difference of a curve's length from the rope's that is allowed
 LEAST_SCORE = 20.0  # evidence of a rope, decimal orders over a wall's
 
 
@@ -91,9 +92,7 @@ def find_rope(
     tip: npt.ArrayLike | None = None,
     look: RopeLook | None = None,
     length: float | None = None,
-    tolerance: float = 0.1,
     width: float | None = None,
-    radius: float = CLICKED,
     tone: Array | None = None,
 ) -> FoundRope:
     """Find the rope that begins at a pivot, an open curve, in one frame.
@@ -102,7 +101,8 @@ def find_rope(
     ----------
     image : (height, width, 3) uint8
     pivot : (2,) array_like
-        Where the rope begins, px.
+        Where the rope begins, px, as clicked: the search begins in a disc about it. Along the rope the pivot is where
+        the curve begins, if it is a click's error from what is seen.
     tip : (2,) array_like, optional
         The free end, px, if it is clicked: the curve ends there, or is refused if it shows wall before; other ropes may
         be in the picture.
@@ -110,13 +110,8 @@ def find_rope(
         If it is known; else a path keeps its own contrast.
     length : float, optional
         Of the rope, px, if it is known: no longer path is searched, and a curve of another length is refused.
-    tolerance : float
-        By which the length of a curve may differ from the rope's, as a part of it.
     width : float, optional
         Of the rope at rest, px, if it is known.
-    radius : float
-        Of the disc about `pivot` in which the search begins, px. Along the rope the pivot is where the curve begins, if
-        it is a click's error from what is seen.
     tone : (256,) float64, optional
         Of the camera, as of :class:`RopeLook`, if no `look` is given.
 
@@ -129,18 +124,18 @@ def find_rope(
     end = None if tip is None else checks.array("tip", tip, (2,), unit="px")
     told = look is not None or length is not None
     length = None if length is None else checks.number("length", length, sign="positive", unit="px")
-    longest, shortest = (np.inf, None) if length is None else ((1.0 + tolerance) * length, (1.0 - tolerance) * length)
+    longest, shortest = (np.inf, None) if length is None else ((1.0 + LENGTH) * length, (1.0 - LENGTH) * length)
     ridges = Ridges(image)
     try:
         if look is None:
-            early = _best(ridges.paths(start, radius, None, longest)).seen
+            early = _best(ridges.paths(start, None, longest)).seen
             early = early[: 2 + min(len(early) // 2, 40)]  # a rope is slowest at its pivot, and a path goes astray late
             curve, look, _ = rope_along(image, early, width, longest, tone)
             rope = Mixture(image, look.levels, look.width)
             rope.learn(curve)
         else:
             rope, width = Mixture(image, look.levels, look.width), look.width
-        path = _best(ridges.paths(start, radius, rope, longest), end)
+        path = _best(ridges.paths(start, rope, longest), end)
         curve, look, seen = rope_along(image, path.seen, width, longest, look.tone, end)
     except InvalidInput as error:
         if isinstance(error, NoRope):
@@ -158,7 +153,7 @@ def find_rope(
             raise NoRope(Reason.LENGTH, f"{found.length:.0f} px", f"{shortest:.0f} to {longest:.0f} px")
         return found
     rope.leave_out(path.places, apart)
-    _check_alone(rope, path, ridges.paths(start, radius, rope, longest)[0], apart)
+    _check_alone(rope, path, ridges.paths(start, rope, longest)[0], apart)
     last = np.array(image.shape[1::-1]) - 1.0
     if np.minimum(curve[-1], last - curve[-1]).min() < look.width + 4.0:
         raise NoRope(Reason.OUTSIDE, np.round(curve[-1]).tolist(), "a free end in the picture")

@@ -11,11 +11,9 @@ from hyperflex.checks import Array
 from hyperflex.core.image.profiles import cover, sample_places
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.colour import NOISE
-from hyperflex.vision.ridges import BLUR, SHADOW, Ridges
+from hyperflex.vision.ridges import BLUR, SHADOW
 from hyperflex.vision.tone import light_per_level, linear_tone
 from hyperflex.vision.video import Image
-
-CLICKED = 6.0  # px that a click may be off
 
 
 class Cover(NamedTuple):
@@ -146,20 +144,6 @@ class RopeLook:
                 fix="Take another wall or more light, or put markers on the rope",
             )
         return cls(np.clip(bgr, 0.0, 255.0), float(found), tone, _sparse(image))
-
-    @classmethod
-    def from_click(
-        cls, image: Image, place: npt.ArrayLike, width: float | None = None, tone: Array | None = None
-    ) -> "RopeLook":
-        """Return the look of the rope at a place (2,), px, some pixels off, in a picture (height, width, 3), uint8.
-
-        Raises
-        ------
-        InvalidInput
-            If no rope is seen there.
-        """
-        click = checks.array("place", place, (2,), unit="px")
-        return rope_along(image, Ridges(image).paths(click, CLICKED)[0].places, width, tone=tone)[1]
 
     def before_wall(
         self, image: Image, places: Array, outside: npt.NDArray[np.bool_], across: Array

@@ -19,6 +19,7 @@ _STIFFNESS, _JERK = (
     0.3 / np.radians(10.0) ** 2,
 )  # score for a turn, and its change, squared
 _WALL = 0.5  # evidence of a step from which it counts for a rope, not for a wall
+CLICKED = 6.0  # px that a click may be off
 SHADOW = 0.65  # most of a rope's contrast that its shadow has
 BLUR = 14  # px to both sides of a rope, which blur may reach
 
@@ -221,17 +222,13 @@ class Ridges:
         orders = np.log10(np.clip(power / self._strong**2, 0.1, 1e4))
         return orders - 0.7 * np.maximum(orders - 1.5, 0.0)
 
-    def paths(
-        self, start: ArrayLike, radius: float, rope: "Mixture | None" = None, longest: float = np.inf
-    ) -> list[Path]:
-        """Return paths from a disc, the best first; many differ little.
+    def paths(self, start: ArrayLike, rope: Mixture | None = None, longest: float = np.inf) -> list[Path]:
+        """Return paths from a disc about a click, the best first; many differ little.
 
         Parameters
         ----------
         start : (2,) array_like
-            px.
-        radius : float
-            Of the disc in which they may begin, px.
+            The click, px.
         rope : Mixture, optional
             What is followed; by default a path is to keep its own contrast.
         longest : float
@@ -242,12 +239,12 @@ class Ridges:
         A minimal path in places and directions (Pechaud, Keriven, Peyre 2009), found step by step: of the paths that
         arrive in the same cell of both, the best is kept, and of all the best. A path does not run along itself.
         """
-        grid = np.arange(-radius, radius + 1.0, 3.0 / self.shrink)
+        grid = np.arange(-CLICKED, CLICKED + 1.0, 3.0 / self.shrink)
         disc = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
-        disc = disc[np.hypot(*disc.T) <= radius]
+        disc = disc[np.hypot(*disc.T) <= CLICKED]
         turns = np.linspace(-np.pi, np.pi, 2 * ORIENTATIONS, endpoint=False)
         place = np.repeat((np.asarray(start, float) + disc) * self.shrink, turns.size, axis=0)
-        direction, score = np.tile(turns, len(disc)), np.repeat(-0.5 * np.hypot(*disc.T) / max(radius, 1.0), turns.size)
+        direction, score = np.tile(turns, len(disc)), np.repeat(-0.5 * np.hypot(*disc.T) / CLICKED, turns.size)
         history, scores, peak = (place @ [1.0, 1.0j]).astype(np.complex64)[:, None], score[:, None], score
         mean, bend = np.zeros((len(place), 4)), np.zeros(len(place))
         ended: list[Path] = []
@@ -328,9 +325,10 @@ def _responses(
         one = s * s * xx - 2.0 * s * c * xy + c * c * yy
         for reach in reaches:
             du, dv = round(reach * float(c)), round(reach * float(s))
-            one = _shifted(one, du, dv) + _shifted(one, -du, -dv)
-        edge = [(side - size) // 2 for side, size in zip(one.shape, level.shape, strict=True)]
-        one = one[edge[0] : edge[0] + level.shape[0], edge[1] : edge[1] + level.shape[1]]
+            both = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
+            both[reach + dv, reach + du] = both[reach - dv, reach - du] = 1.0
+            one = cv2.filter2D(one, cv2.CV_32F, both)
+        one = one[margin:-margin, margin:-margin]
         found[k] = one
         texture += np.sqrt(np.einsum("hwc,hwc->hw", one, one))
     texture = cv2.blur(texture, (_NEIGHBOURHOOD + 1, _NEIGHBOURHOOD + 1))
@@ -338,12 +336,6 @@ def _responses(
     usual = np.median(np.linalg.norm(colours[::4, 3::4] - colours[::4, :-3:4], axis=2))
     colours /= np.maximum(usual, 1e-9)  # of a picture of one colour
     return found, np.maximum(texture, 0.5 * np.median(texture)) / ORIENTATIONS, colours
-
-
-def _shifted(picture: npt.NDArray[np.float32], du: int, dv: int) -> npt.NDArray[np.float32]:
-    """Return a picture shifted by some pixels, less so many on each side."""
-    (height, width), a, b = picture.shape[:2], abs(dv), abs(du)
-    return picture[a + dv : height - a + dv, b + du : width - b + du]
 
 
 def _best_of_cells(ahead: Array, heading: Array, size: Array, total: Array, most: int) -> tuple[Integers, Integers]:

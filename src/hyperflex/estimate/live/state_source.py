@@ -15,7 +15,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.child import Child
-from hyperflex.errors import EstimatorLost, HyperflexError, InvalidInput
+from hyperflex.errors import EstimatorLost, HyperflexError
 from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, Source, open_frames
@@ -202,9 +202,7 @@ def work(link: Connection, source: int | str | Source, task: TrackingTask) -> No
         return motions > 0 or not task.waits
 
     with open_frames(source, paced=True) as frames, threadpool_limits(1):
-        if frames.image_size != task.camera.image_size:
-            got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, task.camera.image_size))
-            raise InvalidInput("the frames have another size than the camera's calibration", got=got, allowed=allowed)
+        task.camera.check_size(frames.image_size)
         link.send((0, None))
         count, changes, spots = 0, deque[Change](maxlen=MOST_CHANGES), np.zeros((0, 2))
         for estimate in Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion):
