@@ -36,7 +36,7 @@ class Innovation(NamedTuple):
 
 def triangular(rows: Array) -> Array:
     """Return the upper triangular R (n, n), its diagonal not negative, with R^T R = rows^T rows, for rows (m, n)."""
-    upper = np.triu(dgeqrf(rows)[0][: rows.shape[1]])
+    upper = np.asarray(np.triu(dgeqrf(rows)[0][: rows.shape[1]]))
     return upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None]
 
 
