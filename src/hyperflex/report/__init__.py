@@ -6,15 +6,13 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.report.cast import CastReport
-    from hyperflex.report.cast_run import cast_run_figure
-    from hyperflex.report.curves import run_figure, sideways_figure
-    from hyperflex.report.drives import drive_figure
+    from hyperflex.report.curves import recording_figure, run_figure, sideways_figure
+    from hyperflex.report.drives import cast_run_figure, drive_figure, learning_figure
     from hyperflex.report.folder import Progress, check_folder, silent, whole_folder
     from hyperflex.report.identification.figures import FittedChannels, fit_figure
     from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.tables import parameters_table, predicted, ratios_table
-    from hyperflex.report.learning import learning_figure
-    from hyperflex.report.maps import reach_figure
+    from hyperflex.report.maps import reach_figure, vibration_figure
     from hyperflex.report.notebook import identification_html, plan_figure, plan_html, rope_html, run_html
     from hyperflex.report.page import (
         Film,
@@ -29,7 +27,6 @@ if TYPE_CHECKING:
     from hyperflex.report.pictures import animate, strobe_figure
     from hyperflex.report.plan import PlanReport
     from hyperflex.report.player import FRAME_RATE, player_html, write_player
-    from hyperflex.report.recordings import recording_figure
     from hyperflex.report.scene import Dots, Line, Overlay, Plot
     from hyperflex.report.style import (
         BLUE,
@@ -46,6 +43,5 @@ if TYPE_CHECKING:
     )
     from hyperflex.report.tip import InsertReport, WhipReport
     from hyperflex.report.units import readable_unit
-    from hyperflex.report.vibration import vibration_figure
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
