@@ -5,7 +5,7 @@ import math
 import pytest
 
 import hyperflex as hf
-from hyperflex.hardware import MotorData, check_motor, find_motor, motor_catalogue
+from hyperflex.hardware import MotorData, check_motor, demand, find_motor, motor_catalogue
 from hyperflex.motion import move_arm
 from tests.refusals import refuses
 
@@ -45,9 +45,10 @@ def test_limits_are_those_of_a_half_turn_that_the_motor_can_make():
     assert not check_motor(motor, CABLE, arm, 0.6 * duration).demands[0].possible
 
 
-def test_given_motions_count():
-    slow, fast = (move_arm(0.0, 1.0, duration=time) for time in (2.0, 0.1))
-    found = check_motor(find_motor("XC330-T181"), CABLE, move_time=2.0, motions={"slow": slow, "fast": fast})
+def test_further_demands_count():
+    motor = find_motor("XC330-T181")
+    more = [demand(motor, "plan", move_arm(0.0, 1.0, duration=time), CABLE, hf.Arm()) for time in (2.0, 0.1)]
+    found = check_motor(motor, CABLE, None, 2.0, *more)
     assert [each.possible for each in found.demands[2:]] == [True, False]
     assert not found.success
 

@@ -48,8 +48,8 @@ COMMANDS = {  # by name: the module with the function of this name, and an examp
     "reproduce": ("reproduce", "fig10 fig12 -o paper"),
     "demo": ("demo", "-o demo-output"),
     "motor check": ("motor", "--motor XC330-M181 --rope rope.toml planned/cast.toml"),
-    "motor identify": ("motor", "--motor emulator:moteus --out drive.toml"),
-    "motor zero": ("motor", "--motor moteus:/dev/ttyACM0 --out zero.toml"),
+    "motor identify": ("motor", "--motor emulator:moteus -o drive.toml"),
+    "motor zero": ("motor", "--motor moteus:/dev/ttyACM0 -o zero.toml"),
     "warm": ("warm", ""),
     "doctor": ("doctor", "--source 0"),
 }
@@ -166,13 +166,10 @@ def run(arguments: Sequence[str]) -> int:
         return output.complain(f"{text}{stop} See {path} --help.", "UsageError", output.ExitCode.REFUSED)
     except BrokenPipeError:  # the reader of standard output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (HyperflexError, MemoryError, OverflowError, RecursionError) as error:
-        return output.complain(_refusal(error, named), type(error).__name__, output.ExitCode.REFUSED)
     except Exception as error:  # noqa: BLE001 last resort: even a bug must not break the promise of --json
-        if _short_of_resources(error):
-            return output.complain(
-                _refusal(MemoryError(str(error)), named), type(error).__name__, output.ExitCode.REFUSED
-            )
+        cause = MemoryError(str(error)) if _short_of_resources(error) else error
+        if isinstance(cause, (HyperflexError, MemoryError, OverflowError, RecursionError)):
+            return output.complain(_refusal(cause, named), type(error).__name__, output.ExitCode.REFUSED)
         traceback.print_exc()
         message = f"{str(error) or 'no message'}. This is a bug in hyperflex; please report it with the lines above."
         return output.complain(message, type(error).__name__, output.ExitCode.FAILED)

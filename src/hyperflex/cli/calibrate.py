@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hyperflex import files
+from hyperflex import files, vision
 from hyperflex.checks import ByName, number
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
@@ -42,8 +42,6 @@ def calibrate(
     """
     import numpy as np
 
-    from hyperflex.vision import Board, calibrate_camera, read_image, read_pictures
-
     check_destination(out, ".toml", [*pictures, plane, points])
     if plane is not None and points is not None:
         raise InvalidInput("--plane and --points are given both", fix="Give one of them")
@@ -55,11 +53,14 @@ def calibrate(
         "readout_direction": readout_direction,
         "delay": number("--delay", delay, unit="s"),
     }
-    picture, known = (None if plane is None else read_image(plane)), (None if points is None else _known_points(points))
-    board = Board(squares, square, marker, dictionary)
+    picture, known = (
+        (None if plane is None else vision.read_image(plane)),
+        (None if points is None else _known_points(points)),
+    )
+    board = vision.Board(squares, square, marker, dictionary)
     with output.spinner() as progress:
-        found = calibrate_camera(
-            read_pictures(pictures),
+        found = vision.calibrate_camera(
+            vision.read_pictures(pictures),
             board,
             progress=lambda images, views: progress(f"{images} pictures, {views} views of the board"),
             **timing,

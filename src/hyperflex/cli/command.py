@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 
 from hyperflex import checks, files
+from hyperflex.checks import Array
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 from hyperflex.options import options_of
@@ -19,24 +20,15 @@ Given = dict[str, Any]  # the options of a dataclass that were given, by name
 Json = Annotated[bool, "Print one JSON object on standard output and nothing else there."]
 
 
-def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float | None]:
-    """Return the check of an option whose value, if given, must be positive and finite."""
-
-    def check(option: typer.CallbackParam, value: float | None) -> float | None:
-        return None if value is None else checks.positive(option.opts[0], value, unit)
-
-    return check
-
-
 OutFolder = Annotated[Path, "Folder to write to; made if it does not exist."]
-ArmLength = Annotated[
-    float | None,
-    typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
-]
+ArmLength = Annotated[float | None, "Length of the arm that the motor turns", "m", "0.105"]
 Workers = Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")]
-ArcLengths = Annotated[
+ArcLengths = Annotated[list[str] | None, "Distance of each marker along the rope, m; several times or with commas."]
+
+Click = Annotated[
     list[str] | None,
-    "Distance of each marker along the rope, m; several times or with commas.",
+    "Pixel u,v of a marker in the first frame; once for each colour of the markers. [default: the colour that most "
+    "small things share]",
 ]
 
 
@@ -49,7 +41,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     Options x and y become one option with the name of the argument: ``--slot X Y``.
 
     An argument annotated with a text, ``Annotated[float, "Time of a half turn", "s"]``, becomes an option with this
-    help; with a unit, its value must be positive. The argument `out` is the option ``--output``, or ``-o``.
+    help; with a unit, its value must be positive. A third text is shown as its default, where that is None. The
+    argument `out` is the option ``--output``, or ``-o``.
     """
     parameters, collect = _expanded(function)
     json = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json)
@@ -89,14 +82,18 @@ def _expanded(function: Callable[..., Any]) -> tuple[list[inspect.Parameter], Ca
 
 def _option(given: inspect.Parameter) -> inspect.Parameter:
     """Return an argument annotated with the help of its option, and perhaps a unit, as the parser takes it."""
-    text, *unit = given.annotation.__metadata__
+    text, unit, default = (*given.annotation.__metadata__, "", "")[:3]
     kind, words = given.annotation.__origin__, []
     if given.name == "out":
         words = ["--output", "-o"]
     elif kind is bool:
         words = [f"--{given.name.replace('_', '-')}"]
-    check = positive(*unit) if unit else None
-    info = typer.Option(*words, callback=check, help=f"{text}, {unit[0]}." if unit else text)
+
+    def check(option: typer.CallbackParam, value: float | None) -> float | None:
+        return None if value is None else checks.positive(option.opts[0], value, unit)
+
+    shown = f" [default: {default}]" if default else ""
+    info = typer.Option(*words, callback=check if unit else None, help=f"{text}, {unit}.{shown}" if unit else text)
     return given.replace(annotation=Annotated[kind, info])
 
 
@@ -164,6 +161,11 @@ def check_no_input(out: Path, inputs: Sequence[Path | None]) -> None:
                 allowed=f"a file other than {path}",
                 fix="Give another name with -o",
             )
+
+
+def arcs_of(given: Sequence[str] | None) -> Array | None:
+    """Return the distances (K,), m, that ``--arc-lengths`` was given; None without."""
+    return checks.array("--arc-lengths", numbers("--arc-lengths", given, "0.2,0.4,0.6"), (-1,)) if given else None
 
 
 def words(given: Sequence[str] | None) -> list[str]:

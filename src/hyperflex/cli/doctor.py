@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
-from hyperflex import __version__
+from hyperflex import __version__, vision
 from hyperflex.cli import output
 from hyperflex.cli.output import Rows
 from hyperflex.cli.warm import every_kernel, unwritable
@@ -127,11 +127,10 @@ def _folders() -> Iterator[Finding]:
 
 
 def _camera(number: int) -> Finding:
-    from hyperflex.vision import LiveCamera
 
     name = f"camera {number}"
     try:
-        with LiveCamera(number) as source:
+        with vision.LiveCamera(number) as source:
             frame = next(iter(source))
             width, height = source.image_size
             shade = float(frame.image.mean())

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hyperflex import files
+from hyperflex import exchange, files, model
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.cli.identify import Reading
@@ -43,15 +43,13 @@ def export(
 
 def _writer(source: Path, reading: Reading) -> Callable[[Path], Any]:
     """Return the function that writes what a file becomes."""
-    from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
-    from hyperflex.model import Setup
     from hyperflex.trajectory import read_trajectory
 
     suffix = source.suffix.lower()
     if suffix == ".toml":
-        return partial(write_mjcf, Setup.from_toml(source))
+        return partial(exchange.write_mjcf, model.Setup.from_toml(source))
     if suffix == ".xml":
-        return read_mjcf(source).to_toml
+        return exchange.read_mjcf(source).to_toml
     if suffix == ".nc" and str(files.read_netcdf(source).attributes.get("format")).startswith("hyperflex trajectory"):
-        return partial(write_mcap, read_trajectory(source))
-    return partial(write_mcap, reading.read(source))
+        return partial(exchange.write_mcap, read_trajectory(source))
+    return partial(exchange.write_mcap, reading.read(source))

@@ -4,22 +4,19 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
 
-from hyperflex import files
+from hyperflex import files, identification, model, motion, report
 from hyperflex.checks import ByName
 from hyperflex.cli import output
-from hyperflex.cli.command import ArcLengths, Given, check_destination, check_no_input, numbers, words
+from hyperflex.cli.command import ArcLengths, Given, arcs_of, check_destination, check_no_input, numbers, words
 from hyperflex.cli.output import Block, Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions
 from hyperflex.recording import FASTEST, Declarations, Recording, read_channels, read_recording
-
-if TYPE_CHECKING:
-    from hyperflex.identification import Identification
 
 _FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report.html"}
 _WRITTEN = {"rope": "rope", "figures": "numbers", "page": "all results on one page"}
@@ -133,36 +130,31 @@ def identify(
     converge or the time was over, and 5 if its result must not be used, for example because a declaration is wrong. The
     rope is written in either case, with the grade.
     """
-    from hyperflex.identification import RecordingSetup
-    from hyperflex.identification import identify as run
-    from hyperflex.model import Rope
-    from hyperflex.report import check_folder, identification_page, write_found
-
     folder, inputs = out.suffix == "" or out.is_dir(), [recording, rope, setup]
     if folder:
-        check_folder(out)
+        report.check_folder(out)
         for name in _FILES.values():
             check_no_input(out / name, inputs)
     else:
         check_destination(out, ".toml", inputs)
-    places = numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
+    places = arcs_of(arc_lengths)
     driven = {**_drive(setup), **torque.read(recording, reading)}
-    measured, guess, chosen = reading.read(recording), Rope.from_toml(rope), words(free) or None
+    measured, guess, chosen = reading.read(recording), model.Rope.from_toml(rope), words(free) or None
     if places is None and measured.kind == "markers" and recording.suffix.lower() == ".nc":
         found = np.atleast_1d(files.read_netcdf(recording).attributes.get("arc_lengths", ()))
         if 2 * found.size == measured.data.shape[1]:  # hyperflex track wrote it: its origin is the first joint
-            places, origin = found.tolist(), origin or (0.0, 0.0)
-    placed, options = RecordingSetup(**driven, arc_lengths=places, origin=origin), FitOptions(**fit)
+            places, origin = found, origin or (0.0, 0.0)
+    placed, options = identification.RecordingSetup(**driven, arc_lengths=places, origin=origin), FitOptions(**fit)
     for fault in measured.check():
         output.note(str(fault))
     how: ByName = {"setup": placed, "options": options, "time_budget": time_budget, "progress": True}
-    result, stopped = output.run(lambda: run(measured, guess, chosen, **how))
+    result, stopped = output.run(lambda: identification.identify(measured, guess, chosen, **how))
     summary = {"output": out, **result.summary()}
     if folder:
-        written = files.rescued(lambda path: write_found(path, result), out)
+        written = files.rescued(lambda path: report.write_found(path, result), out)
         with output.keeping(written, "the page", summary), output.spinner() as progress:
             progress("drawing the report")
-            written |= identification_page(out / _FILES["page"], measured, result, guess)
+            written |= report.identification_page(out / _FILES["page"], measured, result, guess)
     else:
         files.rescued(result.to_toml, out)
         written = {"rope": out}
@@ -178,40 +170,38 @@ def identify(
 
 def _drive(path: Path | None) -> ByName:
     """Return the motion and the arm of a set-up."""
-    from hyperflex.model import Setup
-    from hyperflex.motion import hold_arm
-
     if path is None:
         return {}
-    setup = Setup.from_toml(path)
+    setup = model.Setup.from_toml(path)
     if setup.torque_driven:
         fix = 'Measure the arm\'s angle and give it as motion = {kind = "file", path = "arm.csv"}; or make the arm the '
         fix += "first link of the rope, and name the column of its torque (--torque)"
         raise InvalidInput(f"{path} drives its arm by a torque", allowed="a motion", fix=fix)
-    return {"motion": setup.motion or hold_arm(0.0), "arm": setup.arm}
+    return {"motion": setup.motion or motion.hold_arm(0.0), "arm": setup.arm}
 
 
-def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
+def _blocks(found: "identification.Identification", whole: str) -> Iterator[Block]:
     """Yield the grade, the fit, tables of parameters and ratios; `whole` is where the whole tables are."""
-    from hyperflex.identification import Kind, text
-    from hyperflex.report import TextTable, parameters_table, predicted, ratios_table, readable_unit
-
-    unit = readable_unit(found.unit, found.residual_rms)
+    unit = report.readable_unit(found.unit, found.residual_rms)
     rows = [("ended", str(found.status)), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
-        rows.append((f"prediction error over {held.ahead:g} s, rms", " ".join(predicted(found)).rstrip()))
+        rows.append((f"prediction error over {held.ahead:g} s, rms", " ".join(report.predicted(found)).rstrip()))
     yield from found.report().splitlines()
-    chosen = [text(each) for each in found.findings if each.kind is Kind.CHOSEN and each.values["added"]]
+    chosen = [
+        identification.text(each)
+        for each in found.findings
+        if each.kind is identification.Kind.CHOSEN and each.values["added"]
+    ]
     yield from (each for each in chosen if each not in found.report())
     if "gravity_angle" in found.values:
         yield "gravity_angle is the camera's turn: the rope's file keeps the gravity of the guess."
     yield Rows("Fit", rows)
-    for table in filter(None, (parameters_table(found, None), ratios_table(found))):
+    for table in filter(None, (report.parameters_table(found, None), report.ratios_table(found))):
         first = [row[0] for row in table.rows]
         # five rows of one ratio at most, and 24 in all: a screen
         kept = [row for k, row in enumerate(table.rows) if first[:k].count(row[0]) < 5][:24]
         shown = [k for k, name in enumerate(table.header) if name != "what it is"]
         header, *lines = (tuple(row[k] for k in shown) for row in (table.header, *kept))
-        yield TextTable(header, tuple(lines))
+        yield report.TextTable(header, tuple(lines))
         if len(table.rows) > len(kept):
             yield f"  and {len(table.rows) - len(kept)} more, in {whole}"

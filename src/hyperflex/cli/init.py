@@ -3,19 +3,16 @@
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from hyperflex import checks, files, options
+from hyperflex import checks, files, model, options, simulation
 from hyperflex.cli import output
 from hyperflex.cli.command import Given, check_destination
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.options import option, options_of
-
-if TYPE_CHECKING:
-    from hyperflex.model import Peg
 
 BENDING = 2e-5  # N m^2 s/rad, friction of a joint times the length of a link, of the source paper's cable
 MOTIONS = {
@@ -99,9 +96,6 @@ def init(
 
     On a terminal the command asks for options that are not given; elsewhere it uses their defaults.
     """
-    from hyperflex.model import Peg, Setup
-    from hyperflex.simulation import check_outside
-
     check_destination(out, ".toml", [])
     if out.exists():
         raise InvalidInput(f"{out} exists already", allowed="a new file", fix="Give another name, or remove it first")
@@ -113,8 +107,8 @@ def init(
                 text = f"{each.metadata['help'].capitalize()}{unit}"
                 given |= {each.name: typer.prompt(text, default=each.default, type=type(each.default))}
     answers = Answers(**given)
-    text = _text(out, answers, None if peg is None else Peg(*peg))
-    check_outside(Setup.loads(text))  # refuses answers that do not fit each other
+    text = _text(out, answers, None if peg is None else model.Peg(*peg))
+    simulation.check_outside(model.Setup.loads(text))  # refuses answers that do not fit each other
     files.write_text(out, text)
     run = out.with_suffix(".nc")
     following = f"hyperflex simulate {out} -o {run} and hyperflex view {run}, or live: hyperflex play {out}"
@@ -122,7 +116,7 @@ def init(
     output.show({"output": out, **asdict(answers), "peg": peg}, Rows(f"Wrote {out}", rows))
 
 
-def _text(out: Path, answers: Answers, peg: "Peg | None") -> str:
+def _text(out: Path, answers: Answers, peg: "model.Peg | None") -> str:
     """Return the set-up with its comments; under an arm at rest the rope begins lifted, so that it moves."""
     values: dict[str, Any] = asdict(answers) | {"name": out.name, "stem": out.stem, "motion": MOTIONS[answers.motion]}
     values["friction"] = float(f"{BENDING * answers.links / answers.length:.3g}")

@@ -3,17 +3,15 @@
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from hyperflex import recording, report
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.cli.output import Rows
 from hyperflex.errors import listed
-
-if TYPE_CHECKING:
-    from hyperflex.recording import Content
 
 
 def look(
@@ -25,13 +23,10 @@ def look(
     The format is recognised by the content. For declarations that the file lacks, the proposed command has likely
     values. The command lists them: check them, because they are never assumed when a file is read.
     """
-    from hyperflex.recording import propose, python_line
-    from hyperflex.report import recording_figure, save_png
-
     check_destination(out, ".png", [file])
-    found = propose(file)
-    content, recording = found.content, found.recording
-    python, command = python_line(file, found), _command(file, found.arguments)
+    found = recording.propose(file)
+    content, read = found.content, found.recording
+    python, command = recording.python_line(file, found), _command(file, found.arguments)
     chosen = found.arguments.get("markers") or found.arguments.get("columns")
     names = list(chosen or content.points or content.angles or content.names)
     holds = "markers" if content.points else "angles" if content.angles or chosen else "columns"
@@ -46,30 +41,28 @@ def look(
         "declared": {**content.usual, **content.declared},
         "assumed": list(found.assumed),
         "arguments": dict(found.arguments),
-        "python": python if recording is not None else None,
-        "command": command if recording is not None else None,
+        "python": python if read is not None else None,
+        "command": command if read is not None else None,
         "problem": found.problem or None,
     }
     rows = [("format", found.format), (holds, f"{sum(widths.values())}: {_named(content, names)}")]
     if found.unused:
         hint = "" if content.points else " (a motor's torque: --torque NAME)"
         rows.append(("not used", _named(content, found.unused) + hint))
-    if recording is not None:
-        step = recording.duration / (recording.t.size - 1)
-        gaps = recording.gaps / recording.data.size
-        result |= {"start_s": recording.t[0], "end_s": recording.t[-1], "rate_hz": 1.0 / step, "gaps": gaps}
+    if read is not None:
+        step = read.duration / (read.t.size - 1)
+        gaps = read.gaps / read.data.size
+        result |= {"start_s": read.t[0], "end_s": read.t[-1], "rate_hz": 1.0 / step, "gaps": gaps}
         result |= {
-            "epoch_s": recording.epoch,
-            "out_of_plane_m": recording.out_of_plane,
-            "tilt_rad": recording.tilt,
-            "read": recording.convention,
+            "epoch_s": read.epoch,
+            "out_of_plane_m": read.out_of_plane,
+            "tilt_rad": read.tilt,
+            "read": read.convention,
         }
-        rows.append(
-            ("samples", f"{recording.t.size}, {recording.t[0]:g} to {recording.t[-1]:g} s, {1.0 / step:.4g} a second")
-        )
-        rows += [("missing", f"{100.0 * gaps:.2g} %")] if recording.gaps else []
-        rows += [("epoch", f"{recording.epoch:.3f} s since 1970")] if recording.epoch is not None else []
-        rows.append(("read as", recording.convention.partition("; read ")[2] or recording.convention))
+        rows.append(("samples", f"{read.t.size}, {read.t[0]:g} to {read.t[-1]:g} s, {1.0 / step:.4g} a second"))
+        rows += [("missing", f"{100.0 * gaps:.2g} %")] if read.gaps else []
+        rows += [("epoch", f"{read.epoch:.3f} s since 1970")] if read.epoch is not None else []
+        rows.append(("read as", read.convention.partition("; read ")[2] or read.convention))
     rows += [("declared by the file", _text(result["declared"]))] if result["declared"] else []
     rows += (
         [("assumed, to be checked", _text({key: found.arguments[key] for key in found.assumed}))]
@@ -77,12 +70,12 @@ def look(
         else []
     )
     rows += [("but", found.problem)] if found.problem else []
-    if out is not None and recording is not None:
+    if out is not None and read is not None:
         labels = [f"{name} {k}" if name in content.widths else name for name in names for k in range(widths[name])]
-        save_png(recording_figure(recording, tuple(labels)), out)
+        report.save_png(report.recording_figure(read, tuple(labels)), out)
         result |= {"output": out, "bytes": out.stat().st_size}
         rows.append(("picture", str(out)))
-    lines = [Rows("To read it", [("Python", python), ("shell", command)])] if recording is not None else []
+    lines = [Rows("To read it", [("Python", python), ("shell", command)])] if read is not None else []
     output.show(result, Rows(str(file), rows), *lines)
 
 
@@ -95,7 +88,7 @@ def _command(file: Path, arguments: Mapping[str, Any]) -> str:
     return shlex.join([*words, "-o", "identified"])
 
 
-def _named(content: "Content", names: Sequence[str]) -> str:
+def _named(content: "recording.Content", names: Sequence[str]) -> str:
     """Return names of channels, with the number of their columns where they have several."""
     widths = content.widths
     return listed([f"{name} ({widths[name]} columns)" if name in widths else name for name in names])

@@ -4,21 +4,19 @@ import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from hyperflex import execution, hardware, planning, report
 from hyperflex.cli import output
-from hyperflex.cli.command import ArmLength, Given, check_destination, positive
+from hyperflex.cli.command import ArmLength, Given, check_destination
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, MotorLimits, Rope
-
-if TYPE_CHECKING:
-    from hyperflex.hardware import Demand, Drive, DriveZero, Emulator, MotorData
 
 RPM = 60.0 / math.tau  # rev/min per rad/s
 Address = Annotated[str, "Make and port, such as moteus:/dev/ttyACM0, or emulator:moteus."]
@@ -37,10 +35,7 @@ def check(
     motor: Annotated[str | None, "Name in the catalogue, such as XC330-M181."] = None,
     rpm: Annotated[float | None, "Speed without load", "rev/min"] = None,
     torque: Annotated[float | None, "Torque at rest (stall)", "N m"] = None,
-    voltage: Annotated[
-        float | None,
-        typer.Option(callback=positive("V"), help="Voltage of your supply, V. [default: the data sheet's]"),
-    ] = None,
+    voltage: Annotated[float | None, "Voltage of your supply", "V", "the data sheet's"] = None,
     arm_length: ArmLength = None,
     move_time: Annotated[float, "Time of a half turn", "s"] = 0.5,
 ) -> None:
@@ -51,25 +46,25 @@ def check(
     with plans: each with its own arm and rope, and the torque of its simulated runs. It prints limits for the planner.
     The exit code is 4 if a half turn or a plan is not possible.
     """
-    from hyperflex.hardware import MotorData, check_motor, demand, find_motor
-    from hyperflex.planning import read_plan
-
     if motor is not None and (rpm or torque):
         raise InvalidInput("the motor is given twice", fix="Give --motor NAME, or --rpm and --torque")
     if motor is not None:
-        data = find_motor(motor)
+        data = hardware.find_motor(motor)
         data = data if voltage is None else data.at(voltage)
     elif rpm is None or torque is None:
         raise InvalidInput("no motor is given", fix="Give --motor NAME, or --rpm and --torque")
     else:
-        data = MotorData("your motor", rpm / RPM, torque, voltage or MotorData.voltage, source="given")
+        data = hardware.MotorData(
+            "your motor", rpm / RPM, torque, voltage or hardware.MotorData.voltage, source="given"
+        )
     arm = Arm() if arm_length is None else Arm(length=arm_length)
-    found = check_motor(data, Rope.from_toml(rope), arm, move_time)
-    for path in plans or ():
-        plan = read_plan(path)
-        motion, own = plan.required(plan.motion, "motion"), plan.problem
-        asked = demand(data, str(path), motion, own.rope, own.arm, torque=plan.torque)
-        found = replace(found, demands=(*found.demands, asked))
+    required = [
+        hardware.demand(
+            data, str(path), plan.required(plan.motion, "motion"), plan.problem.rope, plan.problem.arm, plan.torque
+        )
+        for path, plan in ((path, planning.read_plan(path)) for path in plans or ())
+    ]
+    found = hardware.check_motor(data, Rope.from_toml(rope), arm, move_time, *required)
     demands = {
         each.name: f"{'possible' if each.possible else 'NOT possible'}: "
         f"{each.speed * RPM:.0f} rev/min, {each.torque:.3g} N m, {_spare(each, data)}"
@@ -94,23 +89,19 @@ def check(
     )
 
 
-def _spare(demand: "Demand", motor: "MotorData") -> str:
-    if demand.possible:
-        return f"{100 * demand.margin:.0f} % to spare"
-    return "the motor is too slow" if demand.speed > motor.speed else "the motor is too weak"
+def _spare(wanted: "hardware.Demand", motor: "hardware.MotorData") -> str:
+    if wanted.possible:
+        return f"{100 * wanted.margin:.0f} % to spare"
+    return "the motor is too slow" if wanted.speed > motor.speed else "the motor is too weak"
 
 
 def identify(
     motor: Address,
     *,
-    out: Annotated[Path, typer.Option("--output", "--out", "-o", help="File for the identified drive, .toml.")],
+    out: Annotated[Path, "File for the identified drive, .toml."],
     zero: ZeroFile = None,
     limits: Annotated[Given, MotorLimits],
-    stroke: Annotated[
-        float,
-        "Size of the fast strokes; large ones show the limit of speed",
-        "rad",
-    ] = 0.3,
+    stroke: Annotated[float, "Size of the fast strokes; large ones show the limit of speed", "rad"] = 0.3,
     picture: Annotated[Path | None, "Picture of the test motion to write, .png."] = None,
     yes: Yes = False,
     clear_fault: ClearFault = False,
@@ -124,36 +115,27 @@ def identify(
     """
     import numpy as np
 
-    from hyperflex.execution import record_test_motion
-    from hyperflex.hardware import emulated_device, identify_drive, plan_test_motion
-    from hyperflex.report import save_png
-
     check_destination(out, ".toml", [])
     check_destination(picture, ".png", [])
     chosen = MotorLimits(**limits)
     if dry_run:
-        motion = plan_test_motion(chosen, 0.0, stroke=stroke)
+        motion = hardware.plan_test_motion(chosen, 0.0, stroke=stroke)
         angles = motion.angle(motion.breaks)
-        plan = {
-            "duration_s": motion.end,
-            "least_angle": float(angles.min()),
-            "greatest_angle": float(angles.max()),
-        }
+        plan = {"duration_s": motion.end, "least_angle": angles.min(), "greatest_angle": angles.max()}
         output.show(plan, output.rows("Test motion, from an arm that hangs", plan))
         return
-    most = min(0.5 + 0.05 * chosen.speed, 0.6 * stroke)
-    with _drive(motor, chosen, zero, max_deviation=most) as connect:
-        if emulated_device(motor) is None:
-            check_torque(chosen)
-            zero_of(motor, zero)
+    most, known = min(0.5 + 0.05 * chosen.speed, 0.6 * stroke), read_zero(motor, zero)
+    with _drive(motor, chosen, known, max_deviation=most) as connect:
+        if hardware.emulated_device(motor) is None:
+            check_real(motor, known, chosen)
             wait_for_enter("Take the rope off and keep clear", yes)
         output.note(f"{connect().link.name}: connecting; then the arm makes the test motion")
-        record = record_test_motion(connect, stroke=stroke, clear_fault=clear_fault)
-    fit = identify_drive(record)
+        record = execution.record_test_motion(connect, stroke=stroke, clear_fault=clear_fault)
+    fit = hardware.identify_drive(record)
     fit.to_toml(out)
     written = {"drive": out}
     if picture is not None:
-        save_png(fit.plot(), picture)
+        report.save_png(fit.plot(), picture)
         written["picture"] = picture
     intervals = {name: f" ({low:.4g} to {high:.4g})" for name, (low, high) in fit.intervals.items()}
     rows = [
@@ -178,7 +160,7 @@ def identify(
 def zero(
     motor: Address,
     *,
-    out: Annotated[Path, typer.Option("--output", "--out", "-o", help="File for the zero, .toml.")],
+    out: Annotated[Path, "File for the zero, .toml."],
     angle: Annotated[float, "Angle at which the arm is now, rad; 0 hangs down."] = 0.0,
     direction: Annotated[
         int | None,
@@ -194,8 +176,6 @@ def zero(
     Zero and direction are saved in the file, which identify and run take with --zero. Check the zero again after the
     drive was without power: some drives count turns only while they are powered.
     """
-    from hyperflex.hardware import DriveZero, emulated_device
-
     check_destination(out, ".toml", [])
     with _drive(motor, MotorLimits(), None) as connect:
         drive = connect()
@@ -204,9 +184,9 @@ def zero(
             name, raw = drive.link.name, drive.set_zero(0.0)
             if direction is not None:
                 output.note("nothing shows whether this direction is right, or whether a gear's ratio is set")
-            way = _direction(drive, emulated_device(motor) is not None) if direction is None else direction
+            way = _direction(drive, hardware.emulated_device(motor) is not None) if direction is None else direction
     raw -= way * angle
-    DriveZero(raw, way, motor).to_toml(out)
+    hardware.DriveZero(raw, way, motor).to_toml(out)
     result = {"motor": name, "raw_angle": raw, "direction": way, "angle": angle, "files": {"zero": out}}
     shown = [
         ("raw angle of the zero", f"{raw:.4f} rad"),
@@ -216,7 +196,7 @@ def zero(
     output.show(result, Rows(f"Zero of {name}", [*shown, ("written", out)]))
 
 
-def _direction(drive: "Drive", emulated: bool) -> int:
+def _direction(drive: "hardware.Drive", emulated: bool) -> int:
     """Return the direction of a drive that tells raw angles from its zero, from a quarter turn by hand."""
     if emulated:
         return 1
@@ -232,29 +212,25 @@ def _direction(drive: "Drive", emulated: bool) -> int:
     return 1 if turned > 0.0 else -1
 
 
-def check_torque(limits: MotorLimits) -> None:
-    """Refuse a real motor without a limit of torque."""
-    if not math.isfinite(limits.torque):
-        raise InvalidInput("a real motor moves with a limit of torque only", fix="Give --torque, N m")
-
-
-def zero_of(address: str, path: Path | None) -> "DriveZero":
-    """Return the zero of a real motor; refuse one without, or with a watchdog that lets the arm go on for long."""
-    from hyperflex.hardware import DriveZero, open_link
-
-    link = open_link(address)
-    if link.watchdog > 0.2:
-        raise InvalidInput(
-            "the watchdog of a real motor is too long",
-            got=link.watchdog,
-            allowed="up to 0.2 s",
-            fix="Remove ?watchdog=",
-        )
-    if path is None:
-        raise InvalidInput("a real motor needs its zero", fix="Make a file with hyperflex motor zero, and give --zero")
-    zero = DriveZero.from_toml(path)
-    zero.check(address)
+def read_zero(address: str, path: Path | None) -> "hardware.DriveZero | None":
+    """Return the zero in a file, None without one; refuse that of another motor, unless this one is emulated."""
+    real = hardware.emulated_device(address) is None
+    zero = None if path is None else hardware.DriveZero.from_toml(path)
+    if zero is not None and real:
+        zero.check(address)
     return zero
+
+
+def check_real(address: str, zero: "hardware.DriveZero | None", limits: MotorLimits) -> None:
+    """Refuse a real motor without its zero or a limit of torque, or whose watchdog lets the arm go on for long."""
+    if (watchdog := hardware.open_link(address).watchdog) > 0.2:
+        what, allowed = "the watchdog of a real motor is too long", "up to 0.2 s"
+        raise InvalidInput(what, got=watchdog, allowed=allowed, fix="Remove ?watchdog=")
+    lacking = ["needs its zero"] if zero is None else []
+    lacking += [] if math.isfinite(limits.torque) else ["moves with a limit of torque only"]
+    if lacking:
+        fix = "Give --zero, a file of hyperflex motor zero, and --torque, N m"
+        raise InvalidInput(f"a real motor {' and '.join(lacking)}", fix=fix)
 
 
 def wait_for_enter(before: str, yes: bool) -> None:
@@ -274,26 +250,21 @@ def _press_enter(text: str) -> None:
 
 @contextmanager
 def _drive(
-    address: str, limits: MotorLimits, zero: Path | None, max_deviation: float = 0.5
-) -> "Iterator[Callable[[], Drive]]":
+    address: str, limits: MotorLimits, zero: "hardware.DriveZero | None", max_deviation: float = 0.5
+) -> "Iterator[Callable[[], hardware.Drive]]":
     """Give what returns a drive, or an emulated one that runs as long as the block; its arm has no rope."""
-    from hyperflex.execution import motor_model, open_drive
-    from hyperflex.hardware import DriveZero, Emulator, emulated_device
-
-    known = DriveZero(0.0) if zero is None else DriveZero.from_toml(zero)
-    known.check(address)
-    connect = partial(open_drive, limits=limits, zero=known, max_deviation=max_deviation)
-    device = emulated_device(address)
+    connect = partial(execution.open_drive, limits=limits, zero=zero, max_deviation=max_deviation)
+    device = hardware.emulated_device(address if "?" in address else f"{address}?watchdog=1")  # for a busy computer
     if device is None:
         yield partial(connect, address)
         return
-    make, kind = device if "?" in address else emulated_device(f"{address}?watchdog=1") or device  # a busy computer
-    with Emulator(kind, motor_model(make)) as emulator:
+    make, kind = device
+    with hardware.Emulator(kind, execution.motor_model(make)) as emulator:
         yield partial(connect, f"{make}:{emulator.port}")
         warn_if_behind(emulator)
 
 
-def warn_if_behind(emulator: "Emulator") -> None:
+def warn_if_behind(emulator: "hardware.Emulator") -> None:
     """Warn where a busy computer has spoiled an emulated motion: motor and rope were slower than the clock."""
     if why := emulator.unfair:
         warnings.warn(f"{why}. Lower this computer's load, or plan with fewer links", UserWarning, stacklevel=2)

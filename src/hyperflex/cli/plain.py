@@ -6,21 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
-import typer
 
-from hyperflex import checks, files
+from hyperflex import checks, estimate, files, model, vision
 from hyperflex.cli import output
 from hyperflex.cli.init import BENDING, Answers
 from hyperflex.cli.questions import Answer, Dialogue, Question, Way, ask, check_terminal
 from hyperflex.errors import FileProblem, InvalidInput
-
-if TYPE_CHECKING:
-    from hyperflex.estimate import VideoTrack
-    from hyperflex.model import Rope
-    from hyperflex.vision import Camera, FoundRope, Image
 
 Pixel = tuple[float, float] | None
 FORMAT = "hyperflex answers 1"
@@ -73,21 +67,17 @@ class Plain:
 
     length: Annotated[
         float | None,
-        typer.Option(help="Length of a rope without markers, m: the command asks for the rest."),
+        "Length of a rope without markers, m: the command asks for the rest.",
     ] = None
-    pivot: Annotated[Pixel, typer.Option(help="Pixel of the first joint, u v, of a plain rope or for --bar.")] = None
-    tip: Annotated[
-        str | None, typer.Option(help="Pixel U,V of a plain rope's free end in the first frame; found: by the command.")
-    ] = None
+    pivot: Annotated[Pixel, "Pixel of the first joint, u v, of a plain rope or for --bar."] = None
+    tip: Annotated[str | None, "Pixel U,V of a plain rope's free end in the first frame; found: by the command."] = None
     size: Annotated[
         str | None,
-        typer.Option(
-            help="What tells the size of the picture: rope (its own length), U,V,U,V,METRES (two points), the four "
-            "corners of an A4 sheet as U,V,..., or ACROSS,DOWN,METRES of a chessboard; all in the swing plane."
-        ),
+        "What tells the size of the picture: rope (its own length), U,V,U,V,METRES (two points), the four "
+        "corners of an A4 sheet as U,V,..., or ACROSS,DOWN,METRES of a chessboard; all in the swing plane.",
     ] = None
-    mass: Annotated[str | None, typer.Option(help="Mass of a plain rope, kg, or unknown.")] = None
-    exposure: Annotated[float | None, typer.Option(help="Exposure of a plain rope's video, s. [default: 0.004]")] = None
+    mass: Annotated[str | None, "Mass of a plain rope, kg, or unknown."] = None
+    exposure: Annotated[float | None, "Exposure of a plain rope's video, s. [default: 0.004]"] = None
 
     def answers(self) -> dict[str, Answer]:
         """Return the answers that options give."""
@@ -95,7 +85,7 @@ class Plain:
 
     def scene(
         self,
-        picture: "Callable[[float | None], Image]",
+        picture: "Callable[[float | None], vision.Image]",
         beside: Path,
         readout_direction: str = "down",
         *,
@@ -123,10 +113,8 @@ class Plain:
             kept.pop("tip", None)  # it was elsewhere
 
         @cache
-        def find(u: float, v: float, tip: Pixel, size: float | None) -> "FoundRope":
-            from hyperflex.vision import find_rope, srgb_tone
-
-            return find_rope(image, (u, v), tip=tip, length=size, tone=srgb_tone())
+        def find(u: float, v: float, tip: Pixel, size: float | None) -> "vision.FoundRope":
+            return vision.find_rope(image, (u, v), tip=tip, length=size, tone=vision.srgb_tone())
 
         def scene(answers: Mapping[str, Answer]) -> PlainScene:
             return PlainScene(
@@ -144,9 +132,6 @@ class Plain:
         replaced = [name for name, each in (("size", lens), ("mass", line)) if each is not None]
         questions = [each for each in QUESTIONS if each.name not in replaced]
 
-        def prepare(question: Question, answers: Mapping[str, Answer]) -> Question:
-            return scene(answers).asked(question)
-
         def check(name: str, answers: Mapping[str, Answer]) -> None:
             for each in (name, *known) if name == "pivot" else (name,):
                 scene(answers).check(each)
@@ -159,7 +144,7 @@ class Plain:
         if "pivot" in known:  # else they are checked with its answer: against the rope that hangs from it
             for name in known:
                 scene(known).check(name)
-        found = ask(Dialogue(questions, known, prepare, check), image)
+        found = ask(Dialogue(questions, known, lambda question, answers: scene(answers).asked(question), check), image)
         own = {name: value for name, value in found.items() if name in given or name not in origin}
         if (keep := {**measures, **kept, **own}) != {**before, **kept}:
             _keep(path, head, keep, said=bool(asked))
@@ -178,19 +163,16 @@ class Plain:
         }
         return {name: checks.number(f"--{name}", value, **kinds[name]) for name, value in found.items()}
 
-    def _known(self, rope: Path | None, camera: Path | None) -> "tuple[Rope | None, Camera | None]":
+    def _known(self, rope: Path | None, camera: Path | None) -> "tuple[model.Rope | None, vision.Camera | None]":
         """Return what files of a rope and a camera tell in place of answers."""
-        from hyperflex.model import Rope
-        from hyperflex.vision import read_camera
-
         for name, other, file in (("size", "camera", camera), ("mass", "rope", rope)):
             if file is not None and getattr(self, name) is not None:
                 raise InvalidInput(f"--{name} and --{other} are both given", fix="Omit one of them")
-        line = None if rope is None else Rope.from_toml(rope)
+        line = None if rope is None else model.Rope.from_toml(rope)
         if line is not None and self.length and not np.isclose(self.length, line.total_length, rtol=1e-3):  # as a tape
             allowed = f"{line.total_length:g}"
             raise InvalidInput("--length contradicts --rope", got=self.length, allowed=allowed, fix="Omit --length")
-        return line, None if camera is None else read_camera(camera)
+        return line, None if camera is None else vision.read_camera(camera)
 
 
 def answers_path(video: Path) -> Path:
@@ -198,7 +180,7 @@ def answers_path(video: Path) -> Path:
     return video.with_name(f"{video.name}.answers.toml")
 
 
-def _head(video: Path, image: "Image") -> dict[str, Any]:
+def _head(video: Path, image: "vision.Image") -> dict[str, Any]:
     """Return what tells the source of answers: the size of its pictures, and the content if it is a file."""
     head: dict[str, Any] = {"format": FORMAT, "image_size": [int(each) for each in image.shape[1::-1]]}
     if video.exists():
@@ -246,15 +228,15 @@ class PlainScene:
     at: time of the picture, s, if it is not the first one. known_rope, known_camera: in place of those of the answers.
     """
 
-    image: "Image"
+    image: "vision.Image"
     length: float
     exposure: float
     readout_direction: str
-    find: "Callable[..., FoundRope]"
+    find: "Callable[..., vision.FoundRope]"
     answers: Mapping[str, Answer]
     at: float | None = None
-    known_rope: "Rope | None" = None
-    known_camera: "Camera | None" = None
+    known_rope: "model.Rope | None" = None
+    known_camera: "vision.Camera | None" = None
 
     @property
     def by_rope(self) -> bool:
@@ -262,33 +244,29 @@ class PlainScene:
         return self.known_camera is None and self.answers.get("size", "rope") == "rope"
 
     @cached_property
-    def found(self) -> "FoundRope":
+    def found(self) -> "vision.FoundRope":
         """The rope in the picture, from the pivot to its free end."""
-        from hyperflex.vision import NoRope
-
         pivot, tip, size = self.answers["pivot"], self.answers.get("tip", "found"), None
         end = None if isinstance(tip, str) else tuple(tip)
         if not self.by_rope:
             size = float(np.hypot(*np.diff(self.camera.project([[0.0, 0.0], [0.0, -self.length]]), axis=0)[0]))
         try:
             return self.find(*pivot, end, size)
-        except NoRope:
+        except vision.NoRope:
             if size is None:
                 raise
             return self.find(*pivot, end, None)  # `check` says by how much its length differs
 
     @cached_property
-    def camera(self) -> "Camera":
+    def camera(self) -> "vision.Camera":
         """The camera: level and at a right angle to the swing plane, unless it is known or a chessboard shows it."""
-        from hyperflex.vision import Camera
-
         if self.known_camera is not None:
             return self.known_camera.with_origin(self.answers["pivot"])
         size, (height, width) = self.answers["size"], self.image.shape[:2]
         numbers = [] if isinstance(size, str) else size
         timing: dict[str, Any] = {"exposure": self.exposure, "readout_direction": self.readout_direction}
         if len(numbers) == 3:
-            return self._on_board(Camera.pinhole((width, height), **timing), *numbers)
+            return self._on_board(vision.Camera.pinhole((width, height), **timing), *numbers)
         if len(numbers) == 5:
             if not (apart := self._clicked_apart) >= CLICK_STD:  # NaN, too
                 raise InvalidInput("--size: its two points are the same", got=numbers[:4], fix="Give two points")
@@ -306,17 +284,15 @@ class PlainScene:
             scale = float(np.sqrt(sides.prod() / sheet))
         else:
             scale = self.found.length / self.length
-        return Camera.facing((width, height), pixels_per_metre=scale, origin=self.answers["pivot"], **timing)
+        return vision.Camera.facing((width, height), pixels_per_metre=scale, origin=self.answers["pivot"], **timing)
 
     @property
     def _clicked_apart(self) -> float:
         """Distance of the first two points of the answer on the size, px."""
         return float(np.hypot(*np.subtract(self.answers["size"][:2], self.answers["size"][2:4])))
 
-    def _on_board(self, lens: "Camera", across: float, down: float, square: float) -> "Camera":
-        from hyperflex.vision import Board
-
-        if (view := Board((round(across), round(down)), square).find(self.image)) is None:
+    def _on_board(self, lens: "vision.Camera", across: float, down: float, square: float) -> "vision.Camera":
+        if (view := vision.Board((round(across), round(down)), square).find(self.image)) is None:
             allowed = "a chessboard of so many squares, whole and sharp in the first frame"
             raise InvalidInput("--size: no chessboard was found", got=f"{across:g} by {down:g}", allowed=allowed)
         seen = lens.with_plane(view.points, view.pixels)
@@ -336,8 +312,6 @@ class PlainScene:
 
     def check(self, name: str) -> None:
         """Refuse an answer that cannot be right."""
-        from hyperflex.vision import NoRope, Reason
-
         numbers = self.answers[name] if not isinstance(self.answers[name], str) else []
         pixels = numbers[: {"mass": 0, "size": {5: 4, 8: 8}.get(len(numbers), 0)}.get(name, 2)]
         width, height = self.image.shape[1::-1]
@@ -351,8 +325,8 @@ class PlainScene:
         if name == "tip" or (name == "pivot" and "tip" not in self.answers):
             try:
                 _ = self.found
-            except NoRope as error:
-                if name == "tip" or error.reason is Reason.NOTHING:  # else the free end can be clicked
+            except vision.NoRope as error:
+                if name == "tip" or error.reason is vision.Reason.NOTHING:  # else the free end can be clicked
                     raise
         sizes = name == ("size" if self.known_camera is None else "tip")
         option = "--size" if self.known_camera is None else "--camera"
@@ -369,10 +343,8 @@ class PlainScene:
                 raise InvalidInput(f"{option} contradicts the rope's length", got=got, allowed=allowed, fix=fix)
 
     @cached_property
-    def rope(self) -> "Rope":
+    def rope(self) -> "model.Rope":
         """The rope to track with: a cable of the paper's density, where its mass is not known, with air drag."""
-        from hyperflex.model import Rope, divided, with_links
-
         if self.known_rope is not None:
             return self.known_rope
         usual, mass = Answers(), self.answers["mass"]
@@ -382,8 +354,10 @@ class PlainScene:
         how: dict[str, Any] = {"radius": self.radius, "friction": friction, "drag_coefficient": wind}
         # shorter links, which the curve shows: of longer ones friction would be taken for a readout; above all that of
         # the first joint, which bends the rope over some centimetres
-        line = with_links(Rope.uniform(self.length, density * self.length, usual.links, **how), 2 * usual.links)
-        return divided(line, [4, *[1] * (line.n_links - 1)])
+        line = model.with_links(
+            model.Rope.uniform(self.length, density * self.length, usual.links, **how), 2 * usual.links
+        )
+        return model.divided(line, [4, *[1] * (line.n_links - 1)])
 
     @property
     def radius(self) -> float:
@@ -401,13 +375,11 @@ class PlainScene:
             found |= _OPEN_CAMERA | {"scale": float(np.hypot(_OPEN_CAMERA["scale"], np.sqrt(2.0) * CLICK_STD / apart))}
         return found if self.known_rope else found | _OPEN_ROPE
 
-    def write(self, found: "VideoTrack", out: Path) -> dict[str, Any]:
+    def write(self, found: "estimate.VideoTrack", out: Path) -> dict[str, Any]:
         """Write rope and camera as a track found them beside its file; return what a result tells of them.
 
         A rope that is not known has some half of the links of the tracked one: `identify` takes a fifth of the time.
         """
-        from hyperflex.model import with_links
-
         rope, camera = (out.with_name(f"{out.stem}-{name}.toml") for name in ("rope", "camera"))
         values = {name: value for name, (value, _) in found.parameters.items()}
         shift = (values["offset_x"], values["offset_y"])
@@ -419,7 +391,7 @@ class PlainScene:
             length = self.length * (1.0 + values.get("length", 0.0))
             line = replace(self, length=length, find=lambda *_: self.found).rope
             damping = {name: getattr(line, name) * (1.0 + values.get(name, 0.0)) for name in ("friction", "drag")}
-            line = with_links(line.replace(**damping), Answers().links)
+            line = model.with_links(line.replace(**damping), Answers().links)
             line = line.replace(friction=line.friction[-1])
         files.rescued(line.to_toml, rope)
         told = {"rope": rope, "camera": camera, "assumed": self._assumed(found.parameters, line)}
@@ -429,7 +401,7 @@ class PlainScene:
         words = ["hyperflex", "identify", out, "--rope", rope, "--free", free, "-o", "identified"]
         return told | {"next": shlex.join(map(str, words))}
 
-    def _assumed(self, found: Mapping[str, tuple[float, float]], line: "Rope") -> list[str]:
+    def _assumed(self, found: Mapping[str, tuple[float, float]], line: "model.Rope") -> list[str]:
         """Return what was assumed, with what the fit found of it or what it costs; `line` is the rope as it is now."""
         texts = {
             "roll": ("the camera is level", np.degrees(1.0), ": found {:+.2f} +- {:.2f} degrees"),

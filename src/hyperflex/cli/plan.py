@@ -7,14 +7,14 @@ from contextlib import nullcontext
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import typer
 
-from hyperflex import checks, files
+from hyperflex import checks, files, hardware, planning, report
 from hyperflex.checks import ByName
 from hyperflex.cli import output
-from hyperflex.cli.command import ArmLength, Given, OutFolder, Workers, positive
+from hyperflex.cli.command import ArmLength, Given, OutFolder, Workers
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model import PLAN, PLANNING, Arm, Obstacle, Peg, Rope, Setup, check_tables, obstacles_of, warn_of_grade
@@ -30,11 +30,6 @@ from hyperflex.planning import (
     checked_behind,
     refuse_behind,
 )
-
-if TYPE_CHECKING:
-    from hyperflex.hardware import DriveFit
-    from hyperflex.planning import CastPlan
-    from hyperflex.report import PlanReport
 
 _T = TypeVar("_T")
 _DATA, _PICTURE = "reach-map.nc", "reach-map.png"  # files of a reach map
@@ -55,9 +50,7 @@ def _rate(option: typer.CallbackParam, value: float) -> float:
     return value
 
 
-TimeBudget = Annotated[
-    float, typer.Option(callback=positive("s"), help="Time for the search and its verification, s, without compiling.")
-]
+TimeBudget = Annotated[float, "Time for the search and its verification, without compiling", "s"]
 Winding = Annotated[Given, WindCriteria, "turns", "contact", "settle", "holding_force", "max_sideways", "tilt"]
 
 
@@ -89,19 +82,18 @@ class Source:
     ] = None
     limits: Annotated[Given, MotorLimits]
 
-    def identified(self) -> "DriveFit | None":
+    def identified(self) -> "hardware.DriveFit | None":
         """Return the identified drive; None without."""
-        from hyperflex.hardware import DriveFit
-
-        return None if self.drive is None else DriveFit.from_toml(self.drive)
+        return None if self.drive is None else hardware.DriveFit.from_toml(self.drive)
 
     def read(self, conditions: Given, criteria: Given | None = None, aim: "Aim | None" = None) -> Problem:
-        """Return what is planned for; options override the file.
+        """Return what is planned for, after a check of the folder for the results; options override the file.
 
         The first peg is the target if `criteria` of a wound rope are given, else an obstacle. A plan's file gives the
         problem that the plan was made for, with the rope before it was cut. Without a rope, the options that `aim`
         lacks are named as well.
         """
+        report.check_folder(self.out)
         content = {} if self.setup is None else files.read_toml(self.setup)
         if PLAN in content and self.setup is not None:
             found = _of_plan(self.setup, {**conditions, **(criteria or {})})
@@ -162,9 +154,7 @@ class Source:
 
 def _of_plan(path: Path, given: Given) -> Problem:
     """Return problem and target of an earlier plan; report criteria that are neither given nor the defaults."""
-    from hyperflex.planning import CastPlan, InsertPlan, read_plan
-
-    plan = read_plan(path)
+    plan = planning.read_plan(path)
     known, there = plan.problem, Setup.from_toml(path).pegs
     if gone := [each for each in (*known.obstacles, *known.criteria.behind) if each not in there]:
         fix = "Plan from your own set-up file with the present obstacles"
@@ -183,12 +173,12 @@ def _of_plan(path: Path, given: Given) -> Problem:
         output.note(f"{path} was planned with {' '.join(special)}, which is required again; give another to change it")
     obstacles: tuple[Obstacle, ...] = known.obstacles
     targets: ByName = {"target": {}, "slot": {}}
-    if isinstance(plan, CastPlan):
+    if isinstance(plan, planning.CastPlan):
         obstacles = (plan.target, *obstacles)
     else:
         kind: type = type(plan.target)
         values = {each.name: getattr(plan.target, each.name) for each in options_of(kind)}
-        targets["slot" if isinstance(plan, InsertPlan) else "target"] = values
+        targets["slot" if isinstance(plan, planning.InsertPlan) else "target"] = values
     conditions = Conditions(clearance=known.clearance, obstacles=obstacles)
     return Problem(known.rope, known.arm, known.limits, known.criteria, conditions, targets)
 
@@ -234,7 +224,7 @@ class Task(Source):
     def finish(
         self,
         plan: Any,
-        report_of: "Callable[[Any, Any], PlanReport[Any]]",
+        report_of: "Callable[[Any, Any], report.PlanReport[Any]]",
         measure: Callable[[], tuple[Any, ByName]],
         doing: str,
         notes: Sequence[str] = (),
@@ -297,10 +287,6 @@ def cast(
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no cast
     succeeds; the best is written with the reason and with the nearest target that should work.
     """
-    from hyperflex.planning import Uncertainty, plan_cast
-    from hyperflex.report import CastReport, check_folder
-
-    check_folder(task.out)
     aim = Aim("pegs", Peg, target, "target")
     problem = task.read(task.conditions, criteria, aim)
     first: Peg | None = problem.targets["peg"]
@@ -310,9 +296,11 @@ def cast(
         output.note(f"{moved}. Obstacles come after it")
     uncertainty = None
     if robust:
-        uncertainty = replace(Uncertainty.from_rope_file(task.rope or task.setup or Path()), drive=task.identified())
+        uncertainty = replace(
+            planning.Uncertainty.from_rope_file(task.rope or task.setup or Path()), drive=task.identified()
+        )
     more = {"criteria": problem.criteria, "uncertainty": uncertainty, "on_plan": _report_plan, "search": search}
-    plan = task.plan(plan_cast, problem, peg, time_budget=time_budget, **more)
+    plan = task.plan(planning.plan_cast, problem, peg, time_budget=time_budget, **more)
 
     def measure() -> tuple[Any, ByName]:
         held = plan.measure_holding_force()
@@ -326,10 +314,10 @@ def cast(
     notes = [f"Uncertain: {text}." for text in known.values()]
     if plan.success_probability is not None:
         notes.append(f"Probability that the rope stays wound (slip is not checked): {plan.success_probability}.")
-    task.finish(plan, CastReport, measure, "simulating a tug at the rope", notes, **known)
+    task.finish(plan, report.CastReport, measure, "simulating a tug at the rope", notes, **known)
 
 
-def _report_plan(plan: "CastPlan") -> None:
+def _report_plan(plan: "planning.CastPlan") -> None:
     """Report a plan that succeeds on standard error."""
     outcome = plan.required(plan.outcome, "outcome")
     got = f"{abs(outcome.turns):.2f} turns, {math.degrees(outcome.contact_angle):.0f} degrees of the target"
@@ -349,19 +337,15 @@ def whip(target: Annotated[Given, TipTarget], task: Task, *, time_budget: TimeBu
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no whip meets
     the target; the best is written with the reason.
     """
-    from hyperflex.planning import plan_whip
-    from hyperflex.report import WhipReport, check_folder
-
-    check_folder(task.out)
     aim = Aim("target", TipTarget, target, "target")
     problem = task.read(task.conditions, aim=aim)
-    plan = task.plan(plan_whip, problem, aim.target(problem.targets["target"]), time_budget=time_budget)
+    plan = task.plan(planning.plan_whip, problem, aim.target(problem.targets["target"]), time_budget=time_budget)
 
     def measure() -> tuple[Any, ByName]:
         impact = plan.impact()
         return impact, {"impact": asdict(impact)}
 
-    task.finish(plan, WhipReport, measure, "simulating the impact on a small peg")
+    task.finish(plan, report.WhipReport, measure, "simulating the impact on a small peg")
 
 
 def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget = 30.0) -> None:
@@ -379,14 +363,10 @@ def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget 
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no way through
     the slot was found; the best is written with the reason.
     """
-    from hyperflex.planning import plan_insert
-    from hyperflex.report import InsertReport, check_folder
-
-    check_folder(task.out)
     aim = Aim("slot", Slot, slot, "slot")
     problem = task.read(task.conditions, aim=aim)
-    plan = task.plan(plan_insert, problem, aim.target(problem.targets["slot"]), time_budget=time_budget)
-    task.finish(plan, lambda plan, _: InsertReport(plan), lambda: (None, {}), "drawing the page")
+    plan = task.plan(planning.plan_insert, problem, aim.target(problem.targets["slot"]), time_budget=time_budget)
+    task.finish(plan, lambda plan, _: report.InsertReport(plan), lambda: (None, {}), "drawing the page")
 
 
 def reach_map(
@@ -413,10 +393,6 @@ def reach_map(
 
     Ctrl-C ends it; the map so far is written, marked as incomplete.
     """
-    from hyperflex.planning import build_reach_map
-    from hyperflex.report import check_folder, save_png, whole_folder
-
-    check_folder(source.out)
     problem = source.read(conditions, criteria)
     first = problem.targets["peg"]
     like: Given = {} if first is None else {"radius": first.radius, "mu": first.mu}
@@ -425,7 +401,7 @@ def reach_map(
     pool = nullcontext() if workers == 1 else ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     with pool as executor:
         found, stopped = output.run(
-            lambda: build_reach_map(
+            lambda: planning.build_reach_map(
                 problem.rope,
                 problem.arm,
                 problem.limits,
@@ -438,9 +414,9 @@ def reach_map(
         )
 
     def write(folder: Path) -> dict[str, Path]:
-        with whole_folder(folder, (_DATA, _PICTURE)) as stage:
+        with report.whole_folder(folder, (_DATA, _PICTURE)) as stage:
             found.to_netcdf(stage / _DATA)
-            save_png(found.plot(), stage / _PICTURE)
+            report.save_png(found.plot(), stage / _PICTURE)
         return {"map": folder / _DATA, "picture": folder / _PICTURE}
 
     written = files.rescued(write, source.out)

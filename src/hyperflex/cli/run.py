@@ -6,25 +6,18 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
-from hyperflex import checks, files
+from hyperflex import checks, estimate, execution, hardware, model, planning, report, vision
 from hyperflex.cli import output
-from hyperflex.cli.command import ArcLengths, Given, OutFolder, numbers, positive
-from hyperflex.cli.motor import Address, Yes, ZeroFile, check_torque, wait_for_enter, warn_if_behind, zero_of
+from hyperflex.cli.command import ArcLengths, Click, Given, OutFolder, arcs_of
+from hyperflex.cli.motor import Address, Yes, ZeroFile, check_real, read_zero, wait_for_enter, warn_if_behind
 from hyperflex.cli.output import Rows
 from hyperflex.errors import DriveError, Interrupted, InvalidInput, MissingPackage
 from hyperflex.execution import RunOptions
-
-if TYPE_CHECKING:
-    from hyperflex.estimate import TrackingTask
-    from hyperflex.execution import CastRun, ClockedSource
-    from hyperflex.hardware import DriveZero
-    from hyperflex.model import MotorLimits
-    from hyperflex.planning import CastPlan
-    from hyperflex.vision import Camera
 
 EMULATED = "EMULATED: motor and rope are simulated in real time behind the drive's protocol"
 
@@ -40,26 +33,19 @@ class Sight:
     ] = None
     calibration: Annotated[Path | None, "TOML file of the calibrated camera, with the swing plane (calibrate)."] = None
     arc_lengths: ArcLengths = None
-    click: Annotated[
-        list[str] | None,
-        "Pixel u,v of a marker. [default: the colour that most small things share]",
-    ] = None
+    click: Click = None
 
     @property
-    def arcs(self) -> Any:
-        """Distances (K,) of the markers along the rope, m; None if they are not given."""
-        given = numbers("--arc-lengths", self.arc_lengths or (), "0.2,0.4,0.6")
-        return checks.array("--arc-lengths", given, (-1,)) if given else None
-
-    @property
-    def view(self) -> "Camera | None":
+    def view(self) -> "vision.Camera | None":
         """The calibrated camera; None if it is not given."""
-        from hyperflex.vision import read_camera
+        return None if self.calibration is None else vision.read_camera(self.calibration)
 
-        return None if self.calibration is None else read_camera(self.calibration)
-
-    def check(self, emulated: bool) -> None:
-        """Refuse, before any work, a camera that cannot see this rope, and missing options."""
+    def check(self, rope: "model.Rope", emulated: bool) -> None:
+        """Refuse, before any work, a camera that cannot see this rope, files and markers, and missing options."""
+        self.view  # noqa: B018 - refuses a calibration that cannot be read
+        arcs, length = arcs_of(self.arc_lengths), rope.total_length
+        if arcs is not None and (arcs.min() < 0.0 or arcs.max() > 1.1 * length):  # it may be longer than it is planned
+            raise InvalidInput("--arc-lengths are not all on the rope", got=arcs.tolist(), allowed=f"0 to {length:g} m")
         if self.camera is None:
             for name, given in (("--calibration", self.calibration), ("--click", self.click)):
                 if given:
@@ -73,18 +59,23 @@ class Sight:
             no = "no " + ", ".join(name for name, value in missing.items() if not value)
             raise InvalidInput("--camera needs more options", got=no, fix="Give them, as for hyperflex watch")
 
-    def task(self, plan: "CastPlan") -> "TrackingTask":
+    def check_needed(self, needed: dict[str, bool]) -> None:
+        """Refuse options of a real motor that need a camera, by their names and whether they are given."""
+        for name, given in needed.items():
+            if given and self.camera is None:
+                what = f"nothing shows the rope of a real motor, which {name} must know"
+                raise InvalidInput(what, fix="Give --camera, --calibration and --arc-lengths")
+
+    def task(self, plan: "planning.CastPlan") -> "estimate.TrackingTask":
         """Return what a real camera tracks: the plan's rope; the markers' colour is taken from its first frames."""
         from hyperflex.cli.track import marker_colours, newest_images
-        from hyperflex.estimate import TrackingTask, open_frames
-        from hyperflex.execution import measured_length
-        from hyperflex.vision import Camera
 
-        view = checks.instance("--calibration", self.view, Camera)
-        with open_frames(self.camera or "") as frames:
+        view = checks.instance("--calibration", self.view, vision.Camera)
+        with estimate.open_frames(self.camera or "") as frames:
             colours = marker_colours(newest_images(frames, 10.0), self.click or ())
-        return TrackingTask(
-            plan.problem.rope, self.arcs, view, colours, plan.problem.arm, measured_length(), waits=True
+        arcs = checks.instance("--arc-lengths", arcs_of(self.arc_lengths), np.ndarray)
+        return estimate.TrackingTask(
+            plan.problem.rope, arcs, view, colours, plan.problem.arm, execution.measured_length(), waits=True
         )
 
 
@@ -98,10 +89,7 @@ def run(
     drive: Annotated[
         Path | None, "File of hyperflex motor identify: its limits count, and its lag without --lag."
     ] = None,
-    torque: Annotated[
-        float | None,
-        typer.Option(callback=positive("N m"), help="Limit of torque, N m; a real motor needs one."),
-    ] = None,
+    torque: Annotated[float | None, "Limit of torque, which a real motor needs", "N m"] = None,
     max_deviation: Annotated[float, "Angle between arm and goal that stops a run", "rad"] = 0.3,
     follow: Annotated[bool, "Correct the moves while the rope swings."] = False,
     decision_time: Annotated[float, "Time for such a correction, s."] = 0.3,
@@ -134,33 +122,29 @@ def run(
     state is observed. The command writes the log (NetCDF and MCAP) and a figure. The exit code is 4 if the rope is not
     wound, or nothing shows that it is.
     """
-    from hyperflex.execution import CameraRope, RunPage, open_drive, run_plan
-    from hyperflex.hardware import Drive, open_link
-    from hyperflex.planning import FollowOptions
-    from hyperflex.report import check_folder
-
-    check_folder(out)
+    report.check_folder(out)
     planned = _cast_of(plan)
     emulated = motor.startswith("emulator:")
     limits, chosen = _of_drive(planned, drive, torque, options)
     if follow and learn:
         raise InvalidInput("a learned motion is not followed in closed loop", fix="Give --follow or --learn")
     count = _count(repeat, learn)
-    sight.check(emulated)
-    blind = {"--learn": learn, "--follow": follow, "--yes and --repeat": yes and count > 1}
-    _check_given(planned, motor, zero, sight)
-    known = None if emulated or dry_run else _check_real(motor, zero, limits, sight, blind)
-    link = open_link("moteus:none" if emulated else motor)
-    Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
+    sight.check(planned.problem.rope, emulated)
+    known = read_zero(motor, zero)
+    if not (emulated or dry_run):
+        check_real(motor, known, limits)
+        sight.check_needed({"--learn": learn, "--follow": follow, "--yes and --repeat": yes and count > 1})
+    link = hardware.open_link("moteus:none" if emulated else motor)
+    hardware.Drive(link, limits).check_motion(planned.required(planned.motion, "motion"))
     planned = _within(planned, limits) if follow or learn else planned
     if dry_run:
         _show_motion(planned)
         return
     if emulated:
         output.note(EMULATED)
-    closed = FollowOptions(decision_time=decision_time) if follow else None
+    closed = planning.FollowOptions(decision_time=decision_time) if follow else None
     name = f"{motor} (simulated motor and rope)" if emulated else motor
-    with nullcontext() if page is None else RunPage(planned, page, name) as shown:
+    with nullcontext() if page is None else execution.RunPage(planned, page, name) as shown:
         if shown is not None:
             output.note(f"the run is shown at {shown.address}")
 
@@ -172,38 +156,27 @@ def run(
         given: dict[str, Any] = {"follow": closed, "options": chosen, "say": say, "page": shown, "motor": name}
         task = None if emulated or sight.camera is None else sight.task(planned)
 
-        def real(cast: "CastPlan") -> "CastRun":
-            connect = partial(open_drive, motor, limits, known, max_deviation)
-            with nullcontext() if task is None else CameraRope(sight.camera or "", task) as source:
-                return run_plan(cast, connect, source=source, ready=ready, doubt=_refuse if yes else say, **given)
+        def real(cast: "planning.CastPlan") -> "execution.CastRun":
+            connect = partial(execution.open_drive, motor, limits, known, max_deviation)
+            with nullcontext() if task is None else execution.CameraRope(sight.camera or "", task) as source:
+                return execution.run_plan(
+                    cast, connect, source=source, ready=ready, doubt=_refuse if yes else say, **given
+                )
 
         def ready() -> None:
             wait_for_enter("Unwind the rope and keep clear", yes)
 
-        def emulate(cast: "CastPlan") -> "CastRun":
+        def emulate(cast: "planning.CastPlan") -> "execution.CastRun":
             with _emulated(planned, motor, sight) as (address, source):  # a new one for each cast: nobody unwinds it
-                connect = partial(open_drive, address, limits, None, max_deviation)
-                return run_plan(cast, connect, source=source, **given)
+                connect = partial(execution.open_drive, address, limits, None, max_deviation)
+                return execution.run_plan(cast, connect, source=source, **given)
 
         _carry_out(planned, emulate if emulated else real, out, repeat=count, learn=learn, emulated=emulated, say=say)
         if shown is not None:
             shown.end(f"{shown.phase}; the casts are over")
 
 
-def _check_given(plan: "CastPlan", motor: str, zero: Path | None, sight: Sight) -> None:
-    """Refuse, before any work, an address or files that cannot be used, and markers that are not on the rope."""
-    from hyperflex.hardware import DriveZero, emulated_device
-
-    known = None if zero is None else DriveZero.from_toml(zero)
-    if emulated_device(motor) is None and known is not None:
-        known.check(motor)
-    sight.view  # noqa: B018 - refuses a calibration that cannot be read
-    arcs, length = sight.arcs, plan.problem.rope.total_length
-    if arcs is not None and (arcs.min() < 0.0 or arcs.max() > 1.1 * length):  # it may be longer than it is planned
-        raise InvalidInput("--arc-lengths are not all on the rope", got=arcs.tolist(), allowed=f"0 to {length:g} m")
-
-
-def _show_motion(plan: "CastPlan") -> None:
+def _show_motion(plan: "planning.CastPlan") -> None:
     """Print the result of a dry run."""
     motion = plan.required(plan.motion, "motion")
     figures = {"peak_speed": float(abs(motion.extrema(1)[1]).max()), "torque": plan.torque}
@@ -213,30 +186,28 @@ def _show_motion(plan: "CastPlan") -> None:
 
 
 @contextmanager
-def _emulated(plan: "CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str, ClockedSource]]":
+def _emulated(plan: "planning.CastPlan", motor: str, sight: Sight) -> "Iterator[tuple[str, execution.ClockedSource]]":
     """Yield the address of an emulated motor, and its rope: its true state, or what an emulated camera sees of it."""
-    from hyperflex.execution import CameraRope, EmulatedCamera, EmulatedRope, emulator_of
-
-    make, emulator = emulator_of(plan, motor)
+    make, emulator = execution.emulator_of(plan, motor)
     rope = plan.setup().rope
     with ExitStack() as stack:
         stack.enter_context(emulator)
         stack.callback(warn_if_behind, emulator)
         address = f"{make}:{emulator.port}"
         if sight.camera is None:
-            yield address, EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
+            yield address, execution.EmulatedRope(emulator, plan.problem.rope, rope, plan.problem.arm)
             return
-        camera = EmulatedCamera(plan, emulator, rope, camera=sight.view, arc_lengths=sight.arcs)
+        camera = execution.EmulatedCamera(
+            plan, emulator, rope, camera=sight.view, arc_lengths=arcs_of(sight.arc_lengths)
+        )
         stack.enter_context(camera)
-        yield address, stack.enter_context(CameraRope(camera.frames, camera.task))
+        yield address, stack.enter_context(execution.CameraRope(camera.frames, camera.task))
 
 
-def _cast_of(path: Path) -> "CastPlan":
+def _cast_of(path: Path) -> "planning.CastPlan":
     """Return the plan of a cast."""
-    from hyperflex.planning import CastPlan, read_plan
-
-    planned = read_plan(path)
-    if not isinstance(planned, CastPlan):
+    planned = planning.read_plan(path)
+    if not isinstance(planned, planning.CastPlan):
         raise InvalidInput(f"{path} is no plan of a cast", got=planned.kind, allowed="a cast")
     if not planned.success:
         output.note(f"{path} does not succeed in simulation: {planned.message}")
@@ -244,14 +215,12 @@ def _cast_of(path: Path) -> "CastPlan":
 
 
 def _of_drive(
-    plan: "CastPlan", drive: Path | None, torque: float | None, options: Given
-) -> "tuple[MotorLimits, RunOptions]":
+    plan: "planning.CastPlan", drive: Path | None, torque: float | None, options: Given
+) -> "tuple[model.MotorLimits, RunOptions]":
     """Return the limits of an identified drive, or else the plan's, and the options, with its lag."""
-    from hyperflex.hardware import DriveFit
-
     limits = plan.problem.limits
     if drive is not None:
-        fit = DriveFit.from_toml(drive)
+        fit = hardware.DriveFit.from_toml(drive)
         if fit.message:
             raise InvalidInput(f"{drive} does not describe its drive", got=fit.message, fix="Identify it again")
         fastest = float(abs(plan.required(plan.motion, "motion").extrema(1)[1]).max())
@@ -270,7 +239,7 @@ def _of_drive(
     return limits, RunOptions(**options)
 
 
-def _within(plan: "CastPlan", limits: "MotorLimits") -> "CastPlan":
+def _within(plan: "planning.CastPlan", limits: "model.MotorLimits") -> "planning.CastPlan":
     """Return the plan with limits that new moves keep to; refuse limits with which the planned ones are others."""
     changed = replace(plan, problem=replace(plan.problem, limits=limits))
     if changed.motion != plan.motion:
@@ -280,9 +249,7 @@ def _within(plan: "CastPlan", limits: "MotorLimits") -> "CastPlan":
 
 def _count(repeat: int | None, learn: bool) -> int:
     """Return the number of casts at most; refuse one with which learning cannot succeed."""
-    from hyperflex.execution import LearningOptions
-
-    count, wins = repeat or (10 if learn else 1), LearningOptions().wins
+    count, wins = repeat or (10 if learn else 1), execution.LearningOptions().wins
     if learn and count < wins:
         raise InvalidInput("learning ends when casts wind in a row", got=count, allowed=f"--repeat {wins} or more")
     return count
@@ -292,31 +259,21 @@ def _refuse(doubt: str) -> None:
     raise InvalidInput(doubt, fix="Correct it, or decide yourself, without --yes")
 
 
-def _check_real(
-    motor: str, zero: Path | None, limits: "MotorLimits", sight: Sight, needed: dict[str, bool]
-) -> "DriveZero":
-    """Return the zero of a real motor; refuse one without a limit of torque, and options that need a camera."""
-    known = zero_of(motor, zero)
-    check_torque(limits)
-    for name, given in needed.items():
-        if given and sight.camera is None:
-            raise InvalidInput(
-                f"nothing shows the rope of a real motor, which {name} must know",
-                fix="Give --camera, --calibration and --arc-lengths",
-            )
-    return known
-
-
 def _carry_out(
-    plan: "CastPlan", once: Any, out: Path, *, repeat: int, learn: bool, emulated: bool, say: Callable[[str], None]
+    plan: "planning.CastPlan",
+    once: Any,
+    out: Path,
+    *,
+    repeat: int,
+    learn: bool,
+    emulated: bool,
+    say: Callable[[str], None],
 ) -> None:
     """Carry out one or more casts, write and report them."""
-    from hyperflex.execution import learn_cast
-
-    runs: list[CastRun] = []
+    runs: list[execution.CastRun] = []
     lines: list[str] = []
 
-    def cast(made: "CastPlan") -> Any:
+    def cast(made: "planning.CastPlan") -> Any:
         done, halted = output.run(lambda: once(made))
         if not halted or len(done.log.rows) > 1:  # else the torque was not on yet
             runs.append(done)
@@ -335,7 +292,7 @@ def _carry_out(
     written: dict[str, Path] = {}
     learned, hint = None, list[str]()
     if learn:
-        learned, stopped = output.run(lambda: learn_cast(plan, cast, attempts=repeat, report=keep))
+        learned, stopped = output.run(lambda: execution.learn_cast(plan, cast, attempts=repeat, report=keep))
         good, message = learned.success, learned.message
         if learned.attempts:
             out.mkdir(parents=True, exist_ok=True)
@@ -372,7 +329,7 @@ def _carry_out(
     )
 
 
-def _figures(run: "CastRun") -> list[tuple[str, str]]:
+def _figures(run: "execution.CastRun") -> list[tuple[str, str]]:
     """Return the figures of a run for people."""
     found = run.summary()
     left, seen = run.left_plan, "" if run.recording is None else "never by 5 cm"
@@ -398,14 +355,12 @@ def _milli(name: str, value: Any) -> str:
     return "" if value is None else f"{name} {1e3 * value:.1f} mrad"
 
 
-def _write(run: "CastRun", out: Path, name: str) -> dict[str, Path]:
+def _write(run: "execution.CastRun", out: Path, name: str) -> dict[str, Path]:
     """Write the files of a run; return their paths."""
-    from hyperflex.report import cast_run_figure, png
-
     out.mkdir(parents=True, exist_ok=True)
     paths = {f"{name} log": out / f"{name}.nc", f"{name} figure": out / f"{name}.png"}
     run.to_netcdf(paths[f"{name} log"])
-    files.write_bytes(paths[f"{name} figure"], png(cast_run_figure(run)))
+    report.save_png(report.cast_run_figure(run), paths[f"{name} figure"])
     try:
         run.to_mcap(out / f"{name}.mcap")
         paths[f"{name} messages"] = out / f"{name}.mcap"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from hyperflex import checks, files
+from hyperflex import checks, files, model, simulation
 from hyperflex.checks import ByName
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
@@ -17,7 +17,6 @@ from hyperflex.interruption import deferred
 from hyperflex.status import Status
 
 if TYPE_CHECKING:
-    from hyperflex.model import Peg
     from hyperflex.trajectory import Trajectory
 
 _WATCH = 2.0  # s, over which a rope's slip on a peg is measured
@@ -28,8 +27,7 @@ def simulate(
     out: Annotated[Path, "NetCDF file to write, .nc."],
     duration: Annotated[float | None, "Simulated time, s. [default: the file's, else 10]"] = None,
     horizon: Annotated[
-        float | None,
-        "Error up to which the run counts as predictable, m. [default: 1 % of the rope's length]",
+        float | None, "Error up to which the run counts as predictable", "m", "1 % of the rope's length"
     ] = None,
     tug: Annotated[bool, "Pull at a rope that lies on a peg at the end, and report its holding force."] = False,
     tilt: Annotated[
@@ -54,23 +52,17 @@ def simulate(
     After Ctrl-C, or if the time runs out (exit code 3), the simulated part is in a separate file, such as
     cast-interrupted.nc.
     """
-    from hyperflex.model import Setup
-    from hyperflex.simulation import file_size, refuse_rope
-    from hyperflex.simulation import simulate as run
-
     check_destination(out, ".nc", [setup])
-    if horizon is not None:
-        checks.positive("--horizon", horizon, "m")
-    simulated = Setup.from_toml(setup)
+    simulated = model.Setup.from_toml(setup)
     if tilt is not None:
         checks.number("--tilt", tilt, unit="rad")
-        refuse_rope(simulated.rope)
+        simulation.refuse_rope(simulated.rope)
     if duration is None and "duration" not in files.read_toml(setup):
         output.note(f"no duration is given, so {simulated.duration:g} s are simulated; give --duration for another")
-    files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
+    files.check_space(out, simulation.file_size(simulated, simulated.duration if duration is None else duration))
     how: ByName = {"duration": duration, "time_budget": time_budget, "extrapolate": extrapolate}
     how |= {"progress": True, "throw": False}
-    found, _ = output.run(lambda: run(simulated, **how))
+    found, _ = output.run(lambda: simulation.simulate(simulated, **how))
     stopped = found.status == Status.INTERRUPTED
     if not found.success and not (found.t.size and (stopped or found.status == Status.OUT_OF_TIME)):
         raise KeyboardInterrupt if stopped else SimulationError(found.message, status=found.status, time=found.state.t)
@@ -122,9 +114,7 @@ def simulate(
 
 def _aside(run: "Trajectory", tilt: float) -> ByName:
     """Return how far to the side of its plane the rope of a run is, until it touches an obstacle."""
-    from hyperflex.simulation import sideways
-
-    found = sideways(run, tilt=tilt)
+    found = simulation.sideways(run, tilt=tilt)
     return {
         "tilt_rad": tilt,
         "touch_s": found.touch,
@@ -135,7 +125,7 @@ def _aside(run: "Trajectory", tilt: float) -> ByName:
     }
 
 
-def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> ByName:
+def _wound(run: "Trajectory", peg: "model.Peg", tug: bool) -> ByName:
     """Return how the rope lies on a peg at the end of a run, and with a tug what it holds."""
     from hyperflex import winding
 

@@ -10,34 +10,18 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from hyperflex import checks, files
-from hyperflex.checks import Array
+from hyperflex import checks, files, model, vision
+from hyperflex import estimate as estimation
 from hyperflex.cli import output
-from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
+from hyperflex.cli.command import ArcLengths, Click, arcs_of, check_destination, numbers, words
 from hyperflex.cli.plain import CLICK_STD, Plain, PlainScene, answers_path
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.interruption import stoppable
-
-if TYPE_CHECKING:
-    from hyperflex.estimate import (
-        Change,
-        ChangeTests,
-        EstimatedParameter,
-        FrameThread,
-        LiveEstimate,
-        PicturePage,
-        RopeTracker,
-        TrackedFrame,
-        TrackingTask,
-        VideoTrack,
-        Watch,
-    )
-    from hyperflex.vision import BarDetector, Frame, Image, MarkerColour, VideoWriter
 
 _SAME = 1e-6  # s, by which two times may differ
 _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame, from a camera and a file, after which an estimate is given anyway
@@ -47,33 +31,17 @@ _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame, from a camera and a file, aft
 class Markers:
     """Options on a rope with markers, and how its colour, parameters and changes are found."""
 
-    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.")] = None
-    camera: Annotated[
-        Path | None, typer.Option(help="TOML file of the calibrated camera, with the swing plane (calibrate).")
-    ] = None
+    rope: Annotated[Path | None, "TOML file with the rope."] = None
+    camera: Annotated[Path | None, "TOML file of the calibrated camera, with the swing plane (calibrate)."] = None
     arc_lengths: ArcLengths = None
-    preview: Annotated[Path | None, typer.Option(help="MP4 file of the pictures with the estimate drawn on them.")] = (
-        None
-    )
-    click: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Pixel u,v of a marker in the first frame; once for each colour of the markers. [default: the colour "
-            "that most small things share]"
-        ),
-    ] = None
-    estimate: Annotated[
-        str, typer.Option(help="Parameters to estimate too, with standard deviations: scale=0.01,delay=0.02.")
-    ] = ""
+    preview: Annotated[Path | None, "MP4 file of the pictures with the estimate drawn on them."] = None
+    click: Click = None
+    estimate: Annotated[str, "Parameters to estimate too, with standard deviations: scale=0.01,delay=0.02."] = ""
     changes: Annotated[
         str,
-        typer.Option(
-            help="Changes to test for: tip_mass,touch; or none. [default: length, tip_mass, friction, drag, touch]"
-        ),
+        "Changes to test for: tip_mass,touch; or none. [default: length, tip_mass, friction, drag, touch]",
     ] = ""
-    false_alarm_interval: Annotated[
-        float, typer.Option(help="Least mean time between false alarms of these tests, s.")
-    ] = 600.0
+    false_alarm_interval: Annotated[float, "Least mean time between false alarms of these tests, s."] = 600.0
 
     def check(self, out: Path, source: Path, *, needed: bool = True) -> None:
         """Refuse, before any work, outputs that cannot be written, and missing options if markers are `needed`."""
@@ -92,74 +60,57 @@ class Markers:
         marked = self.rope and self.camera and self.arc_lengths
         return plain.length is not None or (not marked and answers_path(source).exists())
 
-    def task(self, images: "Iterable[Image]", *, origin_doubt: float = 0.0) -> "TrackingTask":
+    def task(self, images: "Iterable[vision.Image]", *, origin_doubt: float = 0.0) -> "estimation.TrackingTask":
         """Return what is tracked; the markers' colour is that of `images`.
 
         The camera's origin is estimated too if it is known to `origin_doubt`, px, only.
         """
-        from hyperflex.estimate import TrackingTask
-        from hyperflex.model import Rope
-        from hyperflex.vision import read_camera
-
-        lens, line = read_camera(self.camera or ""), Rope.from_toml(self.rope or "")
-        task = TrackingTask(line, self._arcs, lens, marker_colours(images, self.click or ()), tests=self._tests())
+        lens, line = vision.read_camera(self.camera or ""), model.Rope.from_toml(self.rope or "")
+        arcs = checks.instance("--arc-lengths", arcs_of(self.arc_lengths), np.ndarray)
+        task = estimation.TrackingTask(line, arcs, lens, marker_colours(images, self.click or ()), tests=self._tests())
         doubt = origin_doubt / lens.pixels_per_metre
         return self._estimating(task, {"offset_x": doubt, "offset_y": doubt} if origin_doubt else {})
 
-    def plain_task(self, scene: PlainScene) -> "TrackingTask":
+    def plain_task(self, scene: PlainScene) -> "estimation.TrackingTask":
         """Return what is tracked of a plain rope, and of some markers on it if their arc lengths are given."""
-        from hyperflex.estimate import TrackingTask, curve_arc_lengths, marked_arc_lengths
-
-        arcs, colours = curve_arc_lengths(scene.rope), list["MarkerColour"]()
+        arcs, colours = estimation.curve_arc_lengths(scene.rope), list["vision.MarkerColour"]()
         end = arcs.size - 1
-        if self.arc_lengths:
-            arcs, colours = self._arcs, marker_colours([scene.image], self.click or ())
-            end = int(np.flatnonzero(~marked_arc_lengths(scene.rope, arcs)[1])[-1])
+        if (given := arcs_of(self.arc_lengths)) is not None:
+            arcs, colours = given, marker_colours([scene.image], self.click or ())
+            end = int(np.flatnonzero(~estimation.marked_arc_lengths(scene.rope, arcs)[1])[-1])
         tests = self._tests() if self.changes else None  # friction and mass are not known
-        task = TrackingTask(scene.rope, arcs, scene.camera, colours, look=scene.found.look, tests=tests)
+        task = estimation.TrackingTask(scene.rope, arcs, scene.camera, colours, look=scene.found.look, tests=tests)
         return self._estimating(task, scene.doubts | {f"arc[{end}]": scene.radius})  # an end is cut or round
 
-    @property
-    def _arcs(self) -> Array:
-        return checks.array("--arc-lengths", numbers("--arc-lengths", self.arc_lengths or (), "0.2,0.4,0.6"), (-1,))
-
-    def _tests(self) -> "ChangeTests | None":
-        from hyperflex.estimate import ChangeTests
-
+    def _tests(self) -> "estimation.ChangeTests | None":
         named = tuple(words([self.changes]))
-        return None if named == ("none",) else ChangeTests(named or None, self.false_alarm_interval)
+        return None if named == ("none",) else estimation.ChangeTests(named or None, self.false_alarm_interval)
 
-    def _estimating(self, task: "TrackingTask", doubts: dict[str, float]) -> "TrackingTask":
+    def _estimating(self, task: "estimation.TrackingTask", doubts: dict[str, float]) -> "estimation.TrackingTask":
         """Return the task with the parameters of --estimate, and those of these standard deviations."""
-        from hyperflex.estimate import EstimatedParameter
-
         named = [_parameter(each) for each in words([self.estimate])]
         names = {each.name for each in named}
-        more = [EstimatedParameter(name, std) for name, std in doubts.items() if name not in names]
+        more = [estimation.EstimatedParameter(name, std) for name, std in doubts.items() if name not in names]
         return replace(task, parameters=[*named, *more])
 
 
-def _parameter(text: str) -> "EstimatedParameter":
+def _parameter(text: str) -> "estimation.EstimatedParameter":
     """Return a parameter of ``--estimate scale=0.01,delay=0.02``."""
-    from hyperflex.estimate import EstimatedParameter
-
     name, _, std = (part.strip() for part in text.partition("="))
     if not std:
         allowed = "each with the standard deviation of its prior, as in scale=0.01,delay=0.02"
         raise InvalidInput("--estimate names a parameter without a number", got=text, allowed=allowed)
-    return EstimatedParameter(name, numbers("--estimate", [std], "scale=0.01")[0])
+    return estimation.EstimatedParameter(name, numbers("--estimate", [std], "scale=0.01")[0])
 
 
-def marker_colours(images: "Iterable[Image]", clicks: Sequence[str]) -> "list[MarkerColour]":
+def marker_colours(images: "Iterable[vision.Image]", clicks: Sequence[str]) -> "list[vision.MarkerColour]":
     """Return the colours of the markers: that of the first picture which shows one, or those at pixels of the first."""
-    from hyperflex.vision import MarkerColour
-
     pixels, count = [_pixel("--click", each) for each in clicks], 0
     for image in images:
         if pixels:
-            return [MarkerColour.from_click(image, each) for each in pixels]
+            return [vision.MarkerColour.from_click(image, each) for each in pixels]
         with suppress(InvalidInput):
-            return [MarkerColour.from_frame(image)]
+            return [vision.MarkerColour.from_frame(image)]
         count += 1
     if not count:
         raise InvalidInput("no frame was received", fix="Check the source, and --at if it is given")
@@ -175,21 +126,15 @@ def track(
     video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...")],
     bar: Annotated[
         list[str] | None,
-        typer.Option(
-            help="In place of markers: pixel u,v in the middle of a link that is a bar of a separate colour; once "
-            "for each link, from the pivot on."
-        ),
+        "In place of markers: pixel u,v in the middle of a link that is a bar of a separate colour; once "
+        "for each link, from the pivot on.",
     ] = None,
     at: Annotated[
         float | None,
-        typer.Option(
-            help="Time of the frame of the pixels of --bar or --click, s; a plain rope is tracked from it on. "
-            "[default: the first frame]"
-        ),
+        "Time of the frame of the pixels of --bar or --click, s; a plain rope is tracked from it on. "
+        "[default: the first frame]",
     ] = None,
-    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the positions or angles.")] = Path(
-        "markers.nc"
-    ),
+    out: Annotated[Path, "NetCDF file for the positions or angles."] = Path("markers.nc"),
     *,
     plain: Plain,
     markers: Markers,
@@ -209,8 +154,6 @@ def track(
 
     After Ctrl-C, the tracked part is in a separate file, such as markers-interrupted.nc.
     """
-    from hyperflex.vision import track_bars
-
     preview = markers.preview
     if at is not None:
         checks.number("--at", at, unit="s")
@@ -226,8 +169,8 @@ def track(
     with output.spinner() as said:
         follow: dict[str, Any] = {"preview": preview, "progress": lambda count: said(f"frame {count}")}
         if bar:
-            detector = _bar_detector(video, [_pixel("--bar", each) for each in bar], at)
-            found, stopped = output.run(lambda: track_bars(video, detector, plain.pivot or (), **follow))
+            detector = vision.BarDetector.from_clicks(_first_image(video, at), [_pixel("--bar", each) for each in bar])
+            found, stopped = output.run(lambda: vision.track_bars(video, detector, plain.pivot or (), **follow))
         elif scene is None:
             task = markers.task(_images_since(video, at), origin_doubt=CLICK_STD)
             found, stopped = _tracked(video, task, follow, False)
@@ -264,7 +207,9 @@ def track(
     output.show({**result, "doubts": doubted}, rows, interrupted=text if stopped else "")
 
 
-def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope: bool) -> "tuple[VideoTrack, bool]":
+def _tracked(
+    video: Path, task: "estimation.TrackingTask", follow: dict[str, Any], by_rope: bool
+) -> "tuple[estimation.VideoTrack, bool]":
     """Return a track, and whether it was interrupted.
 
     If the rope begins elsewhere than at the camera's origin, or moves as if disturbed all along, its first joint is
@@ -275,31 +220,28 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     no more than its place: it is tracked with the scale, roll and so on as they are given. An error or Ctrl-C in a
     further pass leaves the track of the first.
     """
-    from hyperflex.estimate import BaseElsewhere, Doubt, DoubtKind, EstimatedParameter, moving_base, track_video
-    from hyperflex.model import swing_rate
-
-    moving = replace(task, parameters=[*task.parameters, *moving_base(task.rope)], tests=None)
+    moving = replace(task, parameters=[*task.parameters, *estimation.moving_base(task.rope)], tests=None)
     wide = ("length", "scale") if by_rope else ("length",)
     kept = [each for each in task.parameters if each.name not in wide]
     tenth = 0.1  # by which a tape may be wrong
     starts = [
-        [EstimatedParameter(name, tenth, off if name == "length" else -off) for name in wide]
+        [estimation.EstimatedParameter(name, tenth, off if name == "length" else -off) for name in wide]
         for off in (0.0, -tenth, tenth)
     ]
     longer = [replace(task, parameters=[*kept, *each], tests=None) for each in starts]
     place = replace(task, parameters=[each for each in task.parameters if each.name.startswith(("offset_", "arc["))])
     try:
-        found, stopped = output.run(lambda: track_video(video, task.tracker(), **follow))
-    except BaseElsewhere:
-        return output.run(lambda: track_video(video, moving.tracker(), **follow))
-    period = math.tau / swing_rate(task.rope)
+        found, stopped = output.run(lambda: estimation.track_video(video, task.tracker(), **follow))
+    except estimation.BaseElsewhere:
+        return output.run(lambda: estimation.track_video(video, moving.tracker(), **follow))
+    period = math.tau / model.swing_rate(task.rope)
     doubted, others = {each.kind for each in found.doubts}, []
-    if DoubtKind.STILL in doubted:
-        others.append(([place], DoubtKind.STILL))
+    if estimation.DoubtKind.STILL in doubted:
+        others.append(([place], estimation.DoubtKind.STILL))
     elif task.look is not None and found.recording.duration > period:
-        others.append((longer, DoubtKind.LENGTH))
-    if DoubtKind.DISTURBED in doubted:
-        others.append(([moving], DoubtKind.BASE_MOVES))
+        others.append((longer, estimation.DoubtKind.LENGTH))
+    if estimation.DoubtKind.DISTURBED in doubted:
+        others.append(([moving], estimation.DoubtKind.BASE_MOVES))
     preview = follow["preview"]
     spare = preview and preview.with_stem(f"{preview.stem}-other")  # of a track that may not be kept
     for tasks, kind in others if not stopped else ():
@@ -308,10 +250,16 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
             break
         kinds = set() if other is None else {each.kind for each in other.doubts}
         # a camera that pans looks like a wrong length, too: but then what the first track was doubted for remains
-        if other is None or kind not in kinds or kinds & doubted & {DoubtKind.DISTURBED, DoubtKind.SHAKE}:
+        if (
+            other is None
+            or kind not in kinds
+            or kinds & doubted & {estimation.DoubtKind.DISTURBED, estimation.DoubtKind.SHAKE}
+        ):
             continue
-        if kind is DoubtKind.LENGTH and _far(other, tasks[0]):
-            found = replace(found, doubts=(*found.doubts, Doubt(DoubtKind.OTHER_LENGTH, math.nan)))
+        if kind is estimation.DoubtKind.LENGTH and _far(other, tasks[0]):
+            found = replace(
+                found, doubts=(*found.doubts, estimation.Doubt(estimation.DoubtKind.OTHER_LENGTH, math.nan))
+            )
             continue
         if preview:
             spare.replace(preview)
@@ -321,23 +269,23 @@ def _tracked(video: Path, task: "TrackingTask", follow: dict[str, Any], by_rope:
     return found, stopped
 
 
-def _far(track: "VideoTrack", task: "TrackingTask") -> bool:
+def _far(track: "estimation.VideoTrack", task: "estimation.TrackingTask") -> bool:
     """Whether the scale or roll is more than three standard deviations of the task's prior from none."""
     priors = {each.name: each.std for each in task.parameters if each.name in ("scale", "roll")}
     return any(abs(track.parameters[name][0]) > 3.0 * std for name, std in priors.items())
 
 
-def _further(video: Path, tasks: "Sequence[TrackingTask]", follow: dict[str, Any]) -> "tuple[VideoTrack | None, bool]":
+def _further(
+    video: Path, tasks: "Sequence[estimation.TrackingTask]", follow: dict[str, Any]
+) -> "tuple[estimation.VideoTrack | None, bool]":
     """Return the track of a further pass, None if it failed, and whether it was interrupted.
 
     A pass that ends far from its priors is made again with the next task.
     """
-    from hyperflex.estimate import track_video
-
-    found: VideoTrack | None = None
+    found: estimation.VideoTrack | None = None
     for task in tasks:
         try:
-            track, stopped = output.run(partial(track_video, video, task.tracker(), **follow))
+            track, stopped = output.run(partial(estimation.track_video, video, task.tracker(), **follow))
         except KeyboardInterrupt:
             return None, True
         except HyperflexError as error:
@@ -349,12 +297,12 @@ def _further(video: Path, tasks: "Sequence[TrackingTask]", follow: dict[str, Any
     return found, False
 
 
-def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
+def _estimated(
+    noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[estimation.Change]"
+) -> dict[str, Any]:
     """Return for JSON what was estimated in addition to the motion."""
-    from hyperflex.estimate import EstimatedParameter
-
     named = {
-        name: {"value": value, "std": std, "unit": EstimatedParameter(name, 1.0).unit}
+        name: {"value": value, "std": std, "unit": estimation.EstimatedParameter(name, 1.0).unit}
         for name, (value, std) in values.items()
     }
     return {"noise_level": noise, "estimated": named, "changes": [asdict(change) for change in changes]}
@@ -365,11 +313,9 @@ def _since(at: float | None) -> float:
     return -math.inf if at is None else at - _SAME
 
 
-def _images_since(video: Path, at: float | None) -> "Iterator[Image]":
+def _images_since(video: Path, at: float | None) -> "Iterator[vision.Image]":
     """Yield the pictures of a video from a time on."""
-    from hyperflex.vision import VideoReader
-
-    with VideoReader(video) as reader:
+    with vision.VideoReader(video) as reader:
         for frame in reader:
             if frame.time >= _since(at):
                 yield frame.image
@@ -382,14 +328,7 @@ def _pixel(option: str, text: str) -> list[float]:
     return pixel
 
 
-def _bar_detector(video: Path, clicks: list[list[float]], at: float | None) -> "BarDetector":
-    """Return a detector of the bars at pixels in the first frame at or after a time."""
-    from hyperflex.vision import BarDetector
-
-    return BarDetector.from_clicks(_first_image(video, at), clicks)
-
-
-def _first_image(video: Path, at: float | None) -> "Image":
+def _first_image(video: Path, at: float | None) -> "vision.Image":
     """Return the first picture of a video from a time on."""
     if (image := next(_images_since(video, at), None)) is None:
         raise InvalidInput("--at is after the end of the video", got=at, fix="Give an earlier time")
@@ -398,9 +337,7 @@ def _first_image(video: Path, at: float | None) -> "Image":
 
 def _readout_direction(video: Path) -> str:
     """Return in which direction the rows of a sensor follow each other in a video."""
-    from hyperflex.vision import VideoReader
-
-    with VideoReader(video) as reader:
+    with vision.VideoReader(video) as reader:
         return reader.readout_direction
 
 
@@ -408,12 +345,10 @@ def watch(
     source: Annotated[
         str, typer.Argument(help="Number of a camera (0 is the first), a stream (rtsp://...), or a video.")
     ],
-    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the log.")] = Path("watch.nc"),
-    page: Annotated[
-        int | None, typer.Option(help="Port of a page on this machine that shows the pictures; 0: any free one.")
-    ] = None,
-    duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
-    reconnect_timeout: Annotated[float, typer.Option(help="Time for which a lost source is tried again, s.")] = 10.0,
+    out: Annotated[Path, "NetCDF file for the log."] = Path("watch.nc"),
+    page: Annotated[int | None, "Port of a page on this machine that shows the pictures; 0: any free one."] = None,
+    duration: Annotated[float | None, "Stop after this time", "s"] = None,
+    reconnect_timeout: Annotated[float, "Time for which a lost source is tried again, s."] = 10.0,
     *,
     plain: Plain,
     markers: Markers,
@@ -430,13 +365,9 @@ def watch(
     """
     from threadpoolctl import threadpool_limits
 
-    from hyperflex.estimate import PicturePage, Watch, WatchLog, open_frames
-    from hyperflex.vision import read_camera
-
     beside = Path(source) if Path(source).exists() else Path(re.sub(r"\W+", "-", f"camera-{source}"))
     without = markers.plain(plain, beside)
     markers.check(out, Path(source), needed=not without)
-    until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
     known: dict[str, Any] = {"rope": markers.rope, "camera": markers.camera}
     scene = None
     if without and beside.exists():
@@ -444,8 +375,10 @@ def watch(
     since = _since(None if scene is None else scene.at)
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
-        pictures = None if page is None else stack.enter_context(PicturePage(page))
-        opened = open_frames(source, paced=page is not None, since=since, reconnect_timeout=reconnect_timeout)
+        pictures = None if page is None else stack.enter_context(estimation.PicturePage(page))
+        opened = estimation.open_frames(
+            source, paced=page is not None, since=since, reconnect_timeout=reconnect_timeout
+        )
         frames = stack.enter_context(opened)
         images = newest_images(frames, reconnect_timeout)
         if without and scene is None:
@@ -455,19 +388,19 @@ def watch(
         if scene is not None:
             task = markers.plain_task(scene)
         else:
-            lens = read_camera(markers.camera or "")
+            lens = vision.read_camera(markers.camera or "")
             if not frames.live:
                 lens.check_size(frames.image_size)
             task = markers.task(images)
         task.rehearse()
         tracker = task.tracker()
-        follow = Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
+        follow = estimation.Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
         if pictures is not None:
             output.note(f"pictures at {pictures.address}")
-        with WatchLog(out, task.rope.n_links, len(tracker.arc_lengths), source) as log, ExitStack() as films:
+        with estimation.WatchLog(out, task.rope.n_links, len(tracker.arc_lengths), source) as log, ExitStack() as films:
             record = _Record(tracker, markers.preview, pictures, films)
             with stoppable() as stop:
-                _run(follow, until, [log.note, record.take])
+                _run(follow, math.inf if duration is None else duration, [log.note, record.take])
                 log.ending = frames.ended or f"stopped after {duration:g} s"
             log.interrupted = stop.received
     result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **record.summary()}
@@ -476,7 +409,7 @@ def watch(
     output.show(result, output.rows(f"Watched {source}", result), one_line=True, interrupted=stopped)
 
 
-def _run(follow: "Watch", until: float, takers: "list[Callable[[LiveEstimate], None]]") -> None:
+def _run(follow: "estimation.Watch", until: float, takers: "list[Callable[[estimation.LiveEstimate], None]]") -> None:
     """Hand each estimate to all who take it, until the source or the time ends."""
     begin = time.monotonic()
     with output.spinner() as said:
@@ -493,7 +426,7 @@ def _run(follow: "Watch", until: float, takers: "list[Callable[[LiveEstimate], N
                 return
 
 
-def _status(estimate: "LiveEstimate") -> list[str]:
+def _status(estimate: "estimation.LiveEstimate") -> list[str]:
     """Return the status in two short lines."""
     sure = f"tip std {1e3 * estimate.tip_std:.1f} mm" if estimate.found else "rope not found"
     late = "no frame" if estimate.frame is None else f"latency {1e3 * estimate.latency:.1f} ms"
@@ -504,7 +437,7 @@ def _status(estimate: "LiveEstimate") -> list[str]:
     ]
 
 
-def _line(estimate: "LiveEstimate") -> dict[str, Any]:
+def _line(estimate: "estimation.LiveEstimate") -> dict[str, Any]:
     """Return an estimate for a program."""
     names = ("t", "found", "tip", "tip_std", "age", "latency", "rate", "seen", "markers", "messages")
     state = {"frame": estimate.frame is not None, "q": estimate.state.q, "qd": estimate.state.qd}
@@ -515,14 +448,18 @@ class _Record:
     """Counts what a run has seen, and draws it on the frames for a film and for the page."""
 
     def __init__(
-        self, tracker: "RopeTracker", preview: Path | None, page: "PicturePage | None", films: ExitStack
+        self,
+        tracker: "estimation.RopeTracker",
+        preview: Path | None,
+        page: "estimation.PicturePage | None",
+        films: ExitStack,
     ) -> None:
         self.tracker, self.preview, self.page, self.films = tracker, preview, page, films
-        self.film: tuple[VideoWriter, float] | None = None  # and the time of its first frame, s
+        self.film: tuple[vision.VideoWriter, float] | None = None  # and the time of its first frame, s
         self.counts: Counter[str] = Counter()
-        self.latencies, self.changes = array("f"), list["Change"]()
+        self.latencies, self.changes = array("f"), list["estimation.Change"]()
 
-    def take(self, estimate: "LiveEstimate") -> None:
+    def take(self, estimate: "estimation.LiveEstimate") -> None:
         """Count an estimate, and draw it if its frame can be used and a film or a page shows it."""
         self.counts["messages"] += len(estimate.messages)
         if estimate.frame is None:
@@ -533,19 +470,18 @@ class _Record:
             self.changes += estimate.tracked.changes
             self._draw(estimate, estimate.frame, estimate.tracked)
 
-    def _draw(self, estimate: "LiveEstimate", frame: "Frame", tracked: "TrackedFrame") -> None:
-        from hyperflex.estimate import draw_frame
-        from hyperflex.vision import VideoWriter
-
+    def _draw(
+        self, estimate: "estimation.LiveEstimate", frame: "vision.Frame", tracked: "estimation.TrackedFrame"
+    ) -> None:
         watched = self.page is not None and self.page.watched
         if not watched and self.preview is None:
             return
-        image = draw_frame(frame.image, self.tracker, tracked, _status(estimate))
+        image = estimation.draw_frame(frame.image, self.tracker, tracked, _status(estimate))
         if self.page is not None and watched:
             self.page.show(image)
         if self.preview is not None:
             if self.film is None:
-                writer = VideoWriter(self.preview, self.tracker.camera.image_size)
+                writer = vision.VideoWriter(self.preview, self.tracker.camera.image_size)
                 self.film = self.films.enter_context(writer), frame.time
             self.film[0].write(image, frame.time - self.film[1])
 
@@ -562,7 +498,7 @@ class _Record:
         }
 
 
-def newest_images(frames: "FrameThread", reconnect_timeout: float) -> "Iterator[Image]":
+def newest_images(frames: "estimation.FrameThread", reconnect_timeout: float) -> "Iterator[vision.Image]":
     """Yield pictures for so long, s; the last one that was yielded stays in the queue."""
     until, count = time.monotonic() + reconnect_timeout, 0
     while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
+from hyperflex import control, report
 from hyperflex.checks import ByName
 from hyperflex.cli import output
 from hyperflex.cli.command import ArmLength, Given, check_destination
@@ -36,9 +37,6 @@ def vibrate(
     with the limits; the exit code is 4 if the motor is too weak. With --amplitude, --frequency and --direction it lists
     the postures.
     """
-    from hyperflex.control import plan_vibration, vibration_map, vibration_posture
-    from hyperflex.report import save_png
-
     if out is not None:
         check_destination(out, ".png", [rope])
     cord, motor = Rope.from_toml(rope), MotorLimits(**limits)
@@ -50,13 +48,13 @@ def vibrate(
             )
         if stiffness is not None:
             raise InvalidInput("a stiffness is required of a tilt", got="--stiffness", fix="Give --tilt, or omit it")
-        found = vibration_posture(cord, amplitude, frequency, direction, arm=arm)
+        found = control.vibration_posture(cord, amplitude, frequency, direction, arm=arm)
         result: ByName = {"postures": [_posture(each, push) for each in found]}
         shown, code = Rows("Postures", [(str(k + 1), repr(each)) for k, each in enumerate(found)]), 0
     else:
         if amplitude is not None:
             raise InvalidInput("the amplitude follows from the tilt", got="--amplitude", fix="Omit it, or --tilt")
-        plan = plan_vibration(
+        plan = control.plan_vibration(
             cord, tilt, motor, arm=arm, stiffness=stiffness, push=push, frequency=frequency, direction=direction
         )
         found = [] if plan.posture is None else [plan.posture]
@@ -72,7 +70,9 @@ def vibrate(
         parts = np.linspace(0.05, 2.5, 50)
         ways = parts * first.amplitude
         ways = ways[ways < arm.length]
-        save_png(vibration_map(cord, ways, parts * first.frequency, first.direction, arm=arm).plot(motor), out)
+        report.save_png(
+            control.vibration_map(cord, ways, parts * first.frequency, first.direction, arm=arm).plot(motor), out
+        )
         result["picture"] = out
     output.show(result, shown, code=code)
 

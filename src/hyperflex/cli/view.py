@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from hyperflex import report
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.errors import InvalidInput
@@ -48,8 +49,6 @@ def plot(
     A picture is a .png, a film a .gif or .mp4, a page that plays the run an .html. The table, a .csv, holds all samples
     in SI units: arm, link angles and rates, joints, energies and torque.
     """
-    from hyperflex.report import save_png
-
     suffix = out.suffix.lower()
     if suffix not in _OPTIONS:
         raise InvalidInput(
@@ -64,7 +63,7 @@ def plot(
     # the drawing of a course contains "simulated"
     options["title"] = _title(run, shown, title, "" if kind == "course" else ", simulated")
     if suffix == ".png":
-        save_png(shown.plot(**options), out)
+        report.save_png(shown.plot(**options), out)
     elif suffix == ".html":
         shown.to_html(out, **options)
     elif suffix == ".csv":

@@ -486,15 +486,20 @@ class Drive:
 
     def check_turn(self, state: DriveState) -> None:
         """Refuse a shaft outside the limits: its counter has wrapped by turns, or the zero is wrong."""
-        least, greatest = self.limits.angles
-        if least - STEP <= state.angle <= greatest + STEP:
+        if not (outside := self._outside(state)):
             return
-        what = f"{self.link.name}: the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
-        away = (state.angle - 0.5 * (least + greatest)) / math.tau
+        away = (state.angle - 0.5 * sum(self.limits.angles)) / math.tau
         turns = round(away) if math.isfinite(away) else 0
         if turns:
-            what += f", {abs(turns)} turn{'s' * (abs(turns) > 1)} away: its counter may have wrapped"
-        raise DriveError(f"{what}. Let the arm hang and set the zero again.")
+            outside += f", {abs(turns)} turn{'s' * (abs(turns) > 1)} away: its counter may have wrapped"
+        raise DriveError(f"{self.link.name}: {outside}. Let the arm hang and set the zero again.")
+
+    def _outside(self, state: DriveState) -> str:
+        """Return where the shaft is if it is outside its limits; else nothing."""
+        least, greatest = self.limits.angles
+        if least - STEP <= state.angle <= greatest + STEP:
+            return ""
+        return f"the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
 
     def _check_goal(self, goal: Goal, now: float, at: float) -> None:
         limits = self.limits
@@ -564,15 +569,14 @@ class Drive:
     def _check_state(self, state: DriveState, before: DriveState | None) -> None:
         if not self._enabled:
             return
-        least, greatest = self.limits.angles
         wrong, beyond = "", self._beyond_limits(state)
         self._beyond = [*self._beyond, state.received] if beyond else []
         if state.fault:
             wrong = f"the device reports {state.fault}"
         elif not state.enabled:
             wrong = "the device switched its torque off (its watchdog or a limit of its own)"
-        elif not least - STEP <= state.angle <= greatest + STEP:
-            wrong = f"the shaft is at {state.angle:.3f} rad, outside {least:.3f} to {greatest:.3f} rad"
+        elif outside := self._outside(state):
+            wrong = outside
         elif before is not None and self._jumped(state, before):
             wrong = f"the shaft's angle jumped from {before.angle:.3f} to {state.angle:.3f} rad"
         elif len(self._beyond) >= 3 or (beyond and state.received - self._beyond[0] >= 0.015):

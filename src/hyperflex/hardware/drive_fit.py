@@ -269,13 +269,12 @@ class _Fit:
         """
         other = copy(self)
         other.hold = hold
-        starts = [
+        starts = (
             self.values | {"feedforward": feedforward, "frequency": w * self.values["frequency"], "damping": z}
             for w in faster * np.geomspace(0.6, 1.6, 5)
             for z in np.geomspace(0.5, 2.0, 5) * self.values["damping"]
-        ]
-        costs = [float((other.residuals(each) ** 2).sum()) for each in starts]
-        other.values = starts[int(np.argmin(costs))]
+        )
+        other.values = min(starts, key=lambda each: float((other.residuals(each) ** 2).sum()))
         return other
 
     def model(self, values: Mapping[str, float]) -> DriveModel:
@@ -310,14 +309,13 @@ class _Fit:
 
     def start(self) -> None:
         """Choose the best of a grid of loops as the start."""
-        starts = [
+        starts = (
             self.values | {"lag": lag, "frequency": frequency, "feedforward": part}
             for lag in (5e-3, 1e-2, 2e-2, 4e-2)
             for frequency in (15.0, 30.0, 60.0, 120.0, 240.0)
             for part in (0.0, 0.5, 1.0)
-        ]
-        costs = [float(((self.predicted(each)[0] - self.angles) ** 2).sum()) for each in starts]
-        self.values = starts[int(np.argmin(costs))]
+        )
+        self.values = min(starts, key=lambda each: float(((self.predicted(each)[0] - self.angles) ** 2).sum()))
         if self.told:
             _, _, torque, _ = self.predicted(self.values | {"inertia": 1.0})
             inertia = float(torque @ self.torques / (torque @ torque))

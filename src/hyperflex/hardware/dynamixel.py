@@ -315,23 +315,26 @@ class DynamixelLink:
 
     def _set(self, address: int, value: bytes) -> None:
         """Write registers unless they hold the value, and read them back until they do."""
-        until = time.monotonic() + CONFIRM
-        while time.monotonic() < until:
+        for _ in self._tries(f"{list(value)} at address {address}"):
             if self._get(address, len(value)) == value:
                 return
             self._put(address, value)
-        raise DriveError(f"{self.name} does not accept {list(value)} at address {address}.")
 
     def _hold(self) -> None:
         """Make the present position the goal, so that the torque comes on without a jerk."""
-        until = time.monotonic() + CONFIRM
-        while time.monotonic() < until:
+        for _ in self._tries("its present position as goal"):
             block = self._get(Register.GOAL, 20)
             goal, position = struct.unpack("<i12xi", block)
             if abs(goal - position) <= COUNTS // 256:  # 1.4 degrees: the arm may swing meanwhile
                 return
             self._put(Register.GOAL, block[16:])
-        raise DriveError(f"{self.name} does not accept its present position as goal.")
+
+    def _tries(self, what: str) -> Iterator[None]:
+        """Yield for a while; then raise that the servo does not accept something."""
+        until = time.monotonic() + CONFIRM
+        while time.monotonic() < until:
+            yield
+        raise DriveError(f"{self.name} does not accept {what}.")
 
     def _request(self, instruction: int, parameters: bytes, length: int, patience: float = SILENCE) -> bytes:
         """Send an instruction, and return the parameters of the first reply of this servo that has a length."""

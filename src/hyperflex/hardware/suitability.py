@@ -127,7 +127,7 @@ class Suitability:
     holding_torque : float
         That holds the hanging rope and the arm at a quarter turn, N m.
     demands : tuple of Demand
-        Of a half turn, bang-bang and with minimum jerk, then of the given motions.
+        Of a half turn, bang-bang and with minimum jerk, then those that were given.
     limits : MotorLimits
         What a planner may ask of the motor: see :func:`check_motor`.
     """
@@ -139,7 +139,7 @@ class Suitability:
 
     @property
     def success(self) -> bool:
-        """Whether a half turn is possible in one of the two ways, and every given motion."""
+        """Whether a half turn is possible in one of the two ways, and whatever else was demanded."""
         return any(each.possible for each in self.demands[:2]) and all(each.possible for each in self.demands[2:])
 
 
@@ -148,10 +148,9 @@ def check_motor(
     rope: Rope,
     arm: Arm | None = None,
     move_time: float = 0.5,
-    *,
-    motions: Mapping[str, Motion] | None = None,
+    *more: Demand,
 ) -> Suitability:
-    """Check whether a motor can turn an arm with a rope by half a turn in a time, and make given motions.
+    """Check whether a motor can turn an arm with a rope by half a turn in a time, and meet further demands.
 
     Parameters
     ----------
@@ -162,8 +161,8 @@ def check_motor(
         By default the paper's.
     move_time : float
         Time of a half turn, s.
-    motions : dict of str to Motion, optional
-        Motions of plans by name.
+    *more : Demand
+        Of plans, for example, each with its own arm and rope: :func:`demand`.
 
     Returns
     -------
@@ -187,10 +186,10 @@ def check_motor(
     move_time = checks.positive("move_time", move_time, "s")
     hanging = float(arm.weight_torque(rope, rope.hanging_angle + 0.5 * math.pi))
     half = (-0.5 * math.pi, 0.5 * math.pi, move_time)
-    profiles = {"bang-bang": "half turn, bang-bang", "minimum-jerk": "half turn, minimum jerk"}
-    wanted = {text: move_arm(*half, profile) for profile, text in profiles.items()}  # type: ignore[arg-type]
-    demands = [demand(motor, name, each, rope, arm) for name, each in {**wanted, **(motions or {})}.items()]
-    return Suitability(motor, hanging, tuple(demands), _limits(motor, hanging, arm.inertia + arm.mass * arm.com**2))
+    quick, smooth = move_arm(*half, "bang-bang"), move_arm(*half, "minimum-jerk")
+    turns = {"half turn, bang-bang": quick, "half turn, minimum jerk": smooth}
+    demands = (*(demand(motor, name, each, rope, arm) for name, each in turns.items()), *more)
+    return Suitability(motor, hanging, demands, _limits(motor, hanging, arm.inertia + arm.mass * arm.com**2))
 
 
 def demand(motor: MotorData, name: str, motion: Motion, rope: Rope, arm: Arm, torque: float = 0.0) -> Demand:
