@@ -192,8 +192,6 @@ class EmulatedCamera:
     arc_lengths : (K,) array_like, optional
         Of the markers along the believed rope, m; by default ten, the last at its tip. On an emulated rope that is
         longer they are as much farther apart.
-    rate : float
-        Frames a second, Hz.
 
     Attributes
     ----------
@@ -212,7 +210,6 @@ class EmulatedCamera:
         *,
         camera: Camera | None = None,
         arc_lengths: ArrayLike | None = None,
-        rate: float = 30.0,
     ) -> None:
         arm, believed, peg = plan.problem.arm, plan.problem.rope, peg or plan.target
         arcs = np.arange(0.1, 1.05, 0.1) * believed.total_length if arc_lengths is None else np.asarray(arc_lengths)
@@ -228,8 +225,7 @@ class EmulatedCamera:
         seen = float(np.pi / 4.0 * (size * view.pixels_per_metre) ** 2)  # px^2
         colour = MarkerColour(np.asarray(scene.marker_colours)[0], area=seen)
         self.task = TrackingTask(believed, arcs, view, [colour], arm, measured_length(), waits=True)
-        period = 1.0 / checks.positive("rate", rate, "Hz")
-        given = emulator.states, rope.length, arm, view, scene, period, self.frames
+        given = emulator.states, rope.length, arm, view, scene, self.frames
         self._child, self._emulator = Child("The emulated camera", EstimatorLost, film, *given), emulator
 
     def __enter__(self) -> Self:
@@ -253,11 +249,10 @@ def film(
     arm: Arm,
     camera: Camera,
     scene: Scene,
-    period: float,
     frames: SharedFrames,
 ) -> None:
     """Render frames in real time until the parent ends; say when the first one is there."""
-    begin = time.monotonic()
+    begin, period = time.monotonic(), 1.0 / 30.0  # s
     renderer = Renderer(camera, _filmed(states, length, arm, begin), scene)
     middle = time.monotonic()  # of the exposure of the row that is read first
     while not link.poll():

@@ -20,7 +20,6 @@ def record_test_motion(
     motion: Motion | None = None,
     *,
     stroke: float | None = None,
-    rate: float = 200.0,
     clear_fault: bool = False,
 ) -> DriveRecord:
     """Make a test motion on a drive; its torque is on during the motion, and off after it.
@@ -36,8 +35,6 @@ def record_test_motion(
         By default :func:`plan_test_motion` within the drive's limits, from where the arm is.
     stroke : float, optional
         Of that, rad.
-    rate : float
-        Goals a second, Hz.
     clear_fault : bool
         Clear a fault of the device at the start.
 
@@ -49,14 +46,14 @@ def record_test_motion(
         As of :class:`MotionStream`.
     """
     drive = connect()
-    with MotionStream(connect, rate=rate, waits=True, clear_fault=clear_fault) as stream:
+    with MotionStream(connect, waits=True, clear_fault=clear_fault) as stream:
         drive.check_turn(stream.state())
         chosen = motion or plan_test_motion(drive.limits, stream.state().angle, stroke=stroke)
         drive.check_motion(chosen)
         stream.enable()
         stream.start_clock(time.monotonic() + REST)
         stream.set_motion(chosen, 0.0)
-        while stream.now < chosen.breaks[-1] + REST + stream.log().missed / rate:
+        while stream.now < chosen.breaks[-1] + REST + stream.log().missed / stream.rate:
             raise_if_cancelled()
             stream.raise_if_ended()
             time.sleep(POLL)

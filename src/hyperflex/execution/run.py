@@ -224,19 +224,17 @@ def run_plan(
 class _FedDrive:
     """A drive that gets the torque of a motion with all motions (a :class:`hyperflex.interfaces.Motor`).
 
-    It is sent while a motion is within `near`, rad, of the one whose `torque` it is: times (K,), s, and N m (K,).
+    It is sent while a motion is within 0.2 rad of the one whose `torque` it is: times (K,), s, and N m (K,).
     """
 
-    def __init__(
-        self, drive: MotionStream, planned: Motion, torque: tuple[Array, Array] | None, near: float = 0.2
-    ) -> None:
-        self.drive, self.planned, self.torque, self.near = drive, planned, torque, near
+    def __init__(self, drive: MotionStream, planned: Motion, torque: tuple[Array, Array] | None) -> None:
+        self.drive, self.planned, self.torque = drive, planned, torque
 
     def set_motion(self, motion: Motion, at: float) -> bool:
         """Stream a motion from a time `at`, s, on; return whether it was taken."""
         torque = self.torque
         if torque is not None:
-            far = np.abs(motion.angle(torque[0]) - self.planned.angle(torque[0])) > self.near
+            far = np.abs(motion.angle(torque[0]) - self.planned.angle(torque[0])) > 0.2  # rad
             torque = torque[0], np.where(far, 0.0, torque[1])
         return self.drive.set_motion(motion, at, torque)
 

@@ -1,5 +1,6 @@
 """Settings as TOML: read by the standard library, written by a small writer of our own."""
 
+import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -102,9 +103,8 @@ def _toml_key(key: str) -> str:
 
 
 def _toml_string(text: str) -> str:
-    """Return a basic string: quotes, backslashes and control characters escaped."""
-    named = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
-    return '"' + "".join(named.get(c) or (f"\\u{ord(c):04x}" if c < " " or c == "\x7f" else c) for c in text) + '"'
+    """Return a basic string: JSON's, in which TOML wants one more character escaped."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _toml_value(name: str, value: Any) -> str:

@@ -1,7 +1,7 @@
 """Measured data: link angles or marker positions with their times, gaps and noise, and readers for common files."""
 
 from hyperflex.recording.content import Content
-from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations, Raw, to_recording
+from hyperflex.recording.declare import FASTEST, Declarations, Raw, to_recording
 from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
 from hyperflex.recording.read import propose, python_line, read_channels, read_recording
 from hyperflex.recording.recording import UNIT, Recording, unwrap
@@ -14,7 +14,6 @@ __all__ = [
     "POSES_IN_FRAME",
     "UNIT",
     "Content",
-    "DeclarationFields",
     "Declarations",
     "Raw",
     "Recording",

@@ -8,7 +8,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,23 +51,6 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 }
 POSITIVE = {"frame_rate": "frames/s", "scale": "m per pixel"}
 DEFAULTS = {"zero": "hanging", "sense": "+x", "angles": "absolute"}
-
-
-class DeclarationFields(TypedDict, total=False):
-    """Fields of :class:`Declarations` as arguments of a function."""
-
-    time_unit: str | None
-    unit: str | None
-    frame_rate: float | None
-    y_axis: str | None
-    scale: float | None
-    zero: str | None
-    sense: str | None
-    angles: str | None
-    wrapped: bool | None
-    plane: str | None
-    up: str | None
-    min_likelihood: float | None
 
 
 @dataclass(frozen=True)

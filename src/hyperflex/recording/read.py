@@ -5,7 +5,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from hyperflex.recording.declare import (
     FASTEST,
     RADIANS,
     SECONDS,
-    DeclarationFields,
     Declarations,
     Raw,
     missing_declarations,
@@ -44,7 +43,7 @@ def read_recording(
     noise: object = None,
     max_rate: float = FASTEST,
     name: str | None = None,
-    **declarations: Unpack[DeclarationFields],
+    **declarations: Any,
 ) -> Recording:
     r"""Read measured angles or markers from the file of a motion tracker, a logger or a program.
 
