@@ -21,7 +21,7 @@ from hyperflex.planning import NOT_PLANNED, FallbackTarget, SuccessProbability, 
 from hyperflex.planning.tasks.whip import verify_whip
 from hyperflex.report import CastReport, PlanReport, WhipReport
 from tests.planning import known_insert, known_whip
-from tests.planning.known import CABLE, PEG, planned
+from tests.planning.known import CABLE, PEG, held, planned
 
 PLACE = {"cast": ("--target", -0.83, -1.07), "whip": ("--target", 0.3, -0.9), "insert": ("--slot", 0.2, -0.9)}
 MORE = {"cast": ("--radius", 0.04), "whip": (), "insert": ("--direction", -1)}
@@ -61,6 +61,8 @@ def ready(monkeypatch):
             return replace(found or MADE[command](), **changes)
 
         monkeypatch.setattr(planning, f"plan_{command}", give)
+        pull = held() if command == "cast" else None
+        monkeypatch.setattr(planning.CastPlan, "measure_holding_force", lambda plan: pull if plan.success else None)
         return asked
 
     return plan
@@ -68,9 +70,8 @@ def ready(monkeypatch):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pages are not drawn and no rope is pulled: what takes long, and is seen in other tests."""
-    monkeypatch.setattr(PlanReport, "add_page", lambda _, folder, **__: {"page": folder / "report.html"})
-    monkeypatch.setattr(planning.CastPlan, "measure_holding_force", lambda _: None)
+    """Pages are without film and figures: what takes long, and is seen in other tests."""
+    monkeypatch.setattr(PlanReport, "pictures", lambda _: {})
 
 
 def written(folder):
@@ -86,11 +87,12 @@ def plain(text):
 
 def test_options_of_a_cast_reach_the_planner(hyperflex_json, given, ready, tmp_path):
     asked = ready("cast")
-    options = "--mu 0.4 --arm-length 0.2 --speed 5 --torque 2 --time-budget 7 --seed 3 --contact 6.28 --clearance 0.01"
-    code, told = hyperflex_json(*given("cast", *options.split(), "--turns", 2, "--settle", 1.5))
+    options = "--mu 0.4 --arm-length 0.2 --speed 5 --torque 2 --time-budget 7 --seed 3 --contact 6.28 --clearance 0.01 "
+    options += "--turns 2 --settle 1.5 --time-limit 9.5 --skip-feasibility"
+    code, told = hyperflex_json(*given("cast", *options.split()))
     want = {"rope": CABLE, "target": hf.Peg(-0.83, -1.07, 0.04, 0.4), "arm": hf.Arm(length=0.2), "uncertainty": None}
     want |= {"limits": hf.MotorLimits(speed=5.0, torque=2.0), "time_budget": 7.0, "seed": 3, "contact": 6.28}
-    want |= {"clearance": 0.01, "turns": 2.0, "settle": 1.5, "time_limit": None, "skip_feasibility": False}
+    want |= {"clearance": 0.01, "turns": 2.0, "settle": 1.5, "time_limit": 9.5, "skip_feasibility": True}
     assert (code, {name: asked[name] for name in want}) == (0, want)
     plan = planned()
     assert (told["success"], told["source"], told["message"]) == (True, "simulated", "")
@@ -102,8 +104,6 @@ def test_options_of_a_cast_reach_the_planner(hyperflex_json, given, ready, tmp_p
         asked["on_plan"](plan)
     assert said.getvalue().startswith("hyperflex: a cast succeeds after ")
     assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["stop"], abs=5e-3)
-    hyperflex_json(*given("cast", "--skip-feasibility", "--time-limit", "9.5"))
-    assert (asked["skip_feasibility"], asked["time_limit"]) == (True, 9.5)
 
 
 def test_a_whip_without_a_direction(hyperflex_json, given, ready, tmp_path):
@@ -266,6 +266,7 @@ def test_a_target_that_cannot_be_wound_is_reported_at_once(hyperflex, given, tmp
     assert written(tmp_path / "out") == {"report.html"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(hyperflex, hyperflex_json, given, tmp_path):
     code, told = hyperflex_json(*given("cast", place=(2.5, 0)))
     near, x, y = told["fallback"], told["fallback"]["target"]["x"], told["fallback"]["target"]["y"]
@@ -280,6 +281,7 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(hype
 
 
 @EACH
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.filterwarnings("default:.*graded 'do not use'")
 def test_a_rope_that_must_not_be_used_is_planned_with_a_warning(hyperflex, given, ready, tmp_path, command):
     ready(command)
@@ -306,6 +308,7 @@ def test_a_plan_for_the_nearest_target_is_written(hyperflex, given, ready, tmp_p
     assert (back.fallback.plan.success, back.fallback.failed_plans) == (True, 1)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("identified", [False, True])
 def test_a_robust_plan_reports_how_often_it_succeeds(hyperflex, hyperflex_json, given, ready, tmp_path, identified):
     """With the covariance that identify left in the rope's file, or a typical one."""
@@ -366,9 +369,9 @@ def test_ctrl_c_while_drawing_leaves_the_plan(
             signal.raise_signal(signal.SIGINT)
         raise ValueError("a library made this of it")
 
+    ready(command)
     monkeypatch.setattr(*place, stop)
     monkeypatch.setitem(_USUAL, signal.SIGINT, signal.getsignal(signal.SIGINT))  # whatever runs the tests has set
-    ready(command)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.html").write_text("an earlier plan's")
     code, told = hyperflex_json(*given(command))

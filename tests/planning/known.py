@@ -7,6 +7,7 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex.budget import Budget
+from hyperflex.planning import HoldingForce
 from hyperflex.planning.feasibility import check_feasibility
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.outcome import verify_cast
@@ -36,6 +37,12 @@ def planned(winds: bool = True) -> CastPlan:
     finer = cast if winds else None  # the run with finer links is not what is tested here
     seconds = time.monotonic() - begin
     return CastPlan(who, PEG, check_feasibility(who, PEG), moves, cast, finer, cast.message, 1, seconds, margin=0.5)
+
+
+@functools.cache
+def held() -> HoldingForce | None:
+    """Return what a tug at the wound rope of the plan that succeeds shows."""
+    return planned().measure_holding_force()
 
 
 @functools.cache

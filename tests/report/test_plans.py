@@ -15,7 +15,7 @@ from hyperflex.report import CastReport, InsertReport, WhipReport
 from hyperflex.report import plan as plan_report
 from hyperflex.report.cast import tug_figure
 from hyperflex.report.maps import target_map
-from tests.planning.known import PEG, late, planned, stopped, unreachable
+from tests.planning.known import PEG, held, late, planned, stopped, unreachable
 from tests.planning.known_insert import far_insert, planned_insert
 from tests.planning.known_whip import far_whip, planned_whip
 
@@ -26,12 +26,8 @@ def words_of(path):
 
 
 def course_of(report):
-    return report.figures()["course"]
-
-
-@pytest.fixture(scope="module")
-def held():
-    return planned().measure_holding_force()
+    """The time course; of a cast it alone is drawn."""
+    return report._course() if isinstance(report, CastReport) else report.figures()["course"]
 
 
 def later_touch():
@@ -43,7 +39,7 @@ def later_touch():
 
 PAGES = {  # a report, its figures, and what the page says
     "cast": (
-        lambda: CastReport(planned(), planned().measure_holding_force()),
+        lambda: CastReport(planned(), held()),
         {"strike", "course", "sideways", "tug"},
         (
             "x = -0.834 m, y = -1.07 m; radius 40 mm; 6 swings; begun at 0.48, 1.73, 2.85, 4.35, 5.65, 6.74 s; 616°; "
@@ -243,15 +239,15 @@ def test_the_path_past_the_target_is_centred_on_it():
     assert not any("required direction" in text.get_text() for text in free)
 
 
-def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
-    firm = replace(held, tug=replace(held.tug, slipped=False))
+def test_a_pull_that_did_not_slip_is_a_lower_bound():
+    firm = replace(held(), tug=replace(held().tug, slipped=False))
     report = CastReport(planned(), firm)
     assert "or more (tug)" in report.film_note(11.0)
-    assert any(f"at least {held.force:.2f}" in value for value, _ in report.tiles)
+    assert any(f"at least {firm.force:.2f}" in value for value, _ in report.tiles)
     assert any("so it holds more" in line for line in report.story)
-    for each, least in ((held, ""), (firm, "at least ")):
+    for each, least in ((held(), ""), (firm, "at least ")):
         labels = [text.get_text() for text in tug_figure(each).axes[0].get_legend().get_texts()]
-        assert f"hold force {least}{held.force:.2f} N" in labels
+        assert f"hold force {least}{firm.force:.2f} N" in labels
 
 
 def overlapping(figure):
@@ -266,22 +262,22 @@ def overlapping(figure):
     return [(a, b) for k, (a, box) in enumerate(boxes) for b, other in boxes[k + 1 :] if box.overlaps(other)]
 
 
-def test_labels_do_not_lie_on_each_other(held):
+def test_labels_do_not_lie_on_each_other():
     for strike in (0.3, 5.0, 10.8):
         plan = replace(planned(), outcome=replace(planned().outcome, strike_time=strike))
         assert overlapping(course_of(CastReport(plan))) == []
     for report in (CastReport(planned(winds=False)), WhipReport(planned_whip()), InsertReport(planned_insert())):
         assert overlapping(course_of(report)) == []
-    firm = replace(held, tug=replace(held.tug, slip=0.05 * held.tug.slip, slipped=False))
-    assert overlapping(tug_figure(held)) == []
-    assert overlapping(tug_figure(firm)) == []
+    firm = replace(held(), tug=replace(held().tug, slip=0.05 * held().tug.slip, slipped=False))
+    for each in (held(), firm):
+        assert overlapping(tug_figure(each)) == []
 
 
 @pytest.mark.parametrize(
     ("report", "failing", "notes"),
     [
         (
-            lambda: CastReport(planned(), planned().measure_holding_force()),
+            lambda: CastReport(planned(), held()),
             lambda: CastReport(planned(winds=False)),
             {0.2: "6 swings to come", 0.8: "arm: swing 1 of 6", 7.5: "in the air", 11.0: "wound and held; hold force"},
         ),
