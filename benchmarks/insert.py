@@ -13,7 +13,6 @@ scenarios. The independent check has 4 times the links, a tenth of the tolerance
 planner's own second run has 2.5 times the links. All simulated.
 """
 
-import argparse
 import json
 import time
 from dataclasses import asdict, replace
@@ -21,10 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks import log, machine
+from benchmarks.targets import Benchmark, markdown
 
 import hyperflex as hf
-from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.control import swing_period
 from hyperflex.core.cache import SOURCE_HASH
@@ -38,7 +36,6 @@ from hyperflex.planning.tasks.insert import (
 )
 from hyperflex.planning.tasks.tip import OPTIONS, Flights, random_swings
 
-RESULTS = Path(__file__).parent / "results"
 SLOTS = Path(__file__).parent / "insert-slots.json"
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.105)
@@ -150,34 +147,10 @@ def page(found: dict[str, Any]) -> str:
         f"points ({SCENARIOS} draws determine a probability of one half to 10 points, one standard deviation). "
         f"Planning took {told['median seconds']:.1f} s of processor time in the median, {TIME_BUDGET:g} s at most."
     )
-    where = machine.sentence(found["machine"])
-    return "\n".join(
-        ["# Insertions", "", text, "", *lines, "", where, "", "Reproduce: `python -m benchmarks.insert`", ""]
-    )
+    return markdown("Insertions", text, lines, found["machine"], "insert")
 
 
-def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", type=int, metavar="INDEX", help="this slot only; writes nothing")
-    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first slots only")
-    parser.add_argument("--slots", type=int, metavar="SEED", help="draw new slots")
-    parser.add_argument("--out", default=str(RESULTS / "insert.json"), metavar="FILE")
-    options = parser.parse_args()
-    if options.slots is not None:
-        files.write_text(SLOTS, json.dumps(draw(options.slots), indent=1) + "\n")
-        return
-    marks, about = slots()[: options.count], machine.describe()
-    if options.only is not None:
-        print(json.dumps(measure(options.only, marks[options.only]), indent=1))
-        return
-    rows = log.go_on(Path(options.out).with_suffix(".jsonl"), marks, measure)
-    about["load after"] = machine.load()
-    found = {"machine": about, "summary": summary(rows), "rows": rows}
-    files.write_text(options.out, json.dumps(found, indent=1) + "\n")
-    files.write_text(Path(options.out).with_suffix(".md"), page(found))
-    print(page(found))
-
+BENCHMARK = Benchmark("insert", SLOTS, "slot", "slots", draw, slots)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.run(__doc__, measure, summary, page)

@@ -13,7 +13,6 @@ that of this swing less a fifth. A switch is struck if, with 2.5 times the links
 comes within 10 mm and is the first part of the rope that touches anything, a peg of 10 mm at the switch. All simulated.
 """
 
-import argparse
 import json
 import time
 from dataclasses import replace
@@ -21,10 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks import log, machine
+from benchmarks.targets import Benchmark, markdown
 
 import hyperflex as hf
-from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.model import obstacle_gaps
@@ -34,7 +32,6 @@ from hyperflex.planning.tasks.insert import finer_rope
 from hyperflex.planning.tasks.tip import OPTIONS, Flights, random_swings
 from hyperflex.planning.tasks.whip import find_peaks, verify_whip
 
-RESULTS = Path(__file__).parent / "results"
 SWITCHES = Path(__file__).parent / "switch-targets.json"
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=32, radius=0.0025, friction=2e-4)
 ARM, LIMITS, TIME = hf.Arm(length=0.105), MotorLimits(), 5.6  # s, until the strike
@@ -147,45 +144,10 @@ def page(found: dict[str, Any]) -> str:
         f"the tip comes within {1e3 * SWITCH:g} mm and is the first part of the rope that touches anything, a peg at "
         "the switch."
     )
-    where = machine.sentence(found["machine"])
-    return "\n".join(
-        [
-            "# Switches behind an edge",
-            "",
-            text,
-            "",
-            *lines,
-            "",
-            where,
-            "",
-            "Reproduce: `python -m benchmarks.switches`",
-            "",
-        ]
-    )
+    return markdown("Switches behind an edge", text, lines, found["machine"], "switches")
 
 
-def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", type=int, metavar="INDEX", help="this switch only; writes nothing")
-    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first switches only")
-    parser.add_argument("--switches", type=int, metavar="SEED", help="draw new walls and switches")
-    parser.add_argument("--out", default=str(RESULTS / "switches.json"), metavar="FILE")
-    options = parser.parse_args()
-    if options.switches is not None:
-        files.write_text(SWITCHES, json.dumps(draw(options.switches), indent=1) + "\n")
-        return
-    marks, about = switches()[: options.count], machine.describe()
-    if options.only is not None:
-        print(json.dumps(measure(options.only, marks[options.only]), indent=1))
-        return
-    rows = log.go_on(Path(options.out).with_suffix(".jsonl"), marks, measure)
-    about["load after"] = machine.load()
-    found = {"machine": about, "summary": summary(rows), "rows": rows}
-    files.write_text(options.out, json.dumps(found, indent=1) + "\n")
-    files.write_text(Path(options.out).with_suffix(".md"), page(found))
-    print(page(found))
-
+BENCHMARK = Benchmark("switches", SWITCHES, "switch", "switches", draw, switches)
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.run(__doc__, measure, summary, page)

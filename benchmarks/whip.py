@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 from benchmarks import log, machine
+from benchmarks.targets import Benchmark, markdown, publish
 
 import hyperflex as hf
-from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.control import swing_period
 from hyperflex.core.cache import SOURCE_HASH
@@ -51,7 +51,6 @@ from hyperflex.planning import (
 from hyperflex.planning.tasks.tip import OPTIONS
 from hyperflex.planning.tasks.whip import verify_whip
 
-RESULTS = Path(__file__).parent / "results"
 TARGETS = Path(__file__).parent / "whip-targets.json"
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.105)
@@ -299,8 +298,7 @@ def page(found: dict[str, Any]) -> str:
         kind: sorted({row["kernels"] for row in found["rows"] if row["kind"] == kind}) for kind in found["summary"]
     }
     lines.append("\nKernels: " + "; ".join(f"{kind} {', '.join(hashes)}" for kind, hashes in kernels.items()) + ".")
-    where = machine.sentence(found["machine"])
-    return "\n".join(["# Whips", "", text, "", *lines, "", where, "", "Reproduce: `python -m benchmarks.whip`", ""])
+    return markdown("Whips", text, lines, found["machine"], "whip")
 
 
 def identified_words(rows: list[dict[str, Any]]) -> list[str]:
@@ -374,16 +372,13 @@ def refused(index: int, place: dict[str, float], mark: TipTarget, count: int, kn
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    benchmark = Benchmark("whip", TARGETS, "target", "targets", draw, targets)
+    parser = benchmark.parser(__doc__)
     parser.add_argument("--nominal", action="store_true", help="nominal plans only")
     parser.add_argument("--impacts", action="store_true", help="also impacts of the nominal plans")
     parser.add_argument("--beyond", action="store_true", help="also targets called out of reach")
-    parser.add_argument("--only", type=int, metavar="INDEX", help="this target only; writes nothing")
-    parser.add_argument("--targets", type=int, metavar="SEED", help="draw new targets")
-    parser.add_argument("--out", default=str(RESULTS / "whip.json"), metavar="FILE")
     options = parser.parse_args()
-    if options.targets is not None:
-        files.write_text(TARGETS, json.dumps(draw(options.targets), indent=1) + "\n")
+    if benchmark.drew(options.seed):
         return
     marks, about = targets(), machine.describe()
     known = build_whip_map(problem(CABLE))
@@ -404,11 +399,7 @@ def main() -> None:
     for kind, index, work in jobs(options, known, rows):
         if (kind, index) not in finished:
             add(kind, index, work())
-    about["load after"] = machine.load()
-    found = {"machine": about, "summary": summary(rows), "rows": rows}
-    files.write_text(options.out, json.dumps(found, indent=1) + "\n")
-    files.write_text(Path(options.out).with_suffix(".md"), page(found))
-    print(page(found))
+    publish(options.out, about, rows, summary, page)
 
 
 if __name__ == "__main__":
