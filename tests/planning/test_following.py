@@ -39,20 +39,10 @@ def test_a_rope_that_is_known_to_be_longer_is_led_as_predicted():
     longer = scaled_rope(CAST_SETUP.rope, 1.02, 1.0, 1.0)
     expected = []
     for known in (longer, None):
-        done = hf.follow_plan(PLAN, Longer(longer), rope=known, options=OPTIONS)
+        done = hf.follow_plan(PLAN, TrueState(longer, CAST_SETUP.arm), rope=known, options=OPTIONS)
         steps = zip(done.decisions[:-1], done.decisions[1:], strict=True)
         expected.append(max(abs(one.after - other.before) for one, other in steps))
     assert expected[0] < 0.05 < expected[1]
-
-
-class Longer:
-    """True state of a rope under the command."""
-
-    def __init__(self, rope: hf.Rope) -> None:
-        self.true = TrueState(rope, CAST_SETUP.arm)
-
-    def state(self, t: float, motion: hf.Motion) -> hf.RopeState:
-        return self.true.state(t, motion)
 
 
 def rest_before(moves: Moves, move: int) -> float:
@@ -85,16 +75,10 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back():
 
 def miss(throw: Moves, goal: Goal) -> float:
     """Distance from the goal's features, by whole flights from rest, at the best time about the goal's."""
-    from hyperflex.simulation import simulate
-
-    motion = throw.motion(LIMITS)
-    t = goal.t + np.arange(-0.25, 0.25, 0.002)
-    run = simulate(CAST_SETUP.rope, motion, arm=CAST_SETUP.arm, duration=float(t[-1]), t_eval=t, tol=1e-4)
-    return float(
-        ((features(CAST_SETUP.rope, CAST_SETUP.arm, motion, t, run.q, run.qd, OPTIONS) - goal.features) ** 2)
-        .sum(axis=1)
-        .min()
-    )
+    rope, arm, motion, t = CAST_SETUP.rope, CAST_SETUP.arm, throw.motion(LIMITS), goal.t + np.arange(-0.25, 0.25, 0.002)
+    run = hf.simulate(rope, motion, arm=arm, duration=float(t[-1]), t_eval=t, tol=1e-4)
+    away = features(rope, arm, motion, t, run.q, run.qd, OPTIONS) - goal.features
+    return float((away**2).sum(axis=1).min())
 
 
 def test_in_the_expected_world_the_plan_is_kept():
@@ -251,14 +235,11 @@ def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path):
 def test_in_real_time_a_late_decision_is_not_carried_out():
     """Without time for decisions a rope that waits gets the changed throw, one that moves on the planned one."""
     (world,) = hf.Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
+    each = [hf.FollowOptions(decision_time=0.0, sending=10.0, real_time=real_time) for real_time in (False, True)]
+    sources = [ScenarioStateSource(world, CAST_SETUP.arm) for _ in each]
     waits, moves = (
-        hf.follow_plan(
-            PLAN,
-            ScenarioStateSource(world, CAST_SETUP.arm),
-            motor=Kept(),
-            options=hf.FollowOptions(decision_time=0.0, real_time=real_time, sending=10.0),
-        )
-        for real_time in (False, True)
+        hf.follow_plan(PLAN, source, motor=Kept(), options=options)
+        for source, options in zip(sources, each, strict=True)
     )
     assert "changed" in {each.action for each in waits.decisions}
     assert {each.action for each in moves.decisions} <= {"kept", "late"}
@@ -269,8 +250,7 @@ def test_in_real_time_a_late_decision_is_not_carried_out():
 def test_bad_numbers_are_refused():
     (world,) = hf.Uncertainty().sample(1, CAST_SETUP, PEG)
     for wrong in (-1.0, np.nan):
-        with pytest.raises(hf.InvalidInput):
-            hf.FollowOptions(decision_time=wrong)
+        refuses("decision_time", hf.FollowOptions, decision_time=wrong)
     n = CAST_SETUP.rope.n_links
     swings = replace(PLAN, problem=replace(CAST_SETUP, q0=(0.1,) * n, qd0=(0.0,) * n, side=-1))
     refuses("swinging rope are not followed", hf.follow_plan, swings, ScenarioStateSource(world, CAST_SETUP.arm))

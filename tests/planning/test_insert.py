@@ -15,6 +15,7 @@ from hyperflex.planning.ensemble import COUNTED
 from hyperflex.planning.planner import Candidate
 from hyperflex.planning.tasks.insert import (
     InsertTask,
+    _Estimate,
     evaluate_insert,
     find_entries,
     insert_scenarios,
@@ -145,8 +146,13 @@ def test_moves_that_hardly_ever_succeed_in_their_scenarios_are_no_plan():
     found = [InsertTask(plan.problem, SLOT, known, 20).verify(one, Budget(math.inf)) for known in (usual, lost)]
     assert not found[0].message
     assert "of 20 sampled scenarios only" in found[1].message
+    assert found[0].probability.samples == 20
     few = InsertTask(plan.problem, SLOT, lost, 5).verify(one, Budget(math.inf))
     assert not few.message  # none of five says little
+    astray = Candidate(replace(MOVES, ends=-MOVES.ends), 1.0, NEAR)
+    failed = InsertTask(plan.problem, SLOT).verify(astray, Budget(math.inf))
+    assert failed.message
+    assert failed.finer_outcome is None  # a failure ends the verification
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -216,15 +222,11 @@ def test_free_swings_agree_with_runs_near_the_walls():
     moves = plan.required(plan.moves, "moves")
     wide = replace(usual_uncertainty(), place=6e-3)
     count = 12
-    told = [
-        estimate_insert_probability(plan.problem, SLOT, moves, near(), wide, samples=k).successes
-        for k in range(1, count + 1)
-    ]
-    seen = []
-    for rope, slot, motion in insert_scenarios(plan.problem, SLOT, moves, wide, count, [7001, 0]):
-        found = verify_insert(replace(plan.problem, rope=rope), slot, motion, near())
+    told, seen = _Estimate(plan.problem, near()), []
+    for each in insert_scenarios(plan.problem, SLOT, moves, wide, count, [7001, 0]):
+        found = verify_insert(replace(plan.problem, rope=each[0]), *each[1:], near())
         seen.append(found is not None and not found.message)
-    assert np.diff([0, *told]).tolist() == [int(each) for each in seen]
+        assert told([each]) == seen[-1]
     assert 0 < sum(seen) < count
 
 
@@ -327,13 +329,3 @@ def test_runs_that_differ_by_more_than_the_distance_from_the_walls_fail(given, n
     for touching in (False, True):
         task = InsertTask(plan.problem, replace(SLOT, touching=touching))
         assert bool(task.failure(Candidate(MOVES, 1.0, NEAR), finer, first)) == (touches and not touching)
-
-
-def test_an_insertion_is_verified_with_finer_links():
-    task = InsertTask(planned().problem, SLOT)
-    found = task.verify(Candidate(MOVES, 1.0, NEAR), Budget(math.inf))
-    assert found.message == ""
-    assert found.finer_outcome.n_links == 40
-    early = task.verify(Candidate(replace(MOVES, ends=-MOVES.ends), 1.0, NEAR), Budget(math.inf))
-    assert early.message
-    assert early.finer_outcome is None  # a failure ends the verification

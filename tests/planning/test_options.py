@@ -22,11 +22,22 @@ def test_each_option_refuses_what_it_cannot_use(kind):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("batch", 0), ("rests", -1), ("speeds", ()), ("speeds", (1.5,)), ("deviations", (0.1,)), ("width", 1.5)],
+    ("kind", "name", "value"),
+    [
+        (SearchOptions, "batch", 0),
+        (SearchOptions, "rests", -1),
+        (SearchOptions, "speeds", ()),
+        (SearchOptions, "speeds", (1.5,)),
+        (SearchOptions, "deviations", (0.1,)),
+        (SearchOptions, "width", 1.5),
+        (SearchOptions, "seed", -1),
+        (SearchOptions, "threads", 0),
+        (WindCriteria, "turns", 0.4),
+        (WindCriteria, "settle", 11.0),
+    ],
 )
-def test_a_search_refuses_options_that_it_cannot_end_with(name, value):
-    refuses(name, SearchOptions, **{name: value})
+def test_options_out_of_range_are_refused(kind, name, value):
+    refuses(name, kind, **{name: value})
 
 
 def test_a_search_may_be_told_that_nothing_limits_it():

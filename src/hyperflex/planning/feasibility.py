@@ -7,6 +7,7 @@ wound rope runs straight to the target, round it, and hangs from it.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -248,11 +249,11 @@ class _Target:
         return best
 
 
-def _blocked(problem: Problem, peg: Peg, arm_angles: int = 73) -> str:
+def _blocked(problem: Problem, peg: Peg) -> str:
     """Return which obstacle leaves a wound rope no room, and where; "" if there is room.
 
-    The rope goes round the target, and straight to one of its sides from the arm's tip at some of `arm_angles`, unless
-    it is to run behind pegs.
+    The rope goes round the target, and straight to one of its sides from the arm's tip at one of 73 angles, unless it
+    is to run behind pegs.
     """
     obstacles, rope, arm = (*problem.criteria.behind, *problem.obstacles), problem.rope, problem.arm
     if not obstacles:
@@ -267,7 +268,7 @@ def _blocked(problem: Problem, peg: Peg, arm_angles: int = 73) -> str:
         return f"{named(obstacles[nearest])} {gap}, the rope needs {1e3 * needed:.3g}"
     if problem.criteria.behind:
         return ""
-    tips = arm.tip(np.linspace(*problem.limits.angles, arm_angles))
+    tips = arm.tip(np.linspace(*problem.limits.angles, 73))
     ways = centre - tips
     aside = (peg.radius + rope.radius) * np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / np.hypot(*ways.T)[:, None]
     ends = np.concatenate([centre + side * aside for side in (-1.0, 0.0, 1.0)])
@@ -300,14 +301,13 @@ def _pendulum(problem: Problem) -> float:
     return problem.rope.g * (problem.period / (2.0 * math.pi)) ** 2
 
 
-def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float = 100.0) -> tuple[str, ...]:
+def find_remedies(problem: Problem, peg: Peg) -> tuple[str, ...]:
     """Return changes, as text, that would each make a target feasible; none if it is feasible.
 
-    `most` is the greatest factor of a change, `motor` that of a change of the motor, which is then fast enough for a
-    stroke in half a period; a longer time is that of a search. With less, what is feasible is seldom found. Factors are
-    found to 1 %.
+    By a factor of three at most, of the motor by one of 100, which is then fast enough for a stroke in half a period; a
+    longer time is that of a search. With less, what is feasible is seldom found. Factors are found to 1 %.
     """
-    rope, arm, limits = problem.rope, problem.arm, problem.limits
+    rope, arm, limits, criteria = problem.rope, problem.arm, problem.limits, problem.criteria
 
     def faster(speed: float, acceleration: float = 1.0) -> tuple[Problem, Peg]:
         changed = replace(limits, speed=speed * limits.speed, acceleration=acceleration * limits.acceleration)
@@ -316,8 +316,10 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
     def longer(f: float) -> Rope:
         return rope.replace(length=f * rope.length, mass=f * rope.mass, com=f * rope.com, inertia=f**3 * rope.inertia)
 
-    def remedy(text: str, changed: Callable[[float], tuple[Problem, Peg]], most: float = most) -> list[str]:
-        """Return the text with the least feasible factor f from 1 up: in steps of FACTOR, then bisection to 1 %."""
+    def remedy(
+        text: Callable[[Problem, Peg], str], changed: Callable[[float], tuple[Problem, Peg]], most: float = 3.0
+    ) -> list[str]:
+        """Return the text of a change by the least feasible factor from 1 up: in steps of FACTOR, then bisection."""
 
         def feasible(factor: float) -> bool:
             try:
@@ -330,38 +332,54 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
 
         tried = np.geomspace(1.0, most, math.ceil(math.log(most, FACTOR)) + 1).tolist()
         high = next((factor for factor in tried if feasible(factor)), 1.0)
-        low = max(1.0, high / FACTOR)
-        while high > 1.01 * low:
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if feasible(middle) else (middle, high)
-        of, to = changed(high)
-        numbers = {
-            "speed": _rounded(of.limits.speed),
-            "acceleration": _rounded(of.limits.acceleration),
-            "arm": _rounded(1e3 * of.arm.length),
-            "rope": _rounded(of.rope.total_length),
-            "time": _rounded(of.time),
-            "radius": _rounded(1e3 * to.radius, up=False),
-            "turns": _rounded(of.criteria.turns, up=False),
-        }
-        return [text.format(**numbers)] if high > 1.0 else []
+        if high == 1.0:
+            return []
+        return [text(*changed(_least(feasible, high / FACTOR, high, 0.01)))]
 
-    found = remedy("a motor of {speed} rad/s", faster, motor)
-    found += remedy("a motor of {acceleration} rad/s^2", lambda f: faster(1.0, f), motor)
+    def speed(of: Problem, _: Peg) -> str:
+        return f"a motor of {_rounded(of.limits.speed)} rad/s"
+
+    def acceleration(of: Problem, _: Peg) -> str:
+        return f"{_rounded(of.limits.acceleration)} rad/s^2"
+
+    found = remedy(speed, faster, 100.0)
+    found += remedy(lambda *to: f"a motor of {acceleration(*to)}", lambda f: faster(1.0, f), 100.0)
     if not found:  # one limit alone is enough
-        found = remedy("a motor of {speed} rad/s and {acceleration} rad/s^2", lambda f: faster(f, f**2), motor)
+        found = remedy(lambda *to: f"{speed(*to)} and {acceleration(*to)}", lambda f: faster(f, f**2), 100.0)
     least, greatest = min(limits.angles[0], -0.5 * math.pi), max(limits.angles[1], 0.5 * math.pi)
     freer = replace(problem, limits=replace(limits, angles=(least, greatest)))
     if not check_feasibility(problem, peg).feasible and check_feasibility(freer, peg).feasible:
         found.append(f"a motor that turns from {least:.3g} to {greatest:.3g} rad")
-    found += remedy("an arm of {arm} mm", lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg))
-    found += remedy("a rope of {rope} m", lambda f: (replace(problem, rope=longer(f)), peg))
-    longest = max(most, 1.01 * SWING.max_periods * problem.period / problem.time)
-    found += remedy("{time} s to strike", lambda f: (replace(problem, time=f * problem.time), peg), longest)
-    found += remedy("a peg of {radius} mm radius", lambda f: (problem, replace(peg, radius=peg.radius / f)))
-    asked = problem.criteria
-    found += remedy("{turns} turns", lambda f: (replace(problem, criteria=replace(asked, turns=asked.turns / f)), peg))
+    found += remedy(
+        lambda of, _: f"an arm of {_rounded(1e3 * of.arm.length)} mm",
+        lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg),
+    )
+    found += remedy(
+        lambda of, _: f"a rope of {_rounded(of.rope.total_length)} m",
+        lambda f: (replace(problem, rope=longer(f)), peg),
+    )
+    found += remedy(
+        lambda of, _: f"{_rounded(of.time)} s to strike",
+        lambda f: (replace(problem, time=f * problem.time), peg),
+        max(3.0, 1.01 * SWING.max_periods * problem.period / problem.time),
+    )
+    found += remedy(
+        lambda _, to: f"a peg of {_rounded(1e3 * to.radius, up=False)} mm radius",
+        lambda f: (problem, replace(peg, radius=peg.radius / f)),
+    )
+    found += remedy(
+        lambda of, _: f"{_rounded(of.criteria.turns, up=False)} turns",
+        lambda f: (replace(problem, criteria=replace(criteria, turns=criteria.turns / f)), peg),
+    )
     return tuple(found)
+
+
+def _least(feasible: Callable[[float], bool], low: float, high: float, within: float) -> float:
+    """Return the least feasible number by bisection, from one that is not feasible and one that is."""
+    while high - low > within:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if feasible(middle) else (middle, high)
+    return high
 
 
 def _rounded(value: float, *, up: bool = True) -> str:
@@ -388,7 +406,7 @@ def nearest_feasible(problem: Problem, peg: Peg, *, margin: float = 0.0) -> Peg 
         x, y = peg.x + distance * math.sin(angle), peg.y + distance * math.cos(angle)
         return moved(peg, np.array([unit * round(x / unit), unit * round(y / unit)]))
 
-    def feasible(distance: float, angle: float) -> bool:
+    def feasible(angle: float, distance: float) -> bool:
         there = at(distance, angle)
         if _Target(problem, there).geometry()[1]:  # most places, at little cost
             return False
@@ -399,12 +417,8 @@ def nearest_feasible(problem: Problem, peg: Peg, *, margin: float = 0.0) -> Peg 
     while not found and inner < farthest:
         outer = max(unit, RING * inner)
         for angle in np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False).tolist():
-            low, high = inner, outer
-            if feasible(high, angle):
-                while high - low > 0.5 * unit:
-                    middle = 0.5 * (low + high)
-                    low, high = (low, middle) if feasible(middle, angle) else (middle, high)
-                found.append((high, angle))
+            if feasible(angle, outer):
+                found.append((_least(partial(feasible, angle), inner, outer, 0.5 * unit), angle))
         inner = outer
     return at(*min(found)) if found else None
 
