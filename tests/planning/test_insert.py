@@ -31,6 +31,13 @@ ONE = hf.SearchOptions(threads=1)
 DOWN = hf.Slot(0.1, -0.5, -0.5 * np.pi, width=0.02, depth=0.05, wall=0.1)  # its left is +x
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _first_plan_ends_a_search():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(InsertTask, "improve", 0.0)
+        yield
+
+
 @functools.cache
 def planned() -> hf.InsertPlan:
     plan = hf.plan_insert(ROPE, ARM, SLOT, options=ONE, time_budget=200.0, samples=30)

@@ -1,7 +1,7 @@
 """Uncertainty of rope, target and motor, and scenarios sampled from it (domain randomization)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -157,6 +157,11 @@ class RopePosterior:
         """Those of `fitted_properties` with an undetermined parameter."""
         return _properties(self.undetermined)
 
+    def replaced(self, names: Iterable[str]) -> dict[str, Any]:
+        """Return 0 for those of some factors of an :class:`Uncertainty` that no undetermined property leaves open."""
+        undetermined = set(self.undetermined_properties)
+        return {name: 0.0 for name in names if not undetermined & set(REPLACED_BY[name])}
+
     def sample(self, rng: np.random.Generator) -> Rope:
         """Sample a rope; where parameters would be negative that cannot be, the nearest draw that leaves them at 0."""
         std = np.sqrt(np.diag(self.covariance))
@@ -252,9 +257,7 @@ class Uncertainty:
         default.
         """
         posterior = RopePosterior.from_identification(fit)
-        undetermined = set(posterior.undetermined_properties)
-        known: dict[str, Any] = {n: 0.0 for n, properties in REPLACED_BY.items() if not set(properties) & undetermined}
-        return cls(**{**known, **others}, posterior=posterior)
+        return cls(**{**posterior.replaced(REPLACED_BY), **others}, posterior=posterior)
 
     @classmethod
     def from_rope_file(cls, path: str | Path) -> "Uncertainty":
@@ -266,10 +269,8 @@ class Uncertainty:
         posterior = RopePosterior.from_toml(path)
         if posterior is None:
             return cls()
-        known = set(posterior.fitted_properties), set(posterior.undetermined_properties)
-        zero = [n for n, each in REPLACED_BY.items() if set(each) & known[0] and not set(each) & known[1]]
-        values: dict[str, Any] = dict.fromkeys(zero, 0.0)
-        return cls(**values, posterior=posterior)
+        fitted = [name for name, each in REPLACED_BY.items() if set(each) & set(posterior.fitted_properties)]
+        return cls(**posterior.replaced(fitted), posterior=posterior)
 
     def describe(self) -> str:
         """Return the uncertainties and their source as text."""

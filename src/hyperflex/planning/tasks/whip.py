@@ -350,7 +350,6 @@ def simulate_impact(
     *,
     radius: float = 0.01,
     mu: float = 0.3,
-    duration: float = 0.05,
 ) -> Impact:
     """Simulate a motion with a small fixed peg at a target and measure the impact, expected at time `near`, s.
 
@@ -368,8 +367,6 @@ def simulate_impact(
         Expected time of the impact, s: the peg must be touched within :attr:`TipOptions.after`.
     radius, mu : float
         Of the peg, m, and its friction coefficient.
-    duration : float
-        Of an impact, s.
 
     Notes
     -----
@@ -378,6 +375,7 @@ def simulate_impact(
     the sample loses more than SUDDEN of the energy. Raises SimulationError if the run fails.
     """
     radius, step = checks.number("radius", radius, sign="positive", unit="m"), 0.5 * DEFAULT_CONTACT_STEP
+    duration = Impact.duration
     way = np.array([np.cos(direction), np.sin(direction)])
     x, y = point + (radius + problem.rope.radius) * way
     t = step * np.arange(np.ceil((near + OPTIONS.after + duration) / step))
@@ -405,7 +403,7 @@ def simulate_impact(
     for k in rows[lost > SUDDEN * energy].tolist():
         total = total - collision_impulse(run, k, int(links[k]), float(along[k, links[k]]))
     impulse = float(np.hypot(*total)), float(total @ way)
-    return Impact(begin, *impulse, energy, link, radius=radius, duration=duration)
+    return Impact(begin, *impulse, energy, link, radius=radius)
 
 
 def collision_impulse(run: Trajectory, k: int, link: int, along: float) -> Array:
