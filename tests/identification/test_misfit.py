@@ -35,7 +35,7 @@ def shown(seen: list[Window], residuals: Array, *, white: bool = False, loss: Lo
     weighted = [(part * window.weight).ravel() for part, window in zip(parts, seen, strict=True)]
     found = Fit(np.zeros(1), [window.guess for window in seen], weighted, Loss(loss), converged=True)
     plant = SimpleNamespace(motor=object() if torque else None, sensor=Angles())
-    information = SimpleNamespace(white=white, variance=1.0)
+    information = SimpleNamespace(white=white, variance=1.0, freedom=100.0)
     basis = SimpleNamespace(plant=plant, windows=seen, fit=found, information=information)
     return [each.kind for each in (*_of_fit(basis), *_of_noise(basis, []))]
 

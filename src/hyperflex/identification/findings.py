@@ -109,13 +109,6 @@ class Kind(StrEnum):
         """The declared noise ({declared:.2g}) is {times:.2g} times as large as the residuals ({left:.2g}). | The
         recording is better than declared. Check the noise's value and unit: it is in the unit of the data.""",
     )
-    UNEXPLAINED = (
-        "residuals larger than noise",
-        """Residuals are {times:.2g} times as large as the declared noise, and no tested cause explains it. | More
-        noise is present, or the model omits an effect; ratios may be off by more than their intervals. Check the
-        noise's value and unit. """
-        + COMPARE,
-    )
     GRAVITY_ROTATED = (
         "gravity rotated",
         """Gravity is rotated by {angle:deg}. | Axes or zero may not be as declared. Check zero, y_axis and the order

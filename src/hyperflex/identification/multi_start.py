@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -228,20 +227,16 @@ class MultiStart:
     def other_starts(self, best: Basis, starts: Sequence[Array]) -> Iterator[Basis]:
         """Yield the best fit so far from each of other `starts`, as long as it is bad.
 
-        From each first with the states of the best fit, which have followed the data, then with states that are fitted
-        to that start, window after window, so that no start is lost by bad states.
+        With the states of the best fit, which have followed the data.
         """
         costs, length = [best.fit.cost], best.settings["window"]
-        for number, (x, search) in enumerate(product(starts, (False, True))):
+        for number, x in enumerate(starts):
             if not self.is_bad(best.windows, best.fit):
                 break
             entry: dict[str, Any] = {"phase": "start", "start": number, "window": length, "stage": 0, "stages": 1}
-            every, states = dict.fromkeys(range(len(best.windows)), np.inf), list(best.fit.states)
-            if search and len(self.search_states(best.windows, x, states, every, self.loss)) < len(every):
-                continue
             before = best.fit
             with suppress(InvalidInput):
-                for tried in self.settled(best.windows, x, states, with_entries(self.report, entry)):
+                for tried in self.settled(best.windows, x, list(before.states), with_entries(self.report, entry)):
                     found = replace(before, status=tried.status)
                     if tried.cost < before.cost:
                         found = replace(tried, history=before.history + tuple(each | entry for each in tried.history))

@@ -23,6 +23,7 @@ from hyperflex.identification.declarations.score_tests import (
     Scatter,
     Scores,
     ScoreTest,
+    by_gain,
     drift_test,
     hidden_tests,
     scatter_test,
@@ -44,7 +45,7 @@ from hyperflex.identification.multi_start import WHOLE, WORSE, MultiStart, searc
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
-from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms, without_unexplained
+from hyperflex.identification.symptoms import com_moved, explaining, first_misdeclared, symptoms
 from hyperflex.identification.uncertainty.covariance import (
     Basis,
     Interval,
@@ -232,12 +233,6 @@ class Trial:
         return replace(self, plain=replace(self.plain, fit=replace(self.plain.fit, status=status)))
 
 
-def _with_drift(trial: Trial, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
-    """Return the tests of a fit and that of a drifting clock, the greatest gain first."""
-    every = (*tests, *drift_test(trial.plain, trial.scores, tests))
-    return tuple(sorted(every, key=lambda each: -each.gain))
-
-
 def first_choice(guess: Rope, *, torque: bool = False) -> list[str]:
     """Return what is free at first: inertia and friction; of a rope of many links one value each, of stiffness if any.
 
@@ -307,8 +302,7 @@ class _Case:
             yield trial
         if trial.tests:
             self.budget.check()
-            known = [each for each in trial.tests if each.name != DRIFT]
-            tests = _with_drift(trial, hidden_tests(trial.plain, known, self.budget))
+            tests = hidden_tests(trial.plain, trial.tests, self.budget)
             tests = (*tests, *link_test(trial.plain, tests))
             scatter, spread = scatter_test(trial.plain, trial.scores)
             trial = replace(trial, tests=tests, scatter=scatter, spread=spread if scatter else None)
@@ -399,8 +393,7 @@ class _Case:
         plain = trial.plain
         if plain.fit.converged and not (self.faulty and search.is_bad(plain.windows, plain.fit)):  # nothing to test
             tests, scores = score_tests(plain, self.options.gravity_std, self.budget)
-            trial = replace(trial, scores=scores)
-            yield replace(trial, tests=_with_drift(trial, tests))
+            yield replace(trial, scores=scores, tests=by_gain([*tests, *drift_test(plain, scores)]))
 
     def _continued(self, search: MultiStart, free: Sequence[str], before: Trial | None) -> Basis | None:
         """Return the continued fit, or None where a fit has to begin anew."""
@@ -557,8 +550,7 @@ class _Case:
         choice = trial.choice | {"rivals": listed(as_free(trial.choice.get("rivals", ())))}
         severity = Severity.DOUBT if choice["rivals"] else Severity.NOTE
         chosen = [Finding(Kind.CHOSEN, severity, choice)] if trial.choice else []
-        findings = without_unexplained([*chosen, *trial.found, *trial.remarks])
-        return replace(result, findings=ordered([*findings, *held]))
+        return replace(result, findings=ordered([*chosen, *trial.found, *trial.remarks, *held]))
 
 
 def _at_bounds(plant: Plant, x: Array) -> bool:

@@ -94,12 +94,6 @@ def symptoms(
     return [*found, *_limits(basis, tests, scatter, settings), *_identifiable(basis)]
 
 
-def without_unexplained(findings: Sequence[Finding]) -> list[Finding]:
-    """Return findings without the one that no cause is known, where another names what makes most of the residuals."""
-    named = any(each.kind is Kind.OUTLIERS or each.gain > DECIDE for each in findings)
-    return [each for each in findings if not (named and each.kind is Kind.UNEXPLAINED)]
-
-
 def _of_fit(basis: Basis) -> Iterator[Finding]:
     """Yield that a fit did not converge, or leaves much of the motion or of the torque.
 
@@ -289,14 +283,20 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
 
 
 def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
-    """Yield that declared noise is far larger than residuals, or these far larger than noise without a known cause."""
+    """Yield that declared noise is far larger than residuals, or smaller: a doubt if far, and no test finds a cause."""
+    from scipy.special import chdtrc
+
+    information = basis.information
     rms, _, noise = _sizes(basis)[:, : None if basis.plant.motor is None else -1]
     declared, left = (float(np.sqrt(np.mean(each**2))) for each in (noise, rms))
+    chance = chdtrc(information.freedom, information.freedom * information.variance)  # of so large a variance
     if MISDECLARED * left <= declared:
         values = {"declared": declared, "left": left, "times": declared / max(left, 1e-300)}
         yield Finding(Kind.NOISE_OVERSTATED, values=values)
-    elif tests and not any(each.significant for each in tests) and basis.information.variance > MISDECLARED**2:
-        yield Finding(Kind.UNEXPLAINED, values={"times": float(np.sqrt(basis.information.variance))})
+    elif chance < CHANCE:
+        times = float(np.sqrt(information.variance))
+        unexplained = times > MISDECLARED and tests and not any(each.significant for each in tests)
+        yield Finding(Kind.NOISE_UNDERSTATED, Severity.DOUBT if unexplained else Severity.LIMIT, {"times": times})
 
 
 def _com_held(basis: Basis) -> Iterator[Finding]:
@@ -349,8 +349,6 @@ def _limits(
     basis: Basis, tests: Sequence[ScoreTest], scatter: Sequence[Scatter], settings: dict[str, Any]
 ) -> Iterator[Finding]:
     """Yield what no motion tells, such as the scale, and what the model, the windows and the noise leave open."""
-    from scipy.special import chdtrc
-
     information = basis.information
     if information.unknown.shape[1]:
         yield Finding(Kind.COMMON_FACTOR, Severity.LIMIT)
@@ -376,9 +374,6 @@ def _limits(
     elif widening(information.freedom) > REPORTED.wider:
         half = float(np.sqrt(quantile(LEVEL, information.freedom)))
         yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom, "half": half})
-    chance = chdtrc(information.freedom, information.freedom * information.variance)  # of so large a variance
-    if settings["noise_declared"] and chance < CHANCE:
-        yield Finding(Kind.NOISE_UNDERSTATED, Severity.LIMIT, {"times": float(np.sqrt(information.variance))})
 
 
 def _identifiable(basis: Basis) -> Iterator[Finding]:

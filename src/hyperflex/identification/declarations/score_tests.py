@@ -3,7 +3,7 @@
 And tests of windows against each other: a drift over the recording, and ratios that scatter more than by noise.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -193,7 +193,12 @@ class ScoreTest:
         """Whether a refit explains so much by what changes no conclusion that it may hide other causes."""
         if self.law:
             return self.refitted and self.gain > TESTING.suspect
-        return self.significant and not self.matters and self.name != CLOCK
+        return self.significant and not self.matters and self.name not in (CLOCK, DRIFT)
+
+
+def by_gain(tests: Iterable[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """Return tests, the one that explains most first."""
+    return tuple(sorted(tests, key=lambda each: -each.gain))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +305,7 @@ def score_tests(basis: Basis, declared_std: float, budget: Budget) -> tuple[tupl
         every[SCALES] = _test(basis, scales, SCALES, list(range(basis.fit.x.size, scales.x.size)))
     if CLOCK in every:
         every[CLOCK] = replace(every[CLOCK], declared_std=declared_std)
-    return tuple(sorted(every.values(), key=lambda each: -each.gain)), by_window
+    return by_gain(every.values()), by_window
 
 
 def hidden_tests(basis: Basis, tests: Sequence[ScoreTest], budget: Budget) -> tuple[ScoreTest, ...]:
@@ -325,7 +330,7 @@ def hidden_tests(basis: Basis, tests: Sequence[ScoreTest], budget: Budget) -> tu
                 if not (known.significant or known.freed_with):
                     later = within(each, basis.fit.x.size, freed)
                     every[each.name] = replace(later, declared_std=known.declared_std)
-    return tuple(sorted(every.values(), key=lambda each: -each.gain))
+    return by_gain(every.values())
 
 
 def _hiding(tests: Sequence[ScoreTest], *, coloured: bool) -> str:
@@ -347,21 +352,21 @@ def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     return replace(test, shift=shift, added=added, rate=rate, freed_with=tuple(freed))
 
 
-def _refitted_tests(basis: Basis, budget: Budget) -> tuple[list[ScoreTest], Scores | None]:
+def _refitted_tests(basis: Basis, budget: Budget) -> tuple[tuple[ScoreTest, ...], Scores | None]:
     """Return the tests of a fit, the greatest gain first, and the windows' scores.
 
     Tests that explain much are returned with what a refit finds.
     """
     every = [scores(basis, words) for words in words_for_tests(basis.plant)]
-    found = [_test(basis, each, *group) for each in every if each is not None for group in each.groups.items()]
-    found.sort(key=lambda each: -each.gain)
+    tests = (_test(basis, each, *group) for each in every if each is not None for group in each.groups.items())
+    found = list(by_gain(tests))
     mended = [each for each in found[TESTING.refits :] if each.quantity.enough < np.inf]  # that are easily mended
     laws = [each for each in found[TESTING.refits :] if each.law][:1]
     for each in [*found[: TESTING.refits], *mended, *laws]:
         if each.gain > (TESTING.law if each.law else TESTING.suspect) or each.excess_gain > TESTING.sure:
             budget.check()
             found[found.index(each)] = _refitted(basis, each)
-    return sorted(found, key=lambda each: -each.gain), every[0]
+    return by_gain(found), every[0]
 
 
 def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
@@ -464,7 +469,7 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     )
 
 
-def drift_test(basis: Basis, found: Scores | None, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+def drift_test(basis: Basis, found: Scores | None) -> tuple[ScoreTest, ...]:
     """Return the score test of a gravity that seems to grow with time, as a clock that drifts makes it; or nothing.
 
     Notes
@@ -473,8 +478,7 @@ def drift_test(basis: Basis, found: Scores | None, tests: Sequence[ScoreTest]) -
     -1/2 to 1/2; what is free and the mean scale are eliminated. Its standard deviation is that of the windows' scores
     about the trend (cluster-robust), and that of the noise at least. `values` is the change of gravity from the first
     window to the last, `moved` what ratios of inertia move by to either side of the middle; NaN where it may be
-    chance and explains little. Quantities that mask others are freed first: the windows' scores are those at the linear
-    model's optimum with these.
+    chance and explains little.
     """
     if found is None or CLOCK not in found.groups or len(found.score) < TESTING.windows:
         return ()
@@ -482,24 +486,19 @@ def drift_test(basis: Basis, found: Scores | None, tests: Sequence[ScoreTest]) -
 
     (gravity,), count = found.groups[CLOCK], basis.fit.x.size
     place = (found.middle - found.middle.mean()) / np.ptp(found.middle)
-    others = [k for each in tests if each.masks and not each.law for k in found.groups.get(each.name, [])]
     mixed = place[:, None] * found.information[:, gravity]
-    inverse = found.inverse(sorted({*found.free, gravity, *others}))
+    inverse = found.inverse([*found.free, gravity])
     along = np.tile(-inverse @ mixed.sum(axis=0), (place.size, 1))
     along[:, gravity] += place
     own = np.einsum("wi,wij,wj->w", along, found.information, along)
-    score, total, information = found.score, found.total, float(own.sum())
+    information = float(own.sum())
     if information <= TESTING.tiny * float(mixed[:, gravity] @ place):
         return ()
-    if others:
-        step = -inverse @ score.sum(axis=0)
-        total += float(score.sum(axis=0) @ step)
-        score = score + found.information @ step
-    each = (score * along).sum(axis=1)
+    each = (found.score * along).sum(axis=1)
     drift = -float(each.sum()) / information
-    gain = min(drift**2 * information / total, 1.0)
+    gain = min(drift**2 * information / found.total, 1.0)
     scatter = float(np.sum((each + own * drift) ** 2)) * place.size / (place.size - 2.0)
-    noise = float(np.sqrt(basis.information.variance * total / found.total * (1.0 - gain) / information))
+    noise = float(np.sqrt(basis.information.variance * (1.0 - gain) / information))
     std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * TESTING.rare))
     sure = abs(drift) > max(least * std, TESTING.beyond * noise)
     by_gravity = found.inverse(found.free) @ found.information.sum(axis=0)[:, gravity]
