@@ -46,6 +46,15 @@ INPUTS = [
 ]
 
 
+def write_inputs(folder):
+    """Write usable inputs of commands, all but a video."""
+    twin.guess().to_toml(folder / "rope.toml")
+    hf.Setup(twin.guess()).to_toml(folder / "setup.toml")
+    twin.camera().write(folder / "camera.toml")
+    (folder / "swing.csv").write_text("# time_unit: s\n# unit: rad\nt,th1\n0,0.1\n0.1,0.2\n0.2,0.1\n")
+    Image.new("RGB", (64, 48)).save(folder / "plane.png")
+
+
 @pytest.fixture(scope="module")
 def loaded():
     """All modules, so that none is loaded while its neighbours are replaced, and keeps what replaces them."""
@@ -62,11 +71,7 @@ def folder(tmp_path, monkeypatch, loaded):
 
     for name in WORK:
         monkeypatch.setattr(f"hyperflex.{name}", work)
-    twin.guess().to_toml(tmp_path / "rope.toml")
-    hf.Setup(twin.guess()).to_toml(tmp_path / "setup.toml")
-    twin.camera().write(tmp_path / "camera.toml")
-    (tmp_path / "swing.csv").write_text("# time_unit: s\n# unit: rad\nt,th1\n0,0.1\n0.1,0.2\n0.2,0.1\n")
-    Image.new("RGB", (64, 48)).save(tmp_path / "plane.png")
+    write_inputs(tmp_path)
     (tmp_path / "swing.mp4").write_bytes(twin.BUNDLED.read_bytes())
     monkeypatch.chdir(tmp_path)
     return tmp_path

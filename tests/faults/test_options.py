@@ -11,11 +11,9 @@ import pytest
 import typer
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
 
-import hyperflex as hf
 from hyperflex.cli.app import app, run
-from hyperflex.demo import twin
+from tests.cli.test_bad_files import ARCS, write_inputs
 from tests.faults.bounds import LEAKED, bounded, examples
 
 ODD = [
@@ -23,7 +21,6 @@ ODD = [
     *("1,2,3", ",,,", "a=b=c", "=", "--", "-", "None", "[]", "{}", "half\udcffbyte", "x" * 5000, "../..", "/dev/zero"),
     *("/dev/null", "folder", "rope.toml", "swing.csv", "nowhere/deep/file.nc", "o.nc", "o.toml", "π", "tip_mass=1"),
 ]
-ARCS = ("--arc-lengths", ",".join(f"{arc:g}" for arc in twin.ARC_LENGTHS))
 SOUND: dict[str, tuple[str, ...]] = {  # refused after all options have been read and before anything long begins
     "simulate": ("setup.toml", "-o", "out.nc", "--duration", "0.02"),
     "identify": ("swing.csv", "--rope", "rope.toml", "-o", "out"),
@@ -52,11 +49,7 @@ def options() -> list[tuple[str, str]]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder with usable inputs, in which the commands run."""
     path = tmp_path_factory.mktemp("options")
-    twin.guess().to_toml(path / "rope.toml")
-    hf.Setup(hf.Rope([0.3], [0.1])).to_toml(path / "setup.toml")
-    twin.camera().write(path / "camera.toml")
-    (path / "swing.csv").write_text("# time_unit: s\n# unit: rad\nt,th1\n0,0.1\n0.1,0.2\n0.2,0.1\n")
-    Image.new("RGB", (64, 48)).save(path / "plane.png")
+    write_inputs(path)
     (path / "folder").mkdir()
     with contextlib.chdir(path):
         yield path

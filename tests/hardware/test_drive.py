@@ -55,13 +55,6 @@ def drive(link):
 # ---------------------------------------------------------------------- connection
 
 
-def test_to_connect_moves_nothing(link):
-    with Drive(link, LIMITS) as drive:
-        assert [name for name, *_ in link.log] == ["open", "read", "read"]
-        assert not drive.enabled
-    assert not link.opened
-
-
 def test_torque_that_was_left_on_is_switched_off(link):
     link.state["enabled"] = True
     with Drive(link, LIMITS) as drive:
