@@ -159,7 +159,7 @@ def test_the_colour_is_taken_where_there_is_one(hyperflex, folder, tmp_path):
 
 def test_markers_of_two_colours_are_shown_by_a_pixel_of_each(hyperflex_json, folder, tmp_path):
     colours = np.where(np.arange(len(ARCS))[:, None] % 2, (60.0, 165.0, 20.0), (40.0, 30.0, 205.0))
-    pixels = film_swing(tmp_path / "two.mp4", marker_colours=colours)[0]
+    pixels = film_swing(tmp_path / "two.mp4", marker_colours=colours).pixels[0]
     clicks = [word for place in pixels[:2].tolist() for word in ("--click", "{:.0f},{:.0f}".format(*place))]
     code, told = hyperflex_json(*words("track", tmp_path / "two.mp4", folder, tmp_path / "out.nc", *clicks))
     assert (code, told["seen"] > 0.95) == (0, True)
@@ -266,7 +266,7 @@ def test_markers_out_of_view(hyperflex, folder, tmp_path):
 
 def test_two_ropes(hyperflex, folder, tmp_path):
     """Another rope with the same markers hangs half a metre away: ours, which hangs from the origin, is tracked."""
-    other = film_swing(tmp_path / "other.mp4", seed=3)
+    other = film_swing(tmp_path / "other.mp4", seed=3).pixels
     with VideoReader(folder / "swing.mp4") as ours, VideoWriter(tmp_path / "two.mp4", (640, 480)) as both:
         for frame, places in zip(ours, other, strict=True):
             image = frame.image.copy()

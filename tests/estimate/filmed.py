@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.vision import Camera, Renderer, RopeMotion, Scene
-from tests.estimate.runs import free_swing, rope
+from hyperflex.vision import Camera, Renderer, RopeMotion, Scene, Truth
+from tests.estimate.runs import free_swing
 
 ARCS = np.linspace(0.25, 2.0, 8)  # m
 COUNT = 30  # frames
@@ -20,10 +20,14 @@ def facing(size: tuple[int, int] = (640, 480), scale: float = 200.0, **other: ob
 
 
 def film_swing(
-    path: Path, camera: Camera | None = None, seed: int = 0, count: int = COUNT, **scene: npt.ArrayLike
-) -> Array:
-    """Write the video; return where the markers are seen (T, K, 2), px."""
-    swing = free_swing(seed, 4.0)
-    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
+    path: Path,
+    camera: Camera | None = None,
+    seed: int = 0,
+    count: int = COUNT,
+    late: Array | float = 0.0,
+    **scene: npt.ArrayLike,
+) -> Truth:
+    """Write the video, its frames as much later as given, s; return the truth."""
+    motion = RopeMotion.from_trajectory(free_swing(seed, 4.0))
     renderer = Renderer(camera or facing(), motion, Scene(ARCS, marker_diameter=0.035, **scene))
-    return renderer.write(path, 0.05 + np.arange(count) / 30.0).pixels
+    return renderer.write(path, 0.05 + np.arange(count) / 30.0 + late)

@@ -201,9 +201,9 @@ def track(
             places[:] = np.nan
         if tracker.t is not None:
             tracker.predict_to(t)
-        result.foretold.append(_tip(tracker)[0] - joints[i, -1] if tracker.t is not None else np.full(2, np.nan))
+        result.foretold.append(tip_of(tracker)[0] - joints[i, -1] if tracker.t is not None else np.full(2, np.nan))
         tracker.update(Observations(t, places, noise, rows if readout else None))
-        place, speed, covariance = _tip(tracker)
+        place, speed, covariance = tip_of(tracker)
         j = round(tracker.state.t * RATE)  # of an estimated delay
         q, qd = np.asarray(run.q[j]), np.asarray(run.qd[j])
         true_speed = np.asarray(run.tip_velocity[j])
@@ -261,7 +261,7 @@ def _at(joints: Array, ends: Array, s: float) -> Array:
     return np.array([np.interp(s, ends, joints[:, c]) for c in range(2)])
 
 
-def _tip(tracker: RopeFilter) -> tuple[Array, Array, Array]:
+def tip_of(tracker: RopeFilter) -> tuple[Array, Array, Array]:
     """Place and velocity of the tip as a filter has them, and the covariance of the place."""
     state, assumed = tracker.state, tracker.process.rope
     values = {name: value for name, (value, _) in tracker.values.items()}

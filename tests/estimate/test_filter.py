@@ -113,28 +113,16 @@ def test_a_first_frame_with_few_markers():
     np.testing.assert_allclose(tracker.markers()[0][2], run.joints[0, 75], atol=3e-3)
 
 
-def test_an_outlier_changes_nothing():
-    run = free_swing(1)
-    near = [RopeFilter(rope(25), [0.5, 1.0, 1.5, 2.0]) for _ in range(2)]
-    for i in range(0, 1200, 20):
-        places = run.joints[i, [25, 50, 75, 100]].copy()
-        near[0].update(Observations(float(run.t[i]), places, 1e-3))
-        hidden = i == 600
-        places[1] += (0.3, 0.0) if hidden else (0.0, 0.0)
-        near[1].update(Observations(float(run.t[i]), places, 1e-3))
-    np.testing.assert_allclose(near[0].state.q, near[1].state.q, atol=5e-3)
-
-
-@pytest.mark.parametrize(("seen", "false"), [((3,), (3,)), ((2, 3), (3,)), ((0, 1, 2, 3), (2, 3))])
+@pytest.mark.parametrize(("seen", "false"), [([3], [3]), ([2, 3], [3]), ([0, 1, 2, 3], [1]), ([0, 1, 2, 3], [2, 3])])
 def test_what_half_of_a_frame_says_is_not_believed_at_once(seen, false):
-    """A lone place, or as many false as right ones: an outlier until the next frame says the same."""
+    """A lone place, one of four, or as many false as right ones: an outlier until the next frame says the same."""
     run = free_swing(1)
     tracker = RopeFilter(rope(25), [0.5, 1.0, 1.5, 2.0])
     for i in range(0, 620, 20):
         places, shown = run.joints[i, [25, 50, 75, 100]].copy(), np.full((4, 2), np.nan)
         if i == 600:
-            places[list(false)] += (0.3, 0.2)
-            shown[list(seen)] = places[list(seen)]
+            places[false] += (0.3, 0.2)
+            shown[seen] = places[seen]
         tracker.update(Observations(float(run.t[i]), places if i < 600 else shown, 1e-3))
     assert np.linalg.norm(tracker.markers()[0][-1] - run.joints[600, 100]) < 0.02
     np.testing.assert_array_equal(np.flatnonzero(tracker.used), [k for k in seen if k not in false])

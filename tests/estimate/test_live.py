@@ -34,6 +34,7 @@ from hyperflex.estimate import (
     measurements,
     open_frames,
 )
+from hyperflex.estimate.live.frames import Arrival
 from hyperflex.estimate.live.page import PicturePage
 from hyperflex.estimate.live.state_source import Packet, StampClock
 from hyperflex.files import read_netcdf
@@ -61,7 +62,7 @@ FRAMES = 40
 def video(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MarkerColour]:
     """A free swing at 30 frames/s."""
     path = tmp_path_factory.mktemp("live") / "swing.mp4"
-    pixels = film_swing(path, count=3 * FRAMES)
+    pixels = film_swing(path, count=3 * FRAMES).pixels
     with VideoReader(path) as reader:
         return path, MarkerColour.from_click(next(iter(reader)).image, pixels[0, 3])
 
@@ -102,9 +103,14 @@ def watched(video: tuple[Path, MarkerColour], source: Scripted, interval: float 
         return list(Watch(frames, tracker(video), interval=interval))
 
 
-def test_every_frame_has_an_estimate(video, pictures):
+def watched_file(video: tuple[Path, MarkerColour], count: int, **options: object) -> list[LiveEstimate]:
+    """The first reports of a file that is watched."""
     with open_frames(str(video[0])) as frames:
-        found = list(itertools.islice(Watch(frames, tracker(video), interval=30.0), FRAMES))
+        return list(itertools.islice(Watch(frames, tracker(video), interval=30.0, **options), count))
+
+
+def test_every_frame_has_an_estimate(video, pictures):
+    found = watched_file(video, FRAMES)
     assert [each.frame.time for each in found if each.frame] == [each.time for each in pictures]
     assert all(each.found and each.age == 0.0 and each.seen == 8 and not each.messages for each in found)
     swing = free_swing(0, 4.0)
@@ -116,11 +122,8 @@ def test_every_frame_has_an_estimate(video, pictures):
 
 def test_the_rope_is_searched_only_when_that_is_allowed(video):
     """An arm whose motion is not known yet: its rope may be anywhere."""
-    allowed = itertools.chain([False] * 5, itertools.repeat(True))
-    with open_frames(str(video[0])) as frames:
-        watch = Watch(frames, tracker(video), interval=30.0, before=lambda: next(allowed))
-        found = [each.found for each in itertools.islice(watch, 10)]
-    assert found == [False] * 5 + [True] * 5
+    allowed = iter([False] * 5 + [True] * 5)
+    assert [each.found for each in watched_file(video, 10, before=lambda: next(allowed))] == [False] * 5 + [True] * 5
 
 
 def test_a_stall_is_reported_and_bridged(video, pictures):
@@ -372,8 +375,6 @@ def test_the_page_is_for_this_machine_alone(pictures):
 
 
 def test_stamps_are_put_on_the_clock_of_the_quickest_frame():
-    from hyperflex.estimate.live.frames import Arrival
-
     clock, image = StampClock(), np.zeros((2, 2, 3), np.uint8)
     late = [0.2, 0.05, 0.3, 0.1]
     times = [clock(Arrival(Frame(10.0 + k, image, k), 1000.0 + k + late[k], 0)).time for k in range(4)]
@@ -438,28 +439,20 @@ def test_a_change_reaches_the_reader(video, tmp_path):
 
 
 @pytest.mark.nightly
-def test_a_killed_estimator_is_reported_and_replaced(source):
+@pytest.mark.parametrize(
+    ("number", "said"), [(signal.SIGKILL, "The estimator ended by signal 9"), (signal.SIGSTOP, "no sign of life")]
+)
+def test_an_estimator_that_is_killed_or_stopped_is_reported_and_replaced(source, number, said):
     source.wait_until_found(30.0)
     first = source.pid
-    os.kill(first, signal.SIGKILL)
-    with pytest.raises(EstimatorLost, match="The estimator ended by signal 9"):
+    os.kill(first, number)
+    with pytest.raises(EstimatorLost, match=said):
         ask(source, 2.0)
-    assert not Path(f"/proc/{first}").exists()  # no zombie
     source.restart()
+    assert not Path(f"/proc/{first}").exists()  # no zombie
     source.wait_until_found(30.0)
     assert source.pid != first
     assert source.state(source.now, hf.hold_arm(0.0)).t >= 0.0
-
-
-@pytest.mark.nightly
-def test_a_stopped_estimator_is_reported(source):
-    source.wait_until_found(30.0)
-    os.kill(source.pid, signal.SIGSTOP)
-    time.sleep(0.8)
-    with pytest.raises(EstimatorLost, match="no sign of life"):
-        source.state(source.now, hf.hold_arm(0.0))
-    source.restart()
-    source.wait_until_found(30.0)
 
 
 def test_a_search_may_take_longer_than_a_stall(video, monkeypatch):
@@ -538,13 +531,8 @@ def alive(pid: int) -> bool:
 
 def test_the_motion_reaches_the_estimator():
     """A motion that is handed over on the way gives what one known from the start does."""
-    from hyperflex.estimate.parameters import ParameterStates
-    from hyperflex.estimate.process import Process
-
     x = np.concatenate([np.full(20, 0.3), np.zeros(20)])
-    cable = rope(20)
-    known = Process(cable, ParameterStates((), cable, (), True), SWINGS, ARM)
-    told = Process(cable, ParameterStates((), cable, (), True), hf.hold_arm(0.0), ARM)
+    known, told = (RopeFilter(rope(20), ARCS, motion=each, arm=ARM).process for each in (SWINGS, hf.hold_arm(0.0)))
     assert not np.allclose(told.carry(x, np.eye(40), 0.2, 0.4)[0], known.carry(x, np.eye(40), 0.2, 0.4)[0])
     told.set_motion(SWINGS)
     for one, two in zip(told.carry(x, np.eye(40), 0.2, 0.4), known.carry(x, np.eye(40), 0.2, 0.4), strict=True):

@@ -22,7 +22,7 @@ from hyperflex.vision import (
     Truth,
     random_occlusion,
 )
-from tests.estimate.runs import ARM, FINE, LENGTH, RATE, SWINGS, rope
+from tests.estimate.runs import ARM, FINE, LENGTH, RATE, SWINGS, rope, tip_of
 
 MARKERS, DIAMETER = 10, 0.04  # m
 RED = (40.0, 30.0, 210.0)  # blue, green, red
@@ -170,10 +170,6 @@ def clicked(frame: Frame, truth: Truth) -> MarkerColour:
 
 def tip_error(estimator: RopeFilter, place: Array) -> tuple[float, float]:
     """Distance of the tip from its true place, m, and its squared Mahalanobis distance."""
-    state, length = estimator.state, estimator.process.rope.length
-    base = estimator.process.base(state.t, estimator.x)[0]
-    off = base + np.array([np.sin(state.q) @ length, -np.cos(state.q) @ length]) - place
-    slope = np.concatenate([np.stack([np.cos(state.q), np.sin(state.q)]) * length, np.zeros((2, length.size))], axis=1)
-    assert state.covariance is not None
-    spread = slope @ state.covariance @ slope.T
+    tip, _, spread = tip_of(estimator)
+    off = tip - place
     return float(np.linalg.norm(off)), float(off @ np.linalg.solve(spread, off))

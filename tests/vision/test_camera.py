@@ -9,6 +9,7 @@ import pytest
 from hyperflex.vision import Camera, read_camera
 from tests.refusals import refuses
 
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (10, 2)) * [1.0, 0.8]
 
 
@@ -75,13 +76,13 @@ def test_pose_from_known_points(count):
         (POINTS[:3], np.zeros((3, 2)), "too few points"),
         (np.column_stack([np.arange(4.0), np.arange(4.0)]), np.zeros((4, 2)), "one line"),
         ([[0, 0], [1, 0], [1, 1], [0, 1], [2, 2]], [[0, 500], [900, 500], [900, 0], [0, 0], [30, 700]], "no pose"),
+        (1000.0 * SQUARE, SQUARE * [200, -200] + [600, 400], "scale.*0.2 px/m.*in metres"),
+        (1e-4 * SQUARE, SQUARE * [200, -200] + [600, 400], "scale"),
     ],
 )
 def test_pose_is_refused_by_name(points, pixels, message):
+    refuses("with_plane", Camera.pinhole((1280, 720)).project, POINTS)
     refuses(message, Camera.pinhole((1280, 720)).with_plane, points, pixels)
-
-
-SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 @pytest.mark.parametrize(
@@ -114,11 +115,6 @@ def test_a_tilt_and_a_roll_are_found_again():
     assert tilted().plane_view.tilt == pytest.approx(np.degrees(np.arccos(abs(tilted().axes[0][2, 2]))), abs=1e-9)
 
 
-@pytest.mark.parametrize(("factor", "message"), [(1000.0, "scale.*0.2 px/m.*in metres"), (1e-4, "scale")])
-def test_points_in_another_unit_are_refused(factor, message):
-    refuses(message, Camera.pinhole((1280, 720)).with_plane, factor * SQUARE, SQUARE * [200, -200] + [600, 400])
-
-
 def test_points_that_miss_by_some_pixels_are_refused():
     """3.84 px may be missing in a picture of 1280 px; a corner that is 16 px off leaves some 7."""
     off = np.array([[0.0, 0.0], [0.0, 0.0], [8.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
@@ -135,10 +131,6 @@ def test_points_that_miss_by_some_pixels_are_refused():
 def test_a_file_with_a_plane_that_cannot_be_seen_is_refused(tmp_path, rotation, translation, message):
     replace(tilted(), rotation=np.array(rotation), translation=np.array(translation)).write(tmp_path / "camera.toml")
     refuses(f"camera.toml: the swing plane is.*{message}", read_camera, tmp_path / "camera.toml")
-
-
-def test_without_a_plane_it_reports_what_to_do():
-    refuses("with_plane", Camera.pinhole((1280, 720)).project, POINTS)
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,11 @@ def test_what_passed_by_once_is_forgotten():
     clutter, blobs = ClutterMap(SIZE), observed([[300.0, 300.0]])
     clutter.learn(blobs, np.zeros(1, bool))
     assert clutter.density(blobs)[0] > 0.1
+    nothing = observed(np.zeros((0, 2)))
     for _ in range(3):
-        clutter.learn(observed(np.zeros((0, 2))), np.zeros(0, bool), [])
+        clutter.learn(nothing, np.zeros(0, bool), [])
     assert clutter.density(blobs)[0] < 1e-5
+    assert clutter.density(nothing).shape == (0,)
 
 
 def test_moving_clutter_makes_a_density():
@@ -41,12 +43,6 @@ def test_moving_clutter_makes_a_density():
         clutter.learn(observed(rng.uniform(0.0, 500.0, (5, 2))), np.zeros(5, bool))
     elsewhere = clutter.density(observed([[900.0, 400.0]]))[0]
     assert elsewhere == pytest.approx((1.0 + 5.0) / 5e5, rel=0.2)
-
-
-def test_nothing_seen():
-    clutter = ClutterMap(SIZE)
-    clutter.learn(observed(np.zeros((0, 2))), np.zeros(0, bool))
-    assert clutter.density(observed(np.zeros((0, 2)))).shape == (0,)
 
 
 def test_where_a_prediction_is_wide_clutter_is_not_taken_for_a_marker():

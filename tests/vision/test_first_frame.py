@@ -116,6 +116,13 @@ def test_a_free_end_is_found_though_it_is_blurred_to_seven_times_its_width():
     assert end < 0.03 * 260.0
 
 
+def no_rope(reason, words, call, *given, **named):
+    """Call with these arguments, which must be refused for a reason, with a message that matches the words."""
+    with pytest.raises(NoRope, match=words) as refused:
+        call(*given, **named)
+    assert refused.value.reason is reason
+
+
 def cover(rope):
     """Return what is seen of a sharp rope before a plain wall."""
     return Cover(rope, 0.0 * rope, 0.0 * rope, np.full((rope.size, 3), -100.0))
@@ -123,15 +130,11 @@ def cover(rope):
 
 @pytest.mark.parametrize("beyond", [[], [0.0] * 20], ids=["nothing was looked at", "rope and wall look alike"])
 def test_an_end_is_not_clear_if_the_rope_may_go_on_beyond_it(beyond):
-    with pytest.raises(NoRope) as refused:
-        _check_end(cover(np.append(np.ones(80), beyond)), 80.0, None, np.inf)
-    assert refused.value.reason is Reason.END
+    no_rope(Reason.END, "", _check_end, cover(np.append(np.ones(80), beyond)), 80.0, None, np.inf)
 
 
 def test_a_curve_that_shows_no_rope_at_all_is_refused():
-    with pytest.raises(NoRope) as refused:
-        _check_seen(cover(np.full(40, -0.9)), 40)
-    assert refused.value.reason is Reason.HIDDEN
+    no_rope(Reason.HIDDEN, "", _check_seen, cover(np.full(40, -0.9)), 40)
 
 
 @pytest.mark.parametrize(
@@ -158,24 +161,19 @@ def test_a_click_on_the_wall_is_no_free_end(away):
     image, truth = shown(bent())
     along = 260.0 * (truth[-1] - truth[-2]) / np.linalg.norm(truth[-1] - truth[-2])
     tip = truth[-1] + np.array(away) @ [along, along[::-1] * [-1.0, 1.0]]
-    with pytest.raises(NoRope, match="px of wall before it") as refused:
-        find_rope(image, truth[0], tip=tip)
-    assert refused.value.reason is Reason.CLICK
+    no_rope(Reason.CLICK, "px of wall before it", find_rope, image, truth[0], tip=tip)
 
 
 def test_a_click_in_the_middle_of_a_rope_is_no_free_end_if_its_length_is_known():
     image, truth = shown(bent())
-    with pytest.raises(NoRope, match=r"got '13[0-9] px'\. Allowed: 234 to 286 px") as refused:
-        find_rope(image, truth[0], tip=truth[100], length=260.0)
-    assert refused.value.reason is Reason.LENGTH
+    said = r"got '13[0-9] px'\. Allowed: 234 to 286 px"
+    no_rope(Reason.LENGTH, said, find_rope, image, truth[0], tip=truth[100], length=260.0)
 
 
 def test_where_a_wide_thing_begins_the_rope_may_go_on_behind_it():
     """It hides 15 % of the rope. If the look is known, what is seen of it is found."""
     image, truth = shown(bent(), occluders=(thing(0.93, (-0.2, 0.0), (0.2, 0.0), 0.14, (120.0, 120.0, 120.0)),))
-    with pytest.raises(NoRope, match="the wall changes there") as refused:
-        find_rope(image, truth[0])
-    assert refused.value.reason is Reason.END
+    no_rope(Reason.END, "the wall changes there", find_rope, image, truth[0])
     assert off(find_rope(image, truth[0], look=RopeLook(np.full(3, 45.0), 2.6)).curve, truth[:170])[0] < 1.0
 
 
@@ -185,8 +183,7 @@ def test_a_wall_that_the_rope_is_before_elsewhere_hides_no_end():
     seen.contrast[150:200] = -50.0
     _check_beyond(seen)
     seen.contrast[200:] = 0.0
-    with pytest.raises(NoRope, match="the wall changes there by"):
-        _check_beyond(seen)
+    no_rope(Reason.END, "the wall changes there by", _check_beyond, seen)
 
 
 def test_the_places_on_a_wide_thing_do_not_crowd_out_a_thin_rope():
@@ -279,6 +276,4 @@ def second(motion):
 )
 def test_what_is_no_rope_is_refused_by_name(reason, motion, scene, length):
     image, truth = shown(motion, **scene)
-    with pytest.raises(NoRope) as refused:
-        find_rope(image, truth[0], length=length)
-    assert refused.value.reason is reason
+    no_rope(reason, "", find_rope, image, truth[0], length=length)

@@ -11,7 +11,7 @@ import pytest
 
 from hyperflex import FileProblem, InvalidInput
 from hyperflex.vision import LiveCamera, VideoReader, VideoWriter
-from tests.refusals import refuses
+from tests.refusals import fails, refuses
 
 SIZE = (160, 120)
 TIMES = 0.3 + 0.033 * np.arange(60) + 0.012 * np.sin(np.arange(60))  # a rate that varies
@@ -115,21 +115,14 @@ def sound(path, video):
 )
 def test_no_video_is_refused_by_name(video, tmp_path, make, message):
     make(tmp_path / "bad.mp4", video)
-    with pytest.raises(FileProblem, match=message):
-        VideoReader(tmp_path / "bad.mp4")
+    fails(FileProblem, message, VideoReader, tmp_path / "bad.mp4")
 
 
-def test_a_set_up_given_for_a_video_is_named_as_text(tmp_path):
-    path = tmp_path / "rope.toml"
-    path.write_text("[rope]\nn_links = 50\nlength = 0.02\nmass = 0.0025\n" * 20)
-    with pytest.raises(FileProblem, match=r"rope.toml contains no video, but text \(.toml\)"):
-        VideoReader(path)
-
-
-def test_frames_beyond_any_camera_are_refused(video, monkeypatch):
+def test_a_set_up_given_for_a_video_and_frames_beyond_any_camera_are_refused(video, tmp_path, monkeypatch):
+    (tmp_path / "rope.toml").write_text("[rope]\nn_links = 50\nlength = 0.02\nmass = 0.0025\n" * 20)
+    fails(FileProblem, r"rope.toml contains no video, but text \(.toml\)", VideoReader, tmp_path / "rope.toml")
     monkeypatch.setattr("hyperflex.vision.video._LARGEST", 10_000)
-    with pytest.raises(FileProblem, match="too large"):
-        VideoReader(video)
+    fails(FileProblem, "too large", VideoReader, video)
 
 
 @pytest.mark.parametrize(

@@ -230,7 +230,6 @@ class ChangeDetector:
     SPACING, SHARE = 0.1, 0.25  # s, and of their age: largest spacing to which moments of changes are thinned out
     TOUCH_SPACING = 0.03  # s between the moments at which a touch may begin
     LIKELY_MASS = 0.04  # of the rope's mass: size of a mass at the tip for which its effect is computed
-    SHARED = 0.25  # s after a touch was noticed in which it may still turn out to be the change of a parameter
     CALM = 0.5  # s without a sign of a touch, after which the next one is another touch
     SHORT_TOUCH = 0.1  # s: in a shorter touch the force that does not count is larger, with the same impulse
     POSSIBLE = 2.0  # standard deviations by which a size may be beyond what a rope can have
@@ -251,7 +250,7 @@ class ChangeDetector:
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
         self._latest = self._touched = -math.inf  # time of the last frame, and of the last sign of a touch, s
-        self._interval = self._usual = self._shared_until = self._fitted = math.inf
+        self._interval = self._usual = self._fitted = math.inf
         self._misfits = False
         self.begin(math.inf)
 
@@ -321,12 +320,7 @@ class ChangeDetector:
         for bank in (self.jumps, self.touches):
             bank.see(jacobian, gain, upper, whitened)
         found = self._evaluate(t)
-        kept = self._kept_moments(t)
-        if self._touched == latest:  # the touch is over
-            self._shared_until = t
-        if self._shared_until <= t:  # it was a touch: its effect on the innovations is not that of a parameter
-            kept[:], self._shared_until = False, math.inf
-        self.jumps.keep(kept)
+        self.jumps.keep(self._kept_moments(t))
         self.touches.keep(self.touches.moments > t - self.TOUCH_HISTORY)
         if found is not None and found.moved.any():
             self.begin(t)
@@ -412,11 +406,8 @@ class ChangeDetector:
         again, self._touched = t - self._touched < self.CALM, t
         if again:
             return Found(None, np.zeros(self._size), size * effects[:, -1].T)
-        self._shared_until = t + self.SHARED
-        touch_std, duration = (
-            math.sqrt(force @ np.linalg.solve(precisions[at], force)) / size,
-            float(lasted[way, since]),
-        )
+        touch_std = math.sqrt(force @ np.linalg.solve(precisions[at], force)) / size
+        duration = float(lasted[way, since])
         impulse, arc = (float(force[0] * duration), float(force[1] * duration)), float(self.places[place])
         change = Change(TOUCH, t, float(begun[since]), size * duration, touch_std * duration, sure, alarm, arc, impulse)
         whole = effects[:, since:].sum(axis=1) if way else effects[:, since]

@@ -296,15 +296,15 @@ class CurveMeasurement:
         return pixels, wide
 
 
-def marked_arc_lengths(rope: Rope, markers: ArrayLike, pieces: int = 40) -> tuple[Array, Flags]:
+def marked_arc_lengths(rope: Rope, markers: ArrayLike) -> tuple[Array, Flags]:
     """Return arc lengths, m, at which a rope with some markers is measured, and which of them are the markers'.
 
     `markers` are theirs, m; the others are of :func:`curve_arc_lengths`.
     """
-    curve = (1.0 - 1e-6) * curve_arc_lengths(rope, pieces)  # never that of a marker
+    curve = (1.0 - 1e-6) * curve_arc_lengths(rope)  # never that of a marker
     arcs = np.append(curve, checks.array("arc_lengths", markers, (-1,), unit="m"))
     order = np.argsort(arcs)
-    return arcs[order], order > pieces
+    return arcs[order], order >= curve.size
 
 
 class MarkedCurveMeasurement(CurveMeasurement):
