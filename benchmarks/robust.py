@@ -227,7 +227,7 @@ class Case:
 
     def checked(self, pairs: list[tuple[Moves, Scenario]]) -> dict[str, Any]:
         """The draws that succeed, and those in which the rope is also held."""
-        motions = [world.motion(moves, self.known) for moves, world in pairs]
+        motions = [world.executed_motion(moves.motion(self.known.limits)) for moves, world in pairs]
         ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]
         batch = RolloutBatch.from_start(self.known, ropes, pegs, motions)
         found = winding_scores(self.known, batch, Budget(threads=self.options.threads))
@@ -236,7 +236,7 @@ class Case:
 
     def held(self, throw: Moves, world: Scenario) -> bool:
         """Whether the rope winds and slips by less than 5 mm in 2 s, with the links of the check."""
-        motion, known = world.motion(throw, self.known), replace(self.known, rope=world.rope)
+        motion, known = world.executed_motion(throw.motion(self.known.limits)), replace(self.known, rope=world.rope)
         stop = float(motion.breaks[-1])
         t = np.arange(0.0, stop + known.criteria.settle + known.criteria.watch, SAMPLE_TIME)
         try:
@@ -261,7 +261,9 @@ class Case:
 
         def one(world: Scenario) -> tuple[bool, bool]:
             one = replace(known, rope=world.rope)
-            cast = verify_cast(one, world.peg, world.motion(throw, known), tol=TOL, contact_step=STEP)
+            cast = verify_cast(
+                one, world.peg, world.executed_motion(throw.motion(known.limits)), tol=TOL, contact_step=STEP
+            )
             return cast.wound and cast.clearance > known.clearance, cast.success
 
         found = self.each(one, self.worlds(count, known))

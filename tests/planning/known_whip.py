@@ -28,19 +28,8 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     aim = Aim(MOVES, 1.0, peak.t, residuals=np.zeros(2), place=place, std=0.004)
     found = WhipTask(problem, target).verify(aim, Budget(math.inf))
     known = TipFeasibility(float(np.hypot(*place)), 0.01, "")
-    return WhipPlan(
-        problem,
-        target,
-        known,
-        MOVES,
-        found.outcome,
-        found.finer_outcome,
-        found.message,
-        runs=1,
-        seconds=0.5,
-        position_std=0.004,
-        decided=True,
-    )
+    made = problem, target, known, MOVES, found.outcome, found.finer_outcome, found.message, 1, 0.5
+    return WhipPlan(*made, position_std=0.004, decided=True)
 
 
 def far_whip() -> WhipPlan:

@@ -162,11 +162,8 @@ def test_the_required_hold_counts():
 def test_what_is_down_is_where_gravity_points():
     """Gravity along x: the same target turned by a right angle."""
     turned = Problem(CABLE.replace(gravity=(9.81, 0.0)), CAST_SETUP.arm, CAST_SETUP.limits)
-    there, here = (
-        check_feasibility(turned, hf.Peg(0.9, 0.4, 0.03)),
-        check_feasibility(CAST_SETUP, hf.Peg(-0.4, -0.9, 0.03)),
-    )
-    assert there == here
+    here = check_feasibility(CAST_SETUP, hf.Peg(-0.4, -0.9, 0.03))
+    assert check_feasibility(turned, hf.Peg(0.9, 0.4, 0.03)) == here
 
 
 @pytest.mark.parametrize("links", [1, 3])
@@ -198,12 +195,6 @@ def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg):
     )
 
 
-def test_a_target_ten_centimetres_too_far_has_one_near_by():
-    found = nearest_feasible(CAST_SETUP, FAR)
-    assert 0.05 < distance(found, FAR) < 0.15
-    assert found.x == pytest.approx(round(found.x, 3), abs=1e-12)  # a place that can be said
-
-
 def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts():
     plain, safe = (nearest_feasible(CAST_SETUP, FAR, margin=margin) for margin in (0.0, 0.5))
     firm = nearest_feasible(pulled(2.0), FAR)
@@ -211,7 +202,8 @@ def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts():
     spares = [check_feasibility(CAST_SETUP, one).margin() for one in (plain, safe)]
     assert 0.0 <= spares[0] < 0.1
     assert 0.5 <= spares[1] < 0.6
-    assert distance(plain, FAR) < distance(safe, FAR)
+    assert 0.05 < distance(plain, FAR) < min(0.15, distance(safe, FAR))
+    assert plain.x == pytest.approx(round(plain.x, 3), abs=1e-12)  # a place that can be said
     assert check_feasibility(CAST_SETUP, firm).holding_force >= 2.0 > check_feasibility(CAST_SETUP, plain).holding_force
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.planning import MotorLimits, SearchOptions, TargetGrid, WindCriteria
+from hyperflex.planning import Conditions, MotorLimits, SearchOptions, TargetGrid, WindCriteria
 from hyperflex.planning.outcome import evaluate_cast
 from tests.planning.known import PEG, planned
 from tests.refusals import refuses
@@ -34,6 +34,8 @@ def test_each_option_refuses_what_it_cannot_use(kind):
         (SearchOptions, "threads", 0),
         (WindCriteria, "turns", 0.4),
         (WindCriteria, "settle", 11.0),
+        (WindCriteria, "contact", -1.0),
+        (Conditions, "clearance", -1.0),
     ],
 )
 def test_options_out_of_range_are_refused(kind, name, value):

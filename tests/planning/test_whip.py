@@ -133,12 +133,9 @@ def test_swings_begin_on_the_side_that_is_free():
 
 
 def test_feasibility_by_the_map(known):
-    for target, words in (
-        (TipTarget(1.5, 0.0, 0.0), "ends 0.40 m short"),
-        (TipTarget(0.2, -1.0, 0.0, 50.0), "m/s at most"),
-        (TipTarget(0.0, 1.0, 0.0), "no peak so near"),
-    ):
-        assert words in check_whip_feasibility(known, target).message
+    assert "ends 0.40 m short" in check_whip_feasibility(known, TipTarget(1.5, 0.0, 0.0)).message
+    assert "m/s at most" in check_whip_feasibility(known, TipTarget(0.2, -1.0, 0.0, 50.0)).message
+    assert "no peak so near" in check_whip_feasibility(known, TipTarget(0.0, 1.0, 0.0)).message
     target = TipTarget(0.3, -0.9, least_speed=1.0)
     free = check_whip_feasibility(known, target)
     assert free.feasible
@@ -156,11 +153,8 @@ def test_finer_links_may_move_the_peak_by_its_std_or_three_tolerances():
     """The target is at the peak as planned."""
     plan = planned_whip()
     apart = float(np.hypot(*(plan.outcome.place - plan.finer_outcome.place)))
-    for part, std, words in (
-        (1.01, 0.0, ""),
-        (0.99, 0.0, f"misses the target by {1e3 * apart:.1f} mm"),
-        (0.5, 1.01, ""),
-    ):
+    misses = f"misses the target by {1e3 * apart:.1f} mm"
+    for part, std, words in ((1.01, 0.0, ""), (0.99, 0.0, misses), (0.5, 1.01, "")):
         x, y = plan.outcome.place
         target = replace(plan.target, x=float(x), y=float(y), tolerance=part * apart / 3.0)
         aim = Aim(MOVES, 1.0, plan.outcome.t, residuals=np.zeros(2), place=target.point, std=std * apart)

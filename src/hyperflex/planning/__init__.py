@@ -13,10 +13,8 @@ if TYPE_CHECKING:
         Decision,
         FollowOptions,
         FollowResult,
-        Goal,
         MotorStateSource,
         ScenarioStateSource,
-        features,
         follow_plan,
     )
     from hyperflex.planning.moves import Moves

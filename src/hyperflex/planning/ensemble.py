@@ -224,7 +224,8 @@ def scenario_scores(
     problem: Problem, moves: Moves, scenarios: Sequence[Scenario], pieces: int, budget: Budget, stiction: float = 0.0
 ) -> WindingScores:
     """Simulate moves in scenarios, each link cut into pieces; `stiction` as of :class:`RolloutBatch`."""
-    motions = [each.motion(moves, problem) for each in scenarios]
+    motion = moves.motion(problem.limits)
+    motions = [each.executed_motion(motion) for each in scenarios]
     chain, cut = problem.cut(pieces), [divided(each.rope, pieces) for each in scenarios]
     batch = RolloutBatch.from_start(chain, cut, [each.peg for each in scenarios], motions, stiction)
     return winding_scores(chain, batch, budget, moves.dwell)

@@ -20,12 +20,13 @@ MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 def checked_behind(pegs: object) -> tuple[Peg, ...]:
     """Return the pegs of a sequence as a tuple; InvalidInput if they are something else, or rotate."""
-    given = checked_obstacles(pegs, "behind")
-    for each in given:
+    found = list[Peg]()
+    for each in checked_obstacles(pegs, "behind"):
         if not isinstance(each, Peg) or each.turns:
             allowed = "fixed pegs: hyperflex.Peg(x, y, radius, mu)"
             raise InvalidInput("a rope is led behind fixed pegs alone", got=each, allowed=allowed)
-    return tuple(each for each in given if isinstance(each, Peg))
+        found.append(each)
+    return tuple(found)
 
 
 @dataclass(frozen=True)

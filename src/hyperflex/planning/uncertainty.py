@@ -15,7 +15,7 @@ from hyperflex.hardware import DriveFit
 from hyperflex.identification import perturbed
 from hyperflex.model import DAMPING, PROPERTIES, Peg, Rope, parse_label
 from hyperflex.motion import Motion, arm_moves, lagged
-from hyperflex.planning.moves import MIN_REST, Moves
+from hyperflex.planning.moves import MIN_REST
 from hyperflex.planning.options import check_tilt, refuse_behind
 from hyperflex.planning.problem import Problem
 
@@ -43,10 +43,6 @@ class Scenario:
     lag: float
     delays: Array
     tilt: float = 0.0
-
-    def motion(self, moves: Moves, problem: Problem) -> Motion:
-        """Return the arm's motion when these moves are commanded."""
-        return self.executed_motion(moves.motion(problem.limits))
 
     def executed_motion(self, motion: Motion) -> Motion:
         """Return the arm's motion when a motion of moves and rests is commanded."""

@@ -317,14 +317,6 @@ class InsertTask(TipTask):
             found.append(best)
         return found
 
-    def freed(self, one: Candidate, budget: Budget) -> Candidate:
-        """Return a swing with moves enough to vary all that an entry requires, and with two more each time."""
-        limits = self.problem.limits
-        cut = one.moves.cut(one.t + OPTIONS.window, limits)
-        more = with_more(cut, max(4, cut.ends.size + 2), one.t - 0.2 * self.problem.period, limits)
-        found, self.runs = self.scored([more], budget, one.t + OPTIONS.closely), self.runs + 1
-        return found[0] if found else replace(one, moves=cut)
-
     def event(self, flights: Flights, m: int, near: float) -> TipEvent | None:
         """Return the way through the slot in flight m that ends next to time `near`, s."""
         slot, found = self.slot, find_entries(self.slot, self.problem.rope.radius, flights.t, flights.joints[m])
@@ -362,28 +354,6 @@ class InsertTask(TipTask):
         """Return the success probability; see :func:`estimate_insert_probability`."""
         given, options = (self.problem, self.slot, one.moves, one.t, self.given), SearchOptions(self.seed)
         return estimate_insert_probability(*given, samples=self.samples, time_budget=budget, options=options)
-
-
-def with_more(moves: Moves, count: int, t: float, limits: MotorLimits, short: float = 0.07) -> Moves:
-    """Return `count` moves or fewer: `short` ones, rad, are added in the middle of the longest rests until time t, s.
-
-    They hardly change a swing, and can vary. Each goes the other way than the move before it, unless that after it got
-    too short. None is added in a rest that is not twice as long as it.
-    """
-    (duration,) = limits.fastest_moves([short])[0].tolist()
-    while moves.ends.size < count:
-        angles, rests = moves.angles(limits), np.append(moves.timing(limits)[0], t - moves.stops(limits))
-        k = int(rests.argmax())
-        if rests[k] < 2.0 * duration:
-            break
-        before = max(k, 1)
-        way = -short * np.sign(angles[before] - angles[before - 1])
-        if np.abs(angles[k + 1 : k + 2] - angles[k] - way).min(initial=np.inf) < short:
-            way = -way
-        rests = np.insert(rests, k, 0.5 * (rests[k] - duration))
-        rests[k + 1] = rests[k]
-        moves = Moves(moves.side, np.insert(moves.ends, k, angles[k] + way), rests[:-1])
-    return moves
 
 
 def finer_rope(rope: Rope, times: float = 2.5) -> Rope:

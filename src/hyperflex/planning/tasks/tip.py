@@ -416,10 +416,6 @@ class TipTask(Task):
             scores += self.score(flights)
         return ranked(flown, scores)
 
-    def freed(self, one: Candidate, budget: Budget) -> Candidate:
-        """Return the swing with which an evolution of a swing begins."""
-        return one
-
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return the random swings; then what evolutions of one by one gain.
 
@@ -437,10 +433,9 @@ class TipTask(Task):
         while not results and (self._starts or self._begun):
             self._begun.sort(key=lambda one: -one.score)
             for one in [pool.pop(0) for pool in (self._starts, self._begun) if pool]:
-                free = self.freed(one, budget)
-                best = self._evolved(free, budget)
-                results += [best] if best is not free else []
-                self._begun += [best] if self.ready > best.score > 0.9 * free.score else []
+                best = self._evolved(one, budget)
+                results += [best] if best is not one else []
+                self._begun += [best] if self.ready > best.score > 0.9 * one.score else []
         return results
 
     def _evolved(self, best: Candidate, budget: Budget) -> Candidate:
