@@ -522,6 +522,12 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "five samples": ({"recording": Recording(RECORDING.t[:5], RECORDING.data[:5])}, "too short .* another unit"),
     "milliseconds": ({"recording": Recording(1e3 * RECORDING.t, RECORDING.data)}, "further apart .* another unit"),
     "tiny window": ({"window": 0.03}, "too few samples"),
+    "arc_lengths for angles": ({"arc_lengths": [0.1]}, "the recording contains angles"),
+    "origin for angles": ({"origin": (0.0, 0.0)}, "origin is given, but angles are fitted"),
+    "a delay of nothing": ({"free": ["delay"]}, "nothing moves the first joint"),
+    "arc_lengths free without places": ({"free": ["arc"]}, "no places are measured"),
+    "a factor and a link": ({"free": ["friction:factor", "friction[0]"]}, "the same thing twice"),
+    "unknown loss": ({"loss": "tukey"}, "loss"),
     "massless": ({"rope_guess": PENDULUM.replace(mass=0.0), "free": ["mass"]}, "mass is free but starts from 0"),
 }
 
@@ -529,7 +535,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize(("change", "match"), BAD.values(), ids=BAD.keys())
 def test_bad_input_is_refused_with_advice(change, match):
     arguments: dict[str, Any] = {"recording": RECORDING, "rope_guess": PENDULUM, "free": ["friction"]} | change
-    of_fit = {name: arguments.pop(name) for name in ("window", "train", "lead") if name in arguments}
+    of_fit = {name: arguments.pop(name) for name in ("window", "train", "lead", "loss") if name in arguments}
     of_setup = {name: arguments.pop(name) for name in ("motion", "arm", "arc_lengths", "origin") if name in arguments}
     refuses(match, lambda: identify(**arguments, setup=RecordingSetup(**of_setup), options=FitOptions(**of_fit)))
 

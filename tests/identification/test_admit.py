@@ -62,8 +62,8 @@ def test_white_noise_hardly_ever_passes():
 
 
 def test_small_swings_above_their_noise_pass():
+    t, q, places = swing(0.03, 81)
     for seed in range(5):
-        t, q, places = swing(0.03, 81)
         assert moves(Recording(t, q + noise(q.shape, seed)))
         assert moves(Recording(t, q + noise(q.shape, seed), noise=10 * NOISE))  # declared with too much care
         assert moves(Recording(t, q), Recording(t, places + 0.2 * noise(places.shape, seed), kind="markers"))

@@ -97,28 +97,6 @@ def test_a_taper_is_found_as_two_numbers():
     np.testing.assert_allclose(found.rope.friction, true.friction, rtol=0.1)
 
 
-BAD = {
-    "arc_lengths for angles": ({"arc_lengths": [0.1]}, "the recording contains angles"),
-    "origin for angles": ({"origin": (0.0, 0.0)}, "origin is given, but angles are fitted"),
-    "a delay of nothing": ({"free": ["delay"]}, "nothing moves the first joint"),
-    "arc_lengths free without places": ({"free": ["arc"]}, "no places are measured"),
-    "twice": ({"free": ["friction:factor", "friction[1]"]}, "the same thing twice"),
-}
-
-
-@pytest.mark.parametrize(("change", "match"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_refused(change, match):
-    t = np.linspace(0.0, 2.0, 101)
-    recording = Recording(t, 0.3 * np.stack([np.cos(5.0 * t), np.cos(6.0 * t)], axis=1))
-    free = change.get("free", ["friction"])
-    setup = RecordingSetup(**{name: value for name, value in change.items() if name != "free"})
-    refuses(match, identify, recording, DOUBLE, free, setup=setup)
-
-
-def test_an_unknown_loss_is_refused():
-    refuses("loss", FitOptions, loss="tukey")
-
-
 @pytest.mark.parametrize("arc_lengths", [[0.2, 0.1], [-0.1, 0.2], [0.1, 0.9], [0.1]])
 def test_arcs_off_the_rope_are_refused(arc_lengths):
     t = np.linspace(0.0, 2.0, 101)

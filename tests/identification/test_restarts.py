@@ -1,5 +1,7 @@
 """Fits that were caught far from the best one: states started elsewhere, and parameters that fell to their bounds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.intervals import examine
@@ -83,18 +85,11 @@ def search(plant: Plant) -> MultiStart:
     return MultiStart(plant, measure(angles, plant.parameters.guess, None), 1.0, 1.0)
 
 
-def dry() -> hf.Recording:
-    """A rod whose bearing grips, let go at 1.1 rad (simulated)."""
-    rod = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])
-    return recorded(rod, [1.1], np.arange(301) / 50.0, 2e-3, seed=3)
-
-
 def test_a_state_that_is_caught_is_started_elsewhere():
     """Half a turn wrong and at rest: no small change of that state improves it; where the last window ends does."""
-    guess = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])
-    basis = hf.identify(
-        dry(), guess, ["friction", "dry_friction"], options=hf.FitOptions(window=1.2, train=np.inf, intervals=None)
-    )._basis
+    rod = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])  # its bearing grips
+    seen, options = recorded(rod, [1.1], np.arange(301) / 50.0, 2e-3, seed=3), replace(WHOLE_QUICK, window=1.2)
+    basis = hf.identify(seen, rod, ["friction", "dry_friction"], options=options).basis
     plant, windows, good = basis.plant, basis.windows, basis.fit
     states = list(good.states)
     states[1] = np.array([states[1][0] + 2.5, 0.0])

@@ -324,7 +324,7 @@ class MultiStart:
         """Return the windows that can be simulated, and their states fitted before or guessed from the data.
 
         With `refine` the states are fitted at the parameters x. Not at the guess, which would bias them if it is wrong,
-        but for windows with several guesses: of these the one is kept that fits best, or the end of the window before.
+        but for windows with several guesses, of which the one is kept that fits best.
         """
         if not self._enough(windows):
             values, free = sum(window.values for window in windows), len(self.plant.parameters)
@@ -342,8 +342,6 @@ class MultiStart:
             at = min(known, key=lambda t: abs(t - window.t[0]), default=np.inf)
             near = abs(at - window.t[0]) < window.t[1] - window.t[0]
             starts = [known[at] if near else window.guess, *window.others]
-            if window.others and kept and refine:
-                starts += arrived(self.plant, x, kept[-1], states[-1], window)
             rounds = 30 if refine or window.others else 0
             found = fit_state(self.plant, x, window, *starts, loss=self.loss, rounds=rounds, enough=HARDLY)
             if found is not None:
@@ -366,13 +364,10 @@ def _beyond(windows: Sequence[Window], states: Sequence[Array], values: Array, l
 def restart_states(
     plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int
 ) -> Iterator[Array]:
-    """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
-    window, n = windows[k], states[k].size // 2
+    """Yield states to start window k from: the end of the window before, and those of the data."""
     if k > 0:
-        yield from arrived(plant, x, windows[k - 1], states[k - 1], window)
-    yield from (window.guess, *window.others)
-    yield np.append(window.guess[:n], np.zeros(n))
-    yield np.append(states[k][:n], np.zeros(n))
+        yield from arrived(plant, x, windows[k - 1], states[k - 1], windows[k])
+    yield from (windows[k].guess, *windows[k].others)
 
 
 def arrived(plant: Plant, x: Array, before: Window, state: Array, window: Window) -> list[Array]:
@@ -404,7 +399,7 @@ def search_delay(
             found = fit_state(plant, x, window, window.guess, loss=loss, rounds=2)
             if found is None:
                 return np.inf
-            total += float(np.minimum(found[1] ** 2, 9.0 * np.median(found[1] ** 2)).sum())  # outliers count little
+            total += loss.scaled([found[1]]).cost(found[1])
         return total
 
     delays = length / steps * np.arange(-steps, steps + 1)
