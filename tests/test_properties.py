@@ -12,14 +12,7 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.identification import lumped, ratios
 from hyperflex.identification.model import Parameters, common_factor, in_common_factor, parse
 from hyperflex.model import divided
-from hyperflex.model.properties import (
-    FREE_PROPERTIES,
-    LINK_PROPERTIES,
-    PROPERTIES,
-    RATIOS,
-    RESISTANCES,
-    parse_label,
-)
+from hyperflex.model.properties import FREE_PROPERTIES, LINK_PROPERTIES, PROPERTIES, RATIOS, RESISTANCES, parse_label
 from hyperflex.model.refine import with_links
 from hyperflex.report.identification.tables import numbers, parameters_table, rope_table
 from hyperflex.report.units import readable_unit

@@ -14,14 +14,7 @@ import hyperflex as hf
 from hyperflex.cli.plain import QUESTIONS, Plain, PlainScene, answers_path
 from hyperflex.cli.track import _tracked
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.estimate import (
-    DoubtKind,
-    EstimatedParameter,
-    Observations,
-    RopeFilter,
-    TrackingTask,
-    curve_arc_lengths,
-)
+from hyperflex.estimate import DoubtKind, EstimatedParameter, Observations, RopeFilter, TrackingTask, curve_arc_lengths
 from hyperflex.estimate.doubts import Doubt
 from hyperflex.estimate.observations import UNMEASURED
 from hyperflex.files import read_toml, write_toml

@@ -14,10 +14,7 @@ from hyperflex.errors import InvalidInput
 QUESTIONS = (
     Question("pivot", "Where does it hang from?", "Little.", (Way("the pixel", 1),)),
     Question(
-        "size",
-        "What tells the size?",
-        "Much.",
-        (Way("the rope", word="rope"), Way("two points", 2, ("metres",))),
+        "size", "What tells the size?", "Much.", (Way("the rope", word="rope"), Way("two points", 2, ("metres",)))
     ),
 )
 LINE = [[60.0, 20.0], [70.0, 200.0], [90.0, 300.0]]

@@ -347,12 +347,7 @@ def test_files_without_motion_are_reported(tmp_path):
 REAL = {
     "vicon_nexus_trajectories_first200frames.csv": {"markers": ["boite:gauche_ext", "boite:gauche_int"], "plane": "xz"},
     "opensim_markers_first200.trc": {"markers": ["ASISl", "ASISr"], "plane": "xy"},
-    "deeplabcut_single.csv": {
-        "markers": ["head", "stinger"],
-        "frame_rate": 30.0,
-        "scale": 1e-3,
-        "min_likelihood": 0.6,
-    },
+    "deeplabcut_single.csv": {"markers": ["head", "stinger"], "frame_rate": 30.0, "scale": 1e-3, "min_likelihood": 0.6},
     "deeplabcut_multi_animal.csv": {
         "markers": ["individual1_snout", "individual1_leftear"],
         "frame_rate": 30.0,

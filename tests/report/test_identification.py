@@ -13,21 +13,9 @@ from hyperflex import files
 from hyperflex.identification import BAND, Identification
 from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
-from hyperflex.report.identification.figures import (
-    FittedChannels,
-    correlations,
-    history_figure,
-    prediction_figure,
-)
+from hyperflex.report.identification.figures import FittedChannels, correlations, history_figure, prediction_figure
 from hyperflex.report.identification.page import identification_page, write_identification
-from hyperflex.report.identification.tables import (
-    described,
-    numbers,
-    parameters_table,
-    predicted,
-    ratios_table,
-    ties,
-)
+from hyperflex.report.identification.tables import described, numbers, parameters_table, predicted, ratios_table, ties
 from hyperflex.report.units import rounded
 from hyperflex.status import Status
 from tests.report.conftest import GUESS
