@@ -224,11 +224,10 @@ def identify_drive(record: DriveRecord) -> DriveFit:
         for part in (0.0, 1.0)[: 1 + rates]
         for faster in (1.0, 2.0)
     ]
-    for most in (8, 30):
-        for each in kinds:
-            each.solve(most)
-        kinds = sorted(kinds, key=lambda each: each.cost)[:3]
-    best = kinds[0]
+    for each in kinds:
+        each.solve(8)
+    best = min(kinds, key=lambda each: each.cost)
+    best.solve(30)
     best.step = 2.5e-4
     for _ in range(3):
         best.weigh()
