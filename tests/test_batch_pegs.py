@@ -16,7 +16,7 @@ from hyperflex.winding import turns
 from tests.refusals import refuses
 
 ARM = hf.Arm(length=0.105)
-PEGS = [[hf.Peg(x, -0.5, 0.04, 0.3)] for x in (0.25, 0.3, 0.35)]
+PEGS = [[hf.Peg(x, -0.5, 0.04, 0.3, inertia=axle)] for x, axle in ((0.25, None), (0.3, 1e-5), (0.35, 1e-6))]
 DURATION = 1.2
 HOW = {"arm": ARM, "duration": DURATION, "tol": 1e-3, "contact_step": 1e-3}
 
@@ -31,7 +31,7 @@ def test_members_are_runs_of_their_own():
     ropes, motions = family()
     q0 = np.linspace(1.0, 1.3, 3)[:, None] + np.zeros(10)
     t = np.array([0.4, 0.8, DURATION])
-    keep = ("tip", "q", "qd", "motor_torque", "motor_work", "dissipated_energy", "turns")
+    keep = ("tip", "q", "qd", "motor_torque", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate")
     batch = hf.simulate_batch(ropes, motions, pegs=PEGS, q0=q0, t_eval=t, keep=keep, threads=3, **HOW)
     touched = 0
     for m, (rope, motion, pegs) in enumerate(zip(ropes, motions, PEGS, strict=True)):
@@ -41,9 +41,13 @@ def test_members_are_runs_of_their_own():
         assert np.isnan(batch.q[m, :, n:]).all()  # ropes of other lengths are cut otherwise
         for name in ("tip", "motor_torque", "motor_work", "dissipated_energy"):
             np.testing.assert_array_equal(getattr(batch, name)[m], getattr(alone, name))
+        for name in ("peg_angle", "peg_rate"):
+            one = getattr(alone, name)
+            np.testing.assert_array_equal(batch.values[name][m], 0.0 if one is None else one)
         np.testing.assert_array_equal(batch.turns[m, :, 0], turns(alone, pegs[0]))
         touched += int(alone.attrs["contact_steps"] > 0 and alone.contact_loss[-1] > 0.0)
     assert touched == 3
+    assert (np.abs(batch.peg_angle[1:, -1, 0]) > 1e-3).all()
     assert batch.status == ("success",) * 3
     np.testing.assert_array_equal(batch.reached, DURATION)
     one = hf.simulate_batch(ropes, motions, pegs=PEGS, q0=q0, t_eval=t, keep=keep, threads=1, **HOW)

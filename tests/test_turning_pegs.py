@@ -1,4 +1,4 @@
-"""Turning pegs in the public functions: files, batches, continued states, and refusals."""
+"""Turning pegs in the public functions: files, continued states, and refusals."""
 
 import numpy as np
 import pytest
@@ -37,21 +37,6 @@ def test_a_run_shows_the_round_pegs_and_survives_its_file(tmp_path):
     np.testing.assert_array_equal(onwards[0].peg_rate, onwards[1].peg_rate)
     np.testing.assert_array_equal(onwards[0].q, onwards[1].q)
     np.testing.assert_array_equal(onwards[0].peg_angle[0], run.peg_angle[-1])
-
-
-def test_members_of_a_batch_are_runs_of_their_own():
-    pegs = [[PULLEY], [hf.Peg(0.0, -0.35, 0.03, 0.5)], [hf.Peg(0.01, -0.35, 0.03, 0.5, inertia=1e-6)]]
-    t, q0 = [0.3, 0.6], np.full(18, 1.2)
-    keep = ("q", "peg_angle", "peg_rate", "dissipated_energy")
-    batch = hf.simulate_batch(CABLE, pegs=pegs, q0=q0, t_eval=t, duration=0.6, keep=keep, threads=2, **HOW)
-    for m, each in enumerate(pegs):
-        alone = hf.simulate(CABLE, pegs=each, q0=q0, t_eval=t, duration=0.6, **HOW)
-        np.testing.assert_array_equal(batch.q[m, :, : alone.q.shape[1]], alone.q)
-        np.testing.assert_array_equal(batch.dissipated_energy[m], alone.dissipated_energy)
-        for name in ("peg_angle", "peg_rate"):
-            one = getattr(alone, name)
-            np.testing.assert_array_equal(batch.values[name][m], 0.0 if one is None else one)
-    assert (np.abs(batch.peg_angle[[0, 2], -1, 0]) > 1e-3).all()
 
 
 def test_pegs_survive_their_file():

@@ -167,9 +167,8 @@ def test_cubics_that_stay_positive_hide_nothing():
         search.low[:, 0], search.middle[:, 0], search.here[:, 0] = rng.normal(0.5, 1.0, (3, 2))
         if events.stays_positive(search, 0, 1.0):
             kept += 1
-            looks = np.linspace(0.01, 1.0, 100)
-            for low, high in ((search.low, search.middle), (search.middle, search.here)):
-                assert min(events.margin_polynomial(low, high, 0, 0.5, x) for x in looks) >= 0.0
+            looks = np.linspace(0.005, 1.0, 200)
+            assert min(events.margin_within(search, search.here, 0, 1.0, 0.0, x) for x in looks) >= 0.0
     assert kept > 20
 
 

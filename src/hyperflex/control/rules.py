@@ -46,37 +46,27 @@ class CrossingRule:
     Paper section IV.B and Fig. 13. What the paper leaves open is read like this: the crossing is the next one, in
     either sense, after the arm has come to rest, and where it is nearer than `lead` the arm starts at once. With a
     negative `lead`, which the paper does not try, a crossing no longer ago than that counts too: it happens while the
-    arm still moves, and is predicted when that half turn is decided.
+    arm still moves, and is predicted from the state in which that half turn was decided.
     """
 
     def __init__(self, model: SwingModel, lead: float = 0.0) -> None:
         self.model = model
         self.lead = checks.number("lead", lead, unit="s")
-        self._passed = (0, math.inf)  # half turns made, and the crossing that the last of them brings, s
+        # half turns after the last decision, the state that it saw, and its start, s; the first one is not decided
+        self._last = 1, hanging_state(model.rope), 0.0
 
     def next_start(self, now: RopeState, made: int) -> float:
         """Return the start of the next half turn, s; now if the tip does not cross within a period."""
-        crossing = self._while_moving(now, made) if self.lead < 0.0 else math.inf
+        crossing, (count, before, start) = math.inf, self._last
+        if self.lead < 0.0 and count == made:
+            moving = self.model.motion([start], made - 1)
+            crossing = self.model.crossing(before, moving, after=now.t + self.lead, until=now.t)
         if math.isinf(crossing):
-            crossing = self.model.crossing(
-                now, self.model.motion([], made), after=now.t + SOON, until=now.t + self.model.period
-            )
+            resting = self.model.motion([], made)
+            crossing = self.model.crossing(now, resting, after=now.t + SOON, until=now.t + self.model.period)
         start = now.t if math.isinf(crossing) else max(now.t, crossing - self.lead)
-        if self.lead < 0.0:
-            self._passed = made + 1, self._passing(now, made, start)
+        self._last = made + 1, now, start
         return start
-
-    def _while_moving(self, now: RopeState, made: int) -> float:
-        """Return the crossing that the last half turn brought late enough to count, s; inf if there was none."""
-        count, crossing = self._passed
-        if made == 1:  # the first half turn was made at t = 0, from rest, without a decision
-            count, crossing = 1, self._passing(hanging_state(self.model.rope), 0, 0.0)
-        return crossing if count == made and crossing >= now.t + self.lead else math.inf
-
-    def _passing(self, now: RopeState, made: int, start: float) -> float:
-        """Return when the tip passes in the last -`lead` seconds of a half turn that starts at `start`, s, or inf."""
-        end = start + self.model.t_move
-        return self.model.crossing(now, self.model.motion([start], made), after=end + self.lead, until=end)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +153,7 @@ class LookaheadRule(ABC):
         self.target = checks.positive("target", target, "m")
         depth = checks.count("depth", depth)
         period = model.period
-        self.horizon = 1.38 * period
-        if horizon is not None:
-            self.horizon = checks.positive("horizon", horizon, "s")
+        self.horizon = 1.38 * period if horizon is None else checks.positive("horizon", horizon, "s")
         self.longest = 0.6 * period
         self.rests = np.full(depth, model.usual_rest)
         self._before = (0, 0.0)  # half turns made, and time, s, at the last call
@@ -237,9 +225,7 @@ class PumpingRule(LookaheadRule):
     ) -> None:
         super().__init__(model, target, depth=depth, horizon=horizon)
         self.plan = None if rests is None else checks.array("rests", rests, (-1,), sign="nonnegative", unit="s")
-        self.arrival_time = 0.0
-        if arrival_time is not None:
-            self.arrival_time = checks.positive("arrival_time", arrival_time, "s")
+        self.arrival_time = 0.0 if arrival_time is None else checks.positive("arrival_time", arrival_time, "s")
         if self.plan is not None:
             self.rests = np.append(0.0, self.plan)
 

@@ -124,7 +124,13 @@ def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
     t = tip.t
     inside = spans.ravel()[(spans.ravel() > t[0]) & (spans.ravel() < t[-1])]
     knots = np.unique(np.concatenate([t, inside]))
-    path = np.stack([np.interp(knots, t, tip.x), np.interp(knots, t, tip.scaled_velocity)], axis=1)
+
+    def at(instants: Array) -> Array:
+        """Return the points (k, 2) at those instants that lie within the time of the tip's path."""
+        within = instants[(instants >= t[0]) & (instants <= t[-1])]
+        return np.stack([np.interp(within, t, each) for each in (tip.x, tip.scaled_velocity)], axis=1)
+
+    path = at(knots)
     cuts = np.unique(np.concatenate([[0], np.searchsorted(knots, inside), [knots.size - 1]]))
     moving: list[Array] = []
     resting: list[Array] = []
@@ -132,10 +138,4 @@ def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
         middle = 0.5 * (knots[first] + knots[last])
         moves = bool(((spans[:, 0] <= middle) & (middle <= spans[:, 1])).any())
         (moving if moves else resting).append(path[first : last + 1])
-    return PhasePortrait(moving, resting, _points(spans[:, 0], knots, path), _points(spans[:, 1], knots, path))
-
-
-def _points(instants: Array, knots: Array, path: Array) -> Array:
-    """Return the path (k, 2) at those instants that lie within its time."""
-    within = instants[(instants >= knots[0]) & (instants <= knots[-1])]
-    return np.stack([np.interp(within, knots, path[:, axis]) for axis in (0, 1)], axis=1)
+    return PhasePortrait(moving, resting, at(spans[:, 0]), at(spans[:, 1]))

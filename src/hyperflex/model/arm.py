@@ -76,8 +76,7 @@ class Arm:
     def __post_init__(self) -> None:
         options.check(self, "arm")
         checks.meant("arm length", self.length, "m", most=LONGEST)
-        x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
-        object.__setattr__(self, "pivot", (float(x), float(y)))
+        object.__setattr__(self, "pivot", tuple(checks.array("arm pivot", self.pivot, (2,), unit="m").tolist()))
 
     def tip(self, angle: ArrayLike) -> Array:
         """Return the position of the rope's first joint (..., 2), m, at each `angle` (...) of the arm, rad."""

@@ -128,8 +128,7 @@ class Setup:
         if torque is not None and not isinstance(torque, Motion):
             # a constant torque ends after 1e6 s
             values["torque"] = torque_profile([0.0, 1e6], [checks.number("torque", torque, unit="N m")] * 2)
-        x, y = checks.array("tip_force", self.tip_force, (2,), unit="N")
-        values["tip_force"] = (float(x), float(y))
+        values["tip_force"] = tuple(checks.array("tip_force", self.tip_force, (2,), unit="N").tolist())
         for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
             if getattr(self, name) is not None:
                 n = checks.instance("rope", self.rope, Rope).n_links
@@ -243,8 +242,7 @@ class Setup:
         coef = source.coef
         if self.arm is not None and any(self.arm.pivot):
             coef = coef.copy()
-            coef[:, X, 0] += self.arm.pivot[0]
-            coef[:, Y, 0] += self.arm.pivot[1]
+            coef[:, [X, Y], 0] += self.arm.pivot
         prescribed = 0.0 if self.arm is None or self.torque_driven else self.arm.length
         limit = math.inf if self.arm is None else self.arm.torque_limit
         return read_only(Drive(source.breaks, coef, source.switch, source.loop, prescribed, limit))

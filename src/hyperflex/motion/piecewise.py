@@ -69,13 +69,8 @@ class Motion:
 
     def __eq__(self, other: object) -> bool:
         """Whether two motions are the same function of time, piece by piece and bit for bit."""
-        return (
-            isinstance(other, Motion)
-            and self.loop == other.loop
-            and np.array_equal(self.breaks, other.breaks)
-            and np.array_equal(self.coef, other.coef)
-            and np.array_equal(self.switch, other.switch)
-        )
+        names = ("breaks", "coef", "switch", "loop")
+        return isinstance(other, Motion) and all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -139,7 +134,7 @@ class Motion:
         `derivative` 1 is for those of the rate, rad/s.
         At the last break of a motion that repeats it is the jump to the piece that follows.
         """
-        coef = self.coef[:, ANGLE] @ np.linalg.matrix_power(DERIVATIVE, derivative).T
+        coef = _derived(self.coef[:, ANGLE], derivative)
         ends = polyval(np.diff(self.breaks), coef.T, tensor=False)
         still = [0.0] if derivative else self.coef[:1, ANGLE, 0]
         after = coef[self.loop, :1] if self.loop >= 0 else [0.0] if derivative else ends[-1:]
@@ -147,20 +142,15 @@ class Motion:
 
     def _evaluate(self, t: ArrayLike, channel: int, derivative: int) -> Array:
         time = checks.array("t", t, None, unit="s", infinite=True)
-        start, end = self.breaks[0], self.breaks[-1]
-        after = time >= end
+        begin, end = self.breaks[0], self.breaks[-1]
+        before, after, inside = time < begin, time >= end, np.clip(time, begin, end)
         if self.loop >= 0:
             anchor = self.breaks[self.loop]
-            wrapped = np.where(after, anchor + np.mod(time - anchor, self.period), time)
-        else:
-            wrapped = np.minimum(time, end)
-        wrapped = np.maximum(wrapped, start)
-        piece = np.clip(np.searchsorted(self.breaks, wrapped, side="right") - 1, 0, self.breaks.size - 2)
-        local = wrapped - self.breaks[piece]
-        value = np.zeros_like(time)
-        for power in range(POWERS - 1, derivative - 1, -1):
-            value = value * local + math.perm(power, derivative) * self.coef[piece, channel, power]
-        still = (time < start) | (after & (self.loop < 0))
+            inside = np.where(after, anchor + np.mod(time - anchor, self.period), inside)
+        piece = np.minimum(np.searchsorted(self.breaks, inside, side="right"), len(self.coef)) - 1
+        coef = np.moveaxis(_derived(self.coef[:, channel], derivative)[piece], -1, 0)
+        value = polyval(inside - self.breaks[piece], coef, tensor=False)
+        still = before | (after & (self.loop < 0))
         return np.where(still & (derivative > 0 or channel >= TORQUE), 0.0, value)
 
     def switches(self, start: float, end: float) -> Array:
@@ -244,20 +234,37 @@ def _standing(coef: Array, at: float) -> Array:
 
 
 def _advanced(coef: Array, by: float) -> Array:
-    """Coefficients (1, channels, powers) of the same polynomials in a time that starts `by` later."""
-    if by == 0.0:
-        return coef
-    result = np.zeros_like(coef)
-    for k in range(POWERS):
-        for m in range(k, POWERS):
-            result[..., k] += math.comb(m, k) * by ** (m - k) * coef[..., m]
-    return result
+    """Coefficients (..., powers) of the same polynomials in a time that starts `by` later: their Taylor series."""
+    terms = [by**k / math.factorial(k) * _derived(coef, k) for k in range(POWERS)]
+    return np.asarray(np.sum(terms, axis=0))
+
+
+DERIVATIVE = np.diag(np.arange(1.0, POWERS), 1)  # of a polynomial's coefficients, ascending
+
+
+def _derived(coef: Array, derivative: int) -> Array:
+    """Coefficients (..., powers) of a derivative of polynomials."""
+    return np.asarray(coef @ np.linalg.matrix_power(DERIVATIVE, derivative).T)
+
+
+# Coefficients of a quintic on 0..1 from its value, first and second derivative at 0, and then at 1: multiples of 1/2
+_QUINTIC = np.linalg.inv(
+    [_derived(np.eye(POWERS), k) @ ends for ends in (np.eye(POWERS)[0], np.ones(POWERS)) for k in range(3)]
+).round(6)
+
+
+def quintics(begin: Array, end: Array, span: Array) -> Array:
+    """Coefficients (P, POWERS) of the fifth-order polynomials between states (3, P) that lie `span` (P,) apart.
+
+    A state consists of value, rate and acceleration.
+    """
+    scale = span ** np.arange(3)[:, None]
+    return np.asarray((_QUINTIC @ np.concatenate([begin * scale, end * scale])).T / span[:, None] ** np.arange(POWERS))
 
 
 # Time constants after a break at which a piece ends: what fades there is no polynomial, and is drawn through these.
 NODES = np.geomspace(0.5, 20.0, 9)
 NEAR = 0.99  # of a piece, beyond which a node is not worth a piece of its own
-DERIVATIVE = np.diag(np.arange(1.0, POWERS), 1)  # of a polynomial's coefficients, ascending
 FADED = 25.0  # time constants after the end at which the arm stands still
 
 
@@ -314,7 +321,7 @@ def lagged(motion: Motion, lag: float) -> Motion:
     pieces = span > 0.0
     coef = np.zeros((np.count_nonzero(pieces), CHANNELS, POWERS))
     coef[:] = motion.coef[0] * (np.arange(POWERS) == 0)
-    coef[:, ANGLE] = _hermite(states[:, :, :-1][:, pieces], states[:, :, 1:][:, pieces], span[pieces])
+    coef[:, ANGLE] = quintics(states[:, :, :-1][:, pieces], states[:, :, 1:][:, pieces], span[pieces])
     breaks = np.append(motion.breaks[0], (motion.breaks[:, None] + s[:, 1:])[pieces])
     firsts = np.broadcast_to(np.arange(span.shape[1]) == 0, span.shape)
     return Motion(breaks, coef, np.append(firsts[pieces], True))
@@ -325,15 +332,5 @@ def _steady(coef: Array, lag: float, s: Array) -> list[Array]:
 
     `coef` (POWERS, P) are those of the input.
     """
-    solution = np.linalg.solve(np.eye(POWERS) + lag * DERIVATIVE, coef)
-    rate = DERIVATIVE @ solution
-    return [polyval(s, each[..., None], tensor=False) for each in (solution, rate, DERIVATIVE @ rate)]
-
-
-def _hermite(begin: Array, end: Array, span: Array) -> Array:
-    """Coefficients (P, POWERS) of the fifth-order polynomials between states (3, P) that lie `span` (P,) apart."""
-    scales = np.array([np.ones_like(span), span, 0.5 * span**2])
-    a, b, c = begin * scales
-    p, v, w = end * scales - [a + b + c, b + 2.0 * c, c]
-    top = [10.0 * p - 4.0 * v + w, -15.0 * p + 7.0 * v - 2.0 * w, 6.0 * p - 3.0 * v + w]
-    return np.stack([a, b, c, *top], axis=1) / span[:, None] ** np.arange(POWERS)
+    solution: Array = np.linalg.solve(np.eye(POWERS) + lag * DERIVATIVE, coef).T
+    return [polyval(s, _derived(solution, k).T[..., None], tensor=False) for k in range(3)]

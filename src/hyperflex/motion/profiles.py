@@ -15,7 +15,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
 from hyperflex.errors import InvalidInput, located
-from hyperflex.motion.piecewise import CHANNELS, MEET, POWERS, Motion
+from hyperflex.motion.piecewise import CHANNELS, MEET, POWERS, Motion, quintics
 
 Profile = Literal["bang-bang", "ramp", "minimum-jerk"]
 PROFILES = ("bang-bang", "ramp", "minimum-jerk")
@@ -339,13 +339,11 @@ def _sinusoid(spec: dict[str, Any], unit: str, channels: dict[int, float], mean:
     A piece of a twelfth of a period is accurate to 5e-7 of the amplitude, its acceleration to 4e-5 of its amplitude.
     Each sixth counts as a switch: longer steps of a rope that hangs still would not see the work.
     """
-    from scipy.interpolate import BPoly, PPoly
-
     spec["amplitude"] = checks.number("amplitude", spec["amplitude"], sign="nonnegative", unit=unit)
     spec["frequency"] = checks.number("frequency", spec["frequency"], sign="positive", unit="Hz")
     phase = np.linspace(0.0, math.tau, 13)
-    wave = np.stack([np.cos(phase), -np.sin(phase), -np.cos(phase)], axis=1)
-    pieces = PPoly.from_bernstein_basis(BPoly.from_derivatives(phase, wave)).c[::-1].T
+    wave = np.stack([np.cos(phase), -np.sin(phase), -np.cos(phase)])
+    pieces = quintics(wave[:, :-1], wave[:, 1:], np.diff(phase))
     rate = math.tau * spec["frequency"]
     coef = np.zeros((len(pieces), CHANNELS, POWERS))
     for channel, part in channels.items():

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Peg, Rope, with_links
-from hyperflex.planning import MotorLimits
+from hyperflex.planning import MotorLimits, scaled_rope
 
 
 class Control(NamedTuple):
@@ -80,9 +80,7 @@ class Settings:
         made = like if self.links == like.n_links else with_links(like, int(self.links))
         long, heavy = self.length / made.total_length, self.mass / made.total_mass if made.total_mass else 1.0
         if long != 1.0 or heavy != 1.0:
-            lengths = {"length": long * made.length, "com": long * made.com}
-            masses = {"mass": heavy * made.mass, "tip_mass": heavy * made.tip_mass}
-            made = made.replace(**lengths, **masses, inertia=heavy * long**2 * made.inertia)
+            made = scaled_rope(made, long, heavy, 1.0)
         if self.friction != _friction(like) or self.links != like.n_links:  # of each joint, as the control says
             made = made.replace(friction=self.friction)
         return made.replace(name=f"{like.name}, changed") if like.name and made is not like else made

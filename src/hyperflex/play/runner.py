@@ -64,9 +64,10 @@ class Runner:
             spent = time.monotonic() - busy.begun if busy.begun else 0.0
             search = {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
             search["found"] = busy.best is not None
-        shown = plan and {"kind": plan.kind, "success": plan.success, "message": plan.message}
-        if shown:
-            shown["simulated"] = plan is not None and plan.outcome is not None
+        shown: dict[str, Any] | None = None
+        if plan is not None:
+            shown = {"kind": plan.kind, "success": plan.success, "message": plan.message}
+            shown["simulated"] = plan.outcome is not None
         own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": shown, "planning": search}
         return self.session.scene() | own
 

@@ -144,8 +144,8 @@ def members_of(setups: Sequence[Setup], drives: list[Drive]) -> Members:
 def terms_of(setup: Setup, step: float = 0.0, stiction_tolerance: float = 0.0) -> Terms:
     """Return what all members have in common: the tolerance of one's set-up, or a chosen `step`, s; see Terms."""
     table = scheme(next(order for least, order in ORDERS if setup.tol >= least))
-    common = 0.0, setup.tol, setup.chain().reaction, step, table.best, table.gaps[0], table.rounding
-    return Terms(*common, stiction_tolerance)
+    weights = table.best, table.gaps[0], table.rounding
+    return Terms(0.0, setup.tol, setup.chain().reaction, step, *weights, stiction_tolerance)
 
 
 if TYPE_CHECKING:

@@ -368,7 +368,7 @@ def sensitivities(
     check_smooth(full)
     directions = parameter_directions(full, wrt)
     t = output_times(t_eval, 0.0, full.duration)
-    chain, drive = directions.with_faint_terms(full.chain()), full.drive()
+    chain = directions.with_faint_terms(full.chain())
     links, count = chain.length.size, len(directions.names)
     memory.check(
         8.0 * 5 * (links + 1) * (count + 1) * t.size,
@@ -377,8 +377,7 @@ def sensitivities(
     )
     watch = Watch(time_budget, (0.0, full.duration))
     times = np.append([] if t[0] == 0.0 else 0.0, t)
-    parts: dict[str, Any] = {"chain": chain, "drive": drive, "limits": rollout_limits(full, chain, full.duration)}
-    run = Rollout(full, times, logged=True, **parts)
+    run = Rollout(full, times, chain=chain, limits=rollout_limits(full, chain, full.duration), logged=True)
     run.complete(watch)
     if (unbalanced := observed(run)[2]) is not None:
         raise unbalanced
@@ -455,10 +454,8 @@ class AngleJacobian:
             begin[:, first:used] = changes.T
             links, whole, parameters, driven, *rest = seeds
             seeds = Directions(links[:pairs], whole[: 2 * pairs], parameters[:pairs], driven[: 2 * pairs], *rest)
-        parts: dict[str, Any] = {"chain": self.chain, "drive": self.drive}
-        parts["limits"] = self._limits._replace(stop=float(t[-1]))
-
-        run = Rollout(self.setup, t, (q0, qd0), logged=True, **parts)
+        limits = self._limits._replace(stop=float(t[-1]))
+        run = Rollout(self.setup, t, (q0, qd0), chain=self.chain, drive=self.drive, limits=limits, logged=True)
         run.progress.clock[STEP] = first_step
         run.complete()
         _, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, seeds, begin)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, non_allocating
 
 AREA, MEAN_U, MEAN_V, COV_UU, COV_UV, COV_VV, PEAK, PIXELS, BORDER, SPREAD, FULL, COLOUR = range(12)
 COLUMNS = COLOUR + 3
@@ -57,7 +57,8 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
     label[:] = 0
     count, size = label_blobs(sure, threshold, label, members, out.shape[0])
     for _ in range(GROWTH):
-        size = grow(label, members, size)
+        for i in range(size):
+            size = add_neighbours(weights, -np.inf, label, members, i, size)
     out[:] = 0.0
     for i in range(size):
         v, u = members[i, 0], members[i, 1]
@@ -115,14 +116,8 @@ def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-un
             size += 1
             labels[i] = count
             while done < size:
-                v, u = members[done, 0], members[done, 1]
+                size = add_neighbours(weights, threshold, label, members, done, size)
                 done += 1
-                for b in range(max(v - 1, 0), min(v + 2, h)):
-                    for a in range(max(u - 1, 0), min(u + 2, w)):
-                        if label[b, a] == 0 and weights[b, a] > threshold:
-                            label[b, a] = count
-                            members[size, 0], members[size, 1] = b, a
-                            size += 1
     return count, size
 
 
@@ -139,17 +134,17 @@ def drop_faint(weights, label, members, size):  # type: ignore[no-untyped-def]
             weights[v, u] = 0.0
 
 
-@kernel
-def grow(label, members, size):  # type: ignore[no-untyped-def]
-    """Add the free neighbours (of eight) to each component; return the new number of members."""
-    h, w = label.shape
-    before = size
-    for i in range(before):
-        v, u = members[i, 0], members[i, 1]
-        for b in range(max(v - 1, 0), min(v + 2, h)):
-            for a in range(max(u - 1, 0), min(u + 2, w)):
-                if label[b, a] == 0:
-                    label[b, a] = label[v, u]
-                    members[size, 0], members[size, 1] = b, a
-                    size += 1
+@non_allocating
+def add_neighbours(weights, threshold, label, members, i, size):  # type: ignore[no-untyped-def]
+    """Add the free neighbours (of eight) of member i above a threshold to its component; return the number of members.
+
+    Arguments as of :func:`label_blobs`.
+    """
+    v, u = members[i, 0], members[i, 1]
+    for b in range(max(v - 1, 0), min(v + 2, label.shape[0])):
+        for a in range(max(u - 1, 0), min(u + 2, label.shape[1])):
+            if label[b, a] == 0 and weights[b, a] > threshold:
+                label[b, a] = label[v, u]
+                members[size, 0], members[size, 1] = b, a
+                size += 1
     return size

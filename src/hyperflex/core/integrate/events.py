@@ -130,8 +130,6 @@ class EventSearch(NamedTuple):
     points: int = 16
     # attempts that are checked for hidden events; later ones only if they end at an event
     glances: int = 3
-    # fraction of a span: if a margin grows at first, an earlier zero of a cubic is a joint that has just been released
-    soon: float = 0.125
     # of the allowed velocity error: largest reversed rate of a joint when it is stopped
     stopped: float = 1e-3
     # fraction of dry friction by which the load of a joint may exceed it at its release, at most, and
@@ -267,31 +265,39 @@ def allow_lateness(search, chain, tol, step):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
-    """Margin i at the part x in (0, 1] of an interval, s, divided by x: the cubic through both ends' (value, slope)."""
+def margin_polynomial(low, high, i, length, aim, x):  # type: ignore[no-untyped-def]
+    """Margin i plus `aim` at the part x in (0, 1] of an interval, s, divided by x: a cubic by both (value, slope)."""
     v0, s0, v1, s1 = low[0, i], low[1, i] * length, high[0, i], high[1, i] * length
-    return (v0 / x + s0) + x * (3.0 * (v1 - v0) - 2.0 * s0 - s1 + x * (2.0 * (v0 - v1) + s0 + s1))
+    return ((v0 + aim) / x + s0) + x * (3.0 * (v1 - v0) - 2.0 * s0 - s1 + x * (2.0 * (v0 - v1) + s0 + s1))
 
 
 @non_allocating
-def first_zero(low, high, i, length, most):  # type: ignore[no-untyped-def]
-    """First fraction > 0 of an interval at which margin i is zero or negative, at most `most`."""
-    before, at = 0.0, most
-    for k in range(1, EVENTS.points + 1):
-        x = min(k / EVENTS.points, most)
-        if margin_polynomial(low, high, i, length, x) <= 0.0:
-            at = x
-            break
-        before = x
-        if x == most:
-            return most
-    for _ in range(52):
-        x = 0.5 * (before + at)
-        if margin_polynomial(low, high, i, length, x) > 0.0:
-            before = x
-        else:
-            at = x
-    return at
+def margin_within(search, high, i, length, aim, x):  # type: ignore[no-untyped-def]
+    """Number with the sign of margin i plus `aim` at the part x in (0, 1] of the length, s, from LOW to `high`.
+
+    Margins with slopes follow cubics through both ends and, where it is known, the middle; those of stuck joints the
+    parabola, or the straight line.
+    """
+    low, middle = search.low, search.middle
+    if search.locked[i] == 1.0:
+        v0, vm, v1 = low[0, i], middle[0, i], high[0, i]
+        bend = 2.0 * (v0 - 2.0 * vm + v1) if vm < np.inf else 0.0
+        return (v0 + aim) / x + (v1 - v0) - bend * (1.0 - x)
+    if middle[0, i] == np.inf:
+        return margin_polynomial(low, high, i, length, aim, x)
+    if x <= 0.5:
+        return margin_polynomial(low, middle, i, 0.5 * length, aim, 2.0 * x)
+    return margin_polynomial(middle, high, i, 0.5 * length, aim, 2.0 * x - 1.0)
+
+
+@non_allocating
+def first_negative(search, high, i, length, aim, most):  # type: ignore[no-untyped-def]
+    """First of ``EVENTS.points`` parts of the length, s, at which margin i plus `aim` is negative; else `most`."""
+    for k in range(1, EVENTS.points):
+        x = k / EVENTS.points
+        if x >= most or margin_within(search, high, i, length, aim, x) < 0.0:
+            return min(x, most)
+    return most
 
 
 @non_allocating
@@ -306,32 +312,20 @@ def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
 def hidden_event(search, length):  # type: ignore[no-untyped-def]
     """Fraction of the length, s, from LOW to the end of an attempt at which an event may be hidden; else 1.0.
 
-    Margins with slopes use the cubics through both ends and the middle, those of stuck joints the parabola. Margins
-    with an event at the end do not count.
+    Margins with an event at the end do not count.
     """
     part = 1.0
     for i in range(search.locked.size):
-        v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
+        v0, vm, v1 = search.low[0, i], search.middle[0, i], search.here[0, i]
         if v0 == np.inf or v1 == np.inf or is_past(search, search.here, i):
             continue
         if search.locked[i] == 0.0 and not (vm < np.inf and stays_positive(search, i, length)):
-            for k in range(1, EVENTS.points):
-                x = k / EVENTS.points
-                if vm == np.inf:
-                    value = margin_polynomial(search.low, search.here, i, length, x)
-                elif x <= 0.5:
-                    value = margin_polynomial(search.low, search.middle, i, 0.5 * length, 2.0 * x)
-                else:
-                    value = margin_polynomial(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
-                if value < 0.0:
-                    part = min(part, x)
-        elif search.locked[i] == 1.0 and vm < 0.0:
-            part = min(part, 0.5)
+            part = first_negative(search, search.here, i, length, 0.0, part)
         elif search.locked[i] == 1.0 and vm < np.inf:
-            bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
-            x = -0.5 * slope / bend if bend > 0.0 else 0.0
-            if 0.03 < x < 0.97 and v0 + x * (slope + x * bend) < 0.0:
-                part = min(part, x)
+            bend = v0 - 2.0 * vm + v1
+            x = 0.25 * (3.0 * v0 - 4.0 * vm + v1) / bend if bend > 0.0 else 0.0  # the parabola's lowest point
+            if 0.03 < x < part and margin_within(search, search.here, i, length, 0.0, x) < 0.0:
+                part = x
     return part
 
 
@@ -422,26 +416,19 @@ def assess_step(search, step):  # type: ignore[no-untyped-def]
 def first_part(search, i, length, most):  # type: ignore[no-untyped-def]
     """Fraction of the span, of the given length, s, at which margin i should overshoot by half the allowed amount.
 
-    At most `most`. If the middle is known, from the cubics on both sides of it; for stuck joints from the parabola.
+    At most `most`.
     """
     aim = 0.5 * search.late[i]
-    low, middle, high = search.low, search.middle, search.high
-    if search.locked[i] == 1.0:
-        v0, vm, v1 = max(low[0, i], 0.0) + aim, middle[0, i] + aim, high[0, i] + aim
-        if not (vm < np.inf):
-            return min(most, v0 / (v0 - v1)) if v1 < 0.0 else most
-        bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
-        root = math.sqrt(max(slope * slope - 4.0 * bend * v0, 0.0))
-        return min(most, 2.0 * v0 / (root - slope)) if root > slope else most
-    if not (middle[0, i] < np.inf):
-        x = first_zero(low, high, i, length, most)
-    else:
-        x = 0.5 * first_zero(low, middle, i, 0.5 * length, min(2.0 * most, 1.0))
-        if x == 0.5 and most > 0.5:
-            x += 0.5 * first_zero(middle, high, i, 0.5 * length, 2.0 * most - 1.0)
-    if low[1, i] > 0.0:
-        x = max(x, EVENTS.soon)
-    return min(most, x + aim / (-high[1, i] * length)) if high[1, i] < 0.0 else x
+    at = first_negative(search, search.high, i, length, aim, most)
+    if margin_within(search, search.high, i, length, aim, at) < 0.0:
+        before = max(0.0, at - 1.0 / EVENTS.points)
+        for _ in range(38):  # to 2e-13 of the span
+            x = 0.5 * (before + at)
+            if margin_within(search, search.high, i, length, aim, x) < 0.0:
+                at = x
+            else:
+                before = x
+    return at
 
 
 @non_allocating

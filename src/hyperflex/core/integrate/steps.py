@@ -179,11 +179,8 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
         tip[ln.STEP * k + j] = h
         tip[ln.EXTERNAL * k + j] = first_joint(drive, part, t + done * h, motion)
         ln.set_base(j, chain, motion, base)
-    if base.shape[0] > BASE_SIZE:
-        for j in range(k):
-            col, done = table.column[turn, j], table.done[turn, j]
-            when = t + done * (step / col if col > 0 else 0.0)
-            write_inner_torques(drive, part, when, base.reshape(-1), BASE_SIZE * k + j, k)
+        if base.shape[0] > BASE_SIZE:
+            write_inner_torques(drive, part, t + done * h, base.reshape(-1), BASE_SIZE * k + j, k)
 
 
 @inlined
