@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.core.image.projection import project
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 
@@ -301,13 +300,6 @@ class Camera:
         return np.asarray(cv2.Rodrigues(self.rotation)[0], dtype=np.float64), self.translation
 
     @cached_property
-    def _lens(self) -> tuple[Array, Array, Array]:
-        """The pose (3, 4), the camera matrix (3, 3) and eight coefficients of distortion: arguments of ``project``."""
-        rotation, translation = self.axes
-        distortion = np.pad(self.distortion, (0, 8 - self.distortion.size))
-        return np.column_stack([rotation, translation]), self.matrix, distortion
-
-    @cached_property
     def _to_plane(self) -> Array:
         """Matrix (3, 3) that leads from a picture without distortion to the swing plane, homogeneous coordinates."""
         rotation, translation = self.axes
@@ -366,22 +358,28 @@ class Camera:
         given = np.asarray(points, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] not in (2, 3):
             raise InvalidInput("points have the wrong shape", got=given.shape, allowed="shape (K, 2) or (K, 3), m")
-        pixels, slopes = np.empty((len(given), 2)), np.empty((len(given), 2, given.shape[1]))
-        project(np.ascontiguousarray(given), *self._lens, pixels, slopes)
-        return pixels, slopes
+        rotation, translation = self.axes
+        if not given.size:
+            return np.empty((0, 2)), np.empty((0, 2, given.shape[1]))
+        import cv2
+
+        places = np.pad(given, ((0, 0), (0, 3 - given.shape[1])))
+        places[~(places @ rotation[2] + translation[2] > 0.0)] = np.nan  # behind the camera
+        pixels, slopes = cv2.projectPoints(places, self.rotation, translation, self.matrix, self.distortion)
+        by_place = (slopes[:, 3:6] @ rotation).reshape(-1, 2, 3)  # from those by the translation
+        return pixels[:, 0], by_place[:, :, : given.shape[1]]
 
     def locate(self, pixels: ArrayLike) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN if a pixel shows no point of the plane."""
         seen = np.array(pixels, dtype=np.float64).reshape(-1, 2)
         if not len(seen):
             return seen
-        _, matrix, distortion = self._lens
-        ideal = (seen - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
-        if distortion.any():
+        ideal = (seen - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]]
+        if self.distortion.any():
             import cv2
 
             criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-            ideal = cv2.undistortPoints(seen[:, None], matrix, distortion, criteria=criteria)[:, 0]
+            ideal = cv2.undistortPoints(seen[:, None], self.matrix, self.distortion, criteria=criteria)[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             across = ideal @ self._to_plane[:, :2].T + self._to_plane[:, 2]
             places = across[:, :2] / across[:, 2:]

@@ -128,7 +128,7 @@ def match_lines(profiles, sweeps, widths, blur, step, reach, out):  # type: igno
         each reduces the squares; squares of its derivative by the offset; contrast; squares of the strip; mean square
         of the rest.
     """
-    half, _count = (profiles.shape[1] - 1) // 2, profiles.shape[1]
+    half = (profiles.shape[1] - 1) // 2
     out[:] = np.nan
     for k in range(profiles.shape[0]):
         strip_values = spread_by(time_density(sweeps[k, 0], sweeps[k, 1], step), strip(widths[k], blur, step))
