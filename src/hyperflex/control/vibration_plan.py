@@ -194,15 +194,18 @@ class _Family:
 
     def _between(self, model: Averaged, v: float, q: Array, lower: float) -> VibrationPosture | None:
         """Return the posture at the tilt between two velocities, m/s, of which the greater has the angles q."""
-        for _ in range(50):
-            middle = 0.5 * (v + lower)
-            if (found := model.settle(q, middle)) is None:
-                return None
-            if self.away * (tilt_of(self.rope, found, self.of) - self.tilt) > 0.0:
-                v, q = middle, found
-            else:
-                lower = middle
-        return model.posture(q, v)
+        from scipy.optimize import brentq
+
+        def beyond(speed: float) -> float:
+            found = model.settle(q, speed)
+            return math.nan if found is None else tilt_of(self.rope, found, self.of) - self.tilt
+
+        try:
+            exact = brentq(beyond, lower, v, xtol=1e-14 * v)
+        except ValueError:  # somewhere there is no posture
+            return None
+        found = model.settle(q, exact)
+        return None if found is None else model.posture(found, exact)
 
     def margin(self, held: VibrationPosture | None) -> float:
         """Return the logarithm of the ratio of a posture's value to the required one; -inf if it is not held."""
