@@ -332,5 +332,7 @@ def _steady(coef: Array, lag: float, s: Array) -> list[Array]:
 
     `coef` (POWERS, P) are those of the input.
     """
-    solution: Array = np.linalg.solve(np.eye(POWERS) + lag * DERIVATIVE, coef).T
-    return [polyval(s, _derived(solution, k).T[..., None], tensor=False) for k in range(3)]
+    solution = np.asarray(np.linalg.solve(np.eye(POWERS) + lag * DERIVATIVE, coef).T, dtype=np.float64)
+    return [
+        np.asarray(polyval(s, _derived(solution, k).T[..., None], tensor=False), dtype=np.float64) for k in range(3)
+    ]
