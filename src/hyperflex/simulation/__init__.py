@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.simulation.batch import Batch, BatchState, BatchStepper, simulate_batch
+    from hyperflex.simulation.batch import Batch, BatchFields, BatchState, BatchStepper, simulate_batch
     from hyperflex.simulation.contact import check_outside
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
     from hyperflex.simulation.out_of_plane import Sideways, lean_warning, refuse_rope, sideways
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         rollout_limits,
         runge_kutta_limit,
     )
-    from hyperflex.simulation.runs import SAMPLE_TIME, angles, file_size, simulate, tighter_run
+    from hyperflex.simulation.runs import SAMPLE_TIME, RunFields, angles, file_size, simulate, tighter_run
     from hyperflex.simulation.sensitivity import (
         AngleJacobian,
         ParameterChange,
