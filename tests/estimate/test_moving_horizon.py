@@ -89,6 +89,19 @@ def test_a_wrong_explanation_is_given_up():
     assert tracker.measurement_noise.value < 3.0
 
 
+def test_noise_eight_times_as_large_as_declared_is_learnt():
+    """At first no explanation is valid, in frame after frame: then the level must be wrong, not the state."""
+    cable, rng = (
+        hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, radius=0.002, friction=2e-4),
+        np.random.default_rng(0),
+    )
+    run = hf.simulate(cable, duration=2.4, q0=np.full(5, 0.8), t_eval=np.arange(0.0, 2.4, 0.04))
+    tracker = MovingHorizon(cable, np.linspace(0.2, 1.0, 5), starts=1)
+    for t, joints in zip(run.t, np.asarray(run.joints)[:, 1:], strict=True):
+        tracker.update(Observations(float(t), joints + 1e-3 * rng.normal(size=(5, 2)), 1.25e-4))
+    assert tracker.measurement_noise.value == pytest.approx(8.0, rel=0.3)
+
+
 def test_the_horizon_has_the_requested_length():
     run, tracker = spin(1), horizon()
     assert tracker.smoothed == ()
