@@ -369,6 +369,21 @@ def simulate_contact(
     return WindingScores(*np.array(found).reshape(-1, 5).T)
 
 
+def swing_in_contact(
+    problem: Problem, batch: RolloutBatch, spans: Sequence[float], budget: Budget
+) -> list[tuple[Array, Array, Array, Array]]:
+    """Simulate ropes (M,) with pegs for spans (M,), s; return times, s, turns, angles and rates of the samples of each.
+
+    Those of a run that fails, or begins in a peg, are empty.
+    """
+
+    def one(k: int) -> tuple[Array, Array, Array, Array]:
+        return _Contact(problem, batch.select([k]), 0.0, False, 0, budget).swing(spans[k])
+
+    with ThreadPoolExecutor(budget.threads) as pool:
+        return list(pool.map(one, range(len(batch))))
+
+
 class _Contact:
     """One run in contact."""
 
@@ -392,8 +407,7 @@ class _Contact:
         usual = min(1.0, criteria.turns / 1.25)  # the limits below suit 1.25 turns, and those of more
         parts = [(min(sweep, check), usual * MODEL.sweep_turns)] if self.sweeping else []
         hope = usual * MODEL.check_turns
-        setup = Setup(rope, self.motion, self.problem.arm, pegs=self.pegs, q0=self.batch.q[0], qd0=self.batch.qd[0])
-        setup = setup.replace(tol=MODEL.contact_tol, contact_step=MODEL.contact_step)
+        setup = self._setup()
         if not starts_outside(setup):
             return NEVER, 0.0, math.inf
         for until, least in [*parts, (check, hope), (end, 0.0)]:
@@ -414,6 +428,18 @@ class _Contact:
         if at_limits(limit_bend(rope), q, -FOLD).any():
             score -= MODEL.fault
         return score, stay, way
+
+    def swing(self, span: float) -> tuple[Array, Array, Array, Array]:
+        """Simulate for a span, s; return the samples: none if the run fails."""
+        setup = self._setup()
+        if starts_outside(setup):
+            self._run(setup, span)
+        return self.samples
+
+    def _setup(self) -> Setup:
+        start = {"q0": self.batch.q[0], "qd0": self.batch.qd[0]}
+        setup = Setup(self.rope, self.motion, self.problem.arm, pegs=self.pegs, **start)
+        return setup.replace(tol=MODEL.contact_tol, contact_step=MODEL.contact_step)
 
     def _run(self, setup: Setup, until: float) -> bool:
         """Simulate on until a time, s; return whether it succeeds. If not, the samples stay as they are."""

@@ -64,7 +64,7 @@ class Strike(Candidate):
 
     `follow` are the moves to try in contact, which agree with `moves` until the strike; empty: usual last moves, of
     which so many were `tried`. `winds`: whether the rope made the required turns with some, for however short a time. A
-    swing that misses has no states; its score is below 0.
+    swing that misses has no states; its score is below 0. `pumped`: whether the rope had touched the peg before.
     """
 
     swing: Swing | None = None
@@ -72,6 +72,7 @@ class Strike(Candidate):
     follow: tuple[Moves, ...] = field(default=())
     tried: int = 0
     winds: bool = False
+    pumped: bool = False
 
 
 @dataclass(eq=False)
@@ -97,7 +98,7 @@ class _Lane:
         self.levels, self.swings, self.passes = levels[:keep], levels[keep], self.passes + 1
 
 
-class _Try(NamedTuple):
+class Try(NamedTuple):
     """Moves that continue a swing, simulated until a time, s, at most. `whole`: with last moves after the strike."""
 
     swing: Swing
@@ -160,7 +161,7 @@ class SwingSearch:
         """Return the predictable strikes of whole moves, simulated from the last swing that was seen with them."""
         pairs = [(swing, one) for one in moves for swing in [*self.begin, *self.seen] if one.begins_with(swing.moves)]
         last = {id(one): (swing, one) for swing, one in pairs}.values()
-        return self._strikes([_Try(swing, one, self.problem.time, True) for swing, one in last], budget)[0]
+        return self._strikes([Try(swing, one, self.problem.time, True) for swing, one in last], budget)[0]
 
     def extend(self, budget: Budget) -> list[Strike]:
         """Continue the swings of a speed by a stroke; return predictable strikes.
@@ -183,14 +184,14 @@ class SwingSearch:
         """Vary the last moves of the best of `found`, or of near misses, by little and by much; return the strikes."""
         parents = [one for one in found if isinstance(one, Strike)][: self.options.parents]
         parents += self._misses[: self.options.parents - len(parents)]
-        tries = list[_Try]()
+        tries = list[Try]()
         for _ in range(self.options.members if parents else 0):
             parent = parents[self.random.integers(len(parents))]
             swing = (parent.swing or self.begin[0]).ancestor(int(self.random.integers(self.options.back)))
             moves = self.varied(parent.moves, swing.moves.ends.size)
             until = parent.t if math.isfinite(parent.t) else parent.moves.stops(self.problem.limits)
             whole = bool(parent.states)
-            tries.append(_Try(swing, moves, until + self.options.watched * self.problem.period, whole))
+            tries.append(Try(swing, moves, until + self.options.watched * self.problem.period, whole))
         return self._strikes(tries, budget, onward=False)[0]
 
     def varied(self, moves: Moves, made: int, wait: float = 0.0) -> Moves:
@@ -203,9 +204,9 @@ class SwingSearch:
         ends, speeds = moves.ends + math.pi * change[0], (moves.speeds + change[2]).clip(MIN_SPEED, 1.0)
         return replace(moves, ends=ends, rests=rests, speeds=speeds, dwell=0.0)
 
-    def _strokes(self, swing: Swing, lane: _Lane) -> list[_Try]:
+    def _strokes(self, swing: Swing, lane: _Lane) -> list[Try]:
         """Return the strokes that are tried after a swing, within the time."""
-        limits, options, found = self.problem.limits, self.options, list[_Try]()
+        limits, options, found = self.problem.limits, self.options, list[Try]()
         if swing.states[0].t >= self.problem.time:
             return found
         (least, greatest), count = self._range, swing.moves.ends.size
@@ -220,10 +221,10 @@ class SwingSearch:
                 end = float(np.clip(angle + sense * self.random.uniform(low, high) * usual, least, greatest))
                 if sense * (end - angle) > MIN_MOVE:
                     moves = swing.moves.then(end, rest, lane.speed)
-                    found.append(_Try(swing, moves, moves.stops(limits) + options.watched * self.problem.period))
+                    found.append(Try(swing, moves, moves.stops(limits) + options.watched * self.problem.period))
         return found
 
-    def _strikes(self, tries: list[_Try], budget: Budget, onward: bool = True) -> tuple[list[Strike], list[Swing]]:
+    def _strikes(self, tries: list[Try], budget: Budget, onward: bool = True) -> tuple[list[Strike], list[Swing]]:
         """Simulate tries; return predictable strikes, the best first, and swings that may be continued.
 
         `onward`: whether any are continued.
@@ -251,16 +252,16 @@ class SwingSearch:
         self._misses = sorted(self._misses, key=lambda one: -one.score)[: self.options.parents]
         width, siblings = self.options.width, self.options.siblings
         struck = sorted(struck, key=lambda one: -one[1].score)[: self.options.batch]
-        likely = _best(swings, 2 * width, 2 * siblings)
+        likely = best_swings(swings, 2 * width, 2 * siblings)
         for chain in range(1, len(self.chains)):
             struck, likely = self._agreed(chain, tries, struck, likely, budget)
         strikes = sorted((one for _, one in struck), key=lambda one: -one.score)
-        return strikes, [one for _, one in _best(likely, width, siblings)]
+        return strikes, [one for _, one in best_swings(likely, width, siblings)]
 
     def _agreed(
         self,
         chain: int,
-        tries: list[_Try],
+        tries: list[Try],
         struck: list[tuple[int, Strike]],
         onward: list[tuple[int, Swing]],
         budget: Budget,
@@ -294,7 +295,7 @@ class SwingSearch:
         return strikes, [one for one, off in zip(swings, apart, strict=True) if off <= limit]
 
     def _fly(
-        self, chain: int, tries: list[_Try], until: list[float], budget: Budget
+        self, chain: int, tries: list[Try], until: list[float], budget: Budget
     ) -> tuple[Array, Array, Array, Strikes]:
         """Simulate tries on a chain until times (M,), s; return times, angles and rates of samples, and first strikes.
 
@@ -348,7 +349,7 @@ def _apart(rope: Rope, q: Array, finer: Rope, angles: Array) -> float:
     return float(np.sqrt(((away**2).sum(axis=1) * rope.mass).sum() / rope.mass.sum()) / rope.total_length)
 
 
-def _best(swings: list[tuple[int, Swing]], width: int, siblings: int) -> list[tuple[int, Swing]]:
+def best_swings(swings: list[tuple[int, Swing]], width: int, siblings: int) -> list[tuple[int, Swing]]:
     """Return the swings with the most energy: `width` of each side, of these few of the same parent."""
     kept, count = list[tuple[int, Swing]](), Counter[object]()
     for k, one in sorted(swings, key=lambda each: -each[1].energy):

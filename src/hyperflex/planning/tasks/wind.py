@@ -24,6 +24,7 @@ from hyperflex.planning.rollouts import (
     simulate_contact,
 )
 from hyperflex.planning.swings import MIN_SPEED, State, Strike, Swing, SwingSearch
+from hyperflex.planning.swings_in_contact import SwingsInContact
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
@@ -41,6 +42,10 @@ FINISHES = (
     (0, 1.0, 2.0),
     (2, -0.5, 0.0),
 )
+
+
+class Turn(Candidate):
+    """A turn of the search for swings in contact, which is as dear as other runs in contact."""
 
 
 class WindTask(Task):
@@ -92,6 +97,9 @@ class WindTask(Task):
             states = tuple(State(now.t, now.q, now.qd).cut(parts) for parts in (1, pieces))
             made.append(Swing(moves, states, parent=made[-1] if made else None))
         self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options, made, anew)
+        self.pumping = SwingsInContact(
+            (self.contact, self.finer), peg, self.sides, np.random.default_rng([options.seed, 2]), options
+        )
         self.order = 1 + np.random.default_rng([options.seed, 1]).permutation(len(FINISHES) - 1)  # of the last moves
         self._again = list[Strike]()  # to be tried with other last moves
         self.scenarios: list[Scenario] = []
@@ -99,7 +107,9 @@ class WindTask(Task):
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
         self.most_turns, self.furthest, self._flights = 0.0, 0, 0
         self._start = [replace(one, dwell=0.0) for one in start if one.side in self.sides]
-        self._samples = 0
+        self._samples = self._turns = 0
+        self._freely = False  # whether the rope winds after free flight
+        self._near = list[Candidate]()  # swings in contact, the best first
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
@@ -115,6 +125,7 @@ class WindTask(Task):
                 new, self._again = self._again, []
             else:
                 self._samples += 1
+                found = [one for one in found if isinstance(one, Strike) and not one.pumped]
                 best = _distinct(found[: 4 * self.options.parents], self.options.parents)
                 nearly = bool(best) and best[0].score > self.options.nearly * self.problem.criteria.turns
                 wound = [one for one in found if isinstance(one, Strike) and one.winds][: 4 * self.options.parents]
@@ -128,7 +139,16 @@ class WindTask(Task):
                 else:
                     new = self.search.extend(budget)
         self.runs, self._flights = self.runs + self.search.runs - self._flights, self.search.runs
-        return list(new)
+        stopped = self.search.passes > 0 and not self._freely
+        return [*new, Turn(Moves(self.sides[0], *2 * (np.zeros(0),)), math.inf, 0.0)] if stopped else list(new)
+
+    def _pumped(self, found: Sequence[Candidate], budget: Budget) -> list[Strike]:
+        """Return swings in contact that nearly wind: by turns from the beam search, and near the best ones."""
+        self._turns, before = self._turns + 1, self.pumping.runs
+        near = _distinct([one for one in found if isinstance(one, Strike) and one.pumped], self.options.parents)
+        new = self.pumping.vary(near, budget) if near and self._turns % 2 else self.pumping.extend(budget)
+        self.runs += self.pumping.runs - before
+        return new
 
     def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Simulate strikes in contact with some last moves; simulate those that wind with shorter links, too.
@@ -136,8 +156,12 @@ class WindTask(Task):
         A strike whose rope winds with the first last moves, but does not stay, is tried with others later.
         """
         swings = [one for one in some if isinstance(one, Strike)]
+        if any(isinstance(one, Turn) for one in some):
+            swings += self._pumped(self._near, budget)
+        if not swings:
+            return []
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
-        states = [one.states[0].cut(self._cuts) for one, _ in pairs]
+        states = [one.states[0] if one.pumped else one.states[0].cut(self._cuts) for one, _ in pairs]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
         reached = (wound.most >= required).astype(int) + np.isfinite(wound.slip) + (wound.turns >= required)
@@ -149,13 +173,17 @@ class WindTask(Task):
             winds = bool(wound.most[rows].max() >= required)
             moves = pairs[k][1].waiting(float(wound.dwell[k]))
             tried = replace(one, moves=moves, score=float(wound.score[k]), winds=winds)
+            self._freely |= winds and not one.pumped
             if wound.turns[k] >= required:
                 good.append(tried)
                 continue
             found.append(tried)
             if not one.follow and winds and one.tried + len(rows) < len(FINISHES):
                 self._again.append(replace(one, tried=one.tried + len(rows), score=math.inf))
-        return found + self._confirmed(good, budget)
+        confirmed = self._confirmed(good, budget)
+        self._near = [one for one in [*self._near, *found, *confirmed] if isinstance(one, Strike) and one.pumped]
+        self._near = sorted(self._near, key=lambda one: -one.score)[: 4 * self.options.parents]
+        return found + confirmed
 
     def _wind(
         self, problem: Problem, moves: Sequence[Moves], states: Sequence[State], budget: Budget, sweeping: bool
