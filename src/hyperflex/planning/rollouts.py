@@ -51,6 +51,9 @@ class RolloutModel:
         Gap between rope and peg below which a free flight strikes.
     contact_tol, contact_step : float
         Tolerance and step of runs in contact; coarser runs of wound ropes took longer.
+    swing_step : float
+        The step of swings in contact: two searches found the same swings as with half of it, in 0.6 of the time, one
+        of them none with twice as much.
     poll : float
         Between two checks of the distance from arm and obstacles in contact.
     max_ratio, max_tail : float
@@ -85,6 +88,7 @@ class RolloutModel:
     near: float = 0.02
     contact_tol: float = 1e-3
     contact_step: float = 1e-3
+    swing_step: float = 2e-3
     poll: float = 0.005
     max_ratio: float = 2.0
     max_tail: float = 2.0
@@ -349,19 +353,19 @@ def simulate_contact(
     begin: Array,
     budget: Budget,
     *,
-    sweeping: bool = False,
+    sweeping: Sequence[bool] = (),
     periods: int = 0,
 ) -> WindingScores:
     """Simulate ropes (M,) with pegs from shortly before their strikes at `begin` (M,), s, under motions that end.
 
     The score is in turns: those that stay, a part of those that do not, less what delay, slip, and a rope that is too
-    near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. With
-    `sweeping` runs end early that make few turns. A wound rope that slips is given up to so many `periods` of its swing
-    to settle.
+    near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. Those
+    that are `sweeping` (M,) end early if they make few turns; by default none are. A wound rope that slips is given up
+    to so many `periods` of its swing to settle.
     """
 
     def one(k: int) -> tuple[float, ...]:
-        run = _Contact(problem, batch.select([k]), float(begin[k]), sweeping, periods, budget)
+        run = _Contact(problem, batch.select([k]), float(begin[k]), bool(sweeping) and sweeping[k], periods, budget)
         return *run.score(), run.most, run.dwell
 
     with ThreadPoolExecutor(budget.threads) as pool:
@@ -396,7 +400,8 @@ class _Contact:
         self.pegs, self.most = (self.peg, *problem.criteria.behind), 0.0
         self.state: State | None = None
         none, angles = np.zeros(0), np.zeros((0, self.rope.n_links))
-        self.samples: tuple[Array, ...] = none, none, angles, angles  # times, s, turns, angles, rad, and rates, rad/s
+        # times, s, turns, angles, rad, and rates, rad/s
+        self.samples: tuple[Array, Array, Array, Array] = none, none, angles, angles
 
     def score(self) -> tuple[float, float, float]:
         """Score, turns and slip of the run, in parts: it ends after one that leaves no hope, or without slip."""
@@ -431,7 +436,7 @@ class _Contact:
 
     def swing(self, span: float) -> tuple[Array, Array, Array, Array]:
         """Simulate for a span, s; return the samples: none if the run fails."""
-        setup = self._setup()
+        setup = self._setup().replace(contact_step=MODEL.swing_step)
         if starts_outside(setup):
             self._run(setup, span)
         return self.samples
@@ -455,7 +460,8 @@ class _Contact:
         if run.success:
             more = run.t, turns, run.q, run.qd
             self.state = run.state
-            self.samples = tuple(np.concatenate(each) for each in zip(self.samples, more, strict=True))
+            t, turned, q, qd = (np.concatenate(each) for each in zip(self.samples, more, strict=True))
+            self.samples = t, turned, q, qd
         return run.success
 
     def _settled(self, setup: Setup, end: float, since: float) -> float:

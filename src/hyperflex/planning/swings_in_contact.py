@@ -50,8 +50,8 @@ class SwingsInContact(SwingSearch):
         random: np.random.Generator,
         options: SearchOptions,
     ) -> None:
-        fewer = {"width": max(1, options.width // DEARER), "rests": max(1, options.rests // 2)}
-        super().__init__(chains, peg, sides, random, replace(options, **fewer))
+        width, rests = max(1, options.width // DEARER), max(1, options.rests // 2)
+        super().__init__(chains, peg, sides, random, replace(options, width=width, rests=rests))
 
     def _strikes(self, tries: list[Try], budget: Budget, onward: bool = True) -> tuple[list[Strike], list[Swing]]:
         """Simulate tries in contact; return those that nearly wind, the best first, and swings to be continued."""

@@ -44,10 +44,6 @@ FINISHES = (
 )
 
 
-class Turn(Candidate):
-    """A turn of the search for swings in contact, which is as dear as other runs in contact."""
-
-
 class WindTask(Task):
     """Wind a rope round a target.
 
@@ -109,13 +105,12 @@ class WindTask(Task):
         self._start = [replace(one, dwell=0.0) for one in start if one.side in self.sides]
         self._samples = self._turns = 0
         self._freely = False  # whether the rope winds after free flight
-        self._near = list[Candidate]()  # swings in contact, the best first
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
-        new: Sequence[Candidate] = ()
+        new: Sequence[Strike] = ()
         while not new:
-            self.runs, self._flights = self.runs + self.search.runs - self._flights, self.search.runs
+            self._count()
             budget.report()
             budget.check()
             if self._start:
@@ -125,30 +120,48 @@ class WindTask(Task):
                 new, self._again = self._again, []
             else:
                 self._samples += 1
-                found = [one for one in found if isinstance(one, Strike) and not one.pumped]
-                best = _distinct(found[: 4 * self.options.parents], self.options.parents)
-                nearly = bool(best) and best[0].score > self.options.nearly * self.problem.criteria.turns
-                wound = [one for one in found if isinstance(one, Strike) and one.winds][: 4 * self.options.parents]
-                if wound and self._samples % 3 == 0:
-                    some = [one for one in _distinct(wound, self.options.parents) if isinstance(one, Strike)]
-                    new = [self.other_ends(some[self.search.random.integers(len(some))])]
-                elif self.options.members and self._samples % 2 == 0 and (best or self.search.passes):
-                    new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
-                    if nearly:  # else they wait for better swings
-                        new = [replace(one, score=math.inf) for one in new]
-                else:
-                    new = self.search.extend(budget)
-        self.runs, self._flights = self.runs + self.search.runs - self._flights, self.search.runs
-        stopped = self.search.passes > 0 and not self._freely
-        return [*new, Turn(Moves(self.sides[0], *2 * (np.zeros(0),)), math.inf, 0.0)] if stopped else list(new)
+                strikes = [one for one in found if isinstance(one, Strike)]
+                pumped = self._stopped and self._samples % 3 > 0
+                some = [one for one in strikes if one.pumped == pumped]
+                new = self._through_contact(some, budget) if pumped else self._free(some, budget)
+        self._count()
+        return list(new)
 
-    def _pumped(self, found: Sequence[Candidate], budget: Budget) -> list[Strike]:
-        """Return swings in contact that nearly wind: by turns from the beam search, and near the best ones."""
-        self._turns, before = self._turns + 1, self.pumping.runs
-        near = _distinct([one for one in found if isinstance(one, Strike) and one.pumped], self.options.parents)
-        new = self.pumping.vary(near, budget) if near and self._turns % 2 else self.pumping.extend(budget)
-        self.runs += self.pumping.runs - before
-        return new
+    def _free(self, found: list[Strike], budget: Budget) -> list[Strike]:
+        """Return free swings that strike: by turns from the beam search, near the best ones, and with other ends."""
+        best, wound = self._some(found), self._some([one for one in found if one.winds])
+        if wound and self._samples % 3 == 0:
+            return [self.other_ends(wound[self.search.random.integers(len(wound))])]
+        if self.options.members and self._samples % 2 == 0 and (best or self.search.passes):
+            new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
+            nearly = bool(best) and best[0].score > self.options.nearly * self.problem.criteria.turns
+            return [replace(one, score=math.inf) for one in new] if nearly else new  # else they wait for better swings
+        return self.search.extend(budget)
+
+    @property
+    def _stopped(self) -> bool:
+        """Whether the beam search has begun again, and no free swing has wound the rope."""
+        return self.search.passes > 0 and not self._freely
+
+    def _through_contact(self, found: list[Strike], budget: Budget) -> list[Strike]:
+        """Return swings in contact that nearly wind: by turns from the beam search, near the best, with other ends."""
+        self._turns += 1
+        best, wound = self._some(found), self._some([one for one in found if one.winds])
+        if wound and self._turns % 3 == 0:
+            return [self.other_ends(wound[self.search.random.integers(len(wound))])]
+        if best and self._turns % 3 == 1:
+            new = self.pumping.vary(best, budget)
+        else:
+            new = self.pumping.extend(budget)
+        return [replace(one, score=math.inf) for one in new]
+
+    def _some(self, found: list[Strike]) -> list[Strike]:
+        """Return the first of some strikes that are not alike."""
+        return _distinct(found[: 4 * self.options.parents], self.options.parents)
+
+    def _count(self) -> None:
+        flights = self.search.runs + self.pumping.runs
+        self.runs, self._flights = self.runs + flights - self._flights, flights
 
     def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Simulate strikes in contact with some last moves; simulate those that wind with shorter links, too.
@@ -156,13 +169,10 @@ class WindTask(Task):
         A strike whose rope winds with the first last moves, but does not stay, is tried with others later.
         """
         swings = [one for one in some if isinstance(one, Strike)]
-        if any(isinstance(one, Turn) for one in some):
-            swings += self._pumped(self._near, budget)
-        if not swings:
-            return []
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
         states = [one.states[0] if one.pumped else one.states[0].cut(self._cuts) for one, _ in pairs]
-        wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
+        sweeping = [not one.pumped for one, _ in pairs]
+        wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping)
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
         reached = (wound.most >= required).astype(int) + np.isfinite(wound.slip) + (wound.turns >= required)
         self.furthest = max(self.furthest, int(reached.max(initial=0)))
@@ -180,13 +190,15 @@ class WindTask(Task):
             found.append(tried)
             if not one.follow and winds and one.tried + len(rows) < len(FINISHES):
                 self._again.append(replace(one, tried=one.tried + len(rows), score=math.inf))
-        confirmed = self._confirmed(good, budget)
-        self._near = [one for one in [*self._near, *found, *confirmed] if isinstance(one, Strike) and one.pumped]
-        self._near = sorted(self._near, key=lambda one: -one.score)[: 4 * self.options.parents]
-        return found + confirmed
+        return found + self._confirmed(good, budget)
 
     def _wind(
-        self, problem: Problem, moves: Sequence[Moves], states: Sequence[State], budget: Budget, sweeping: bool
+        self,
+        problem: Problem,
+        moves: Sequence[Moves],
+        states: Sequence[State],
+        budget: Budget,
+        sweeping: Sequence[bool] = (),
     ) -> WindingScores:
         """Simulate moves in contact on a chain, each from the state of its strike."""
         motions = [one.motion(problem.limits, state.t) for one, state in zip(moves, states, strict=True)]
@@ -201,7 +213,7 @@ class WindTask(Task):
         if not good:
             return []
         states = [one.states[-1] for one in good]
-        seen = self._wind(self.finer, [one.moves for one in good], states, budget, sweeping=False)
+        seen = self._wind(self.finer, [one.moves for one in good], states, budget)
         found, criteria = list[Candidate](), self.problem.criteria
         for one, value, turns, slip, dwell in zip(
             good, *(each.tolist() for each in (seen.score, seen.turns, seen.slip, seen.dwell)), strict=True
@@ -295,9 +307,9 @@ def _alike(one: Candidate, other: Candidate, apart: float = 0.1) -> bool:
     return bool(max(ends, rests) < apart and abs(one.t - other.t) < 0.5)
 
 
-def _distinct(some: Sequence[Candidate], count: int = 1_000) -> list[Candidate]:
-    """Return the first candidates, `count` at most, that are not alike."""
-    found: list[Candidate] = []
+def _distinct(some: Sequence[Strike], count: int) -> list[Strike]:
+    """Return the first strikes, `count` at most, that are not alike."""
+    found = list[Strike]()
     for one in sorted(some, key=lambda each: -each.score):
         if len(found) < count and not any(_alike(one, other) for other in found):
             found.append(one)
