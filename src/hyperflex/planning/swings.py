@@ -131,7 +131,11 @@ class SwingSearch:
         Simulated flights so far.
     passes : int
         How often the beam search has begun again.
+    full : bool
+        Whether all strokes are as long as the motor allows; else all but those of the first passes vary.
     """
+
+    full = False
 
     def __init__(
         self,
@@ -217,7 +221,7 @@ class SwingSearch:
         longest = options.longest_rest * self.problem.period
         rests = (np.arange(options.rests) + self.random.uniform()) * longest / options.rests
         for rest in rests.tolist() if count else [0.0]:
-            for low, high in ((1.0, 1.0),) if lane.passes == 0 else ((1.0, 1.0), (0.15, 0.9)):
+            for low, high in ((1.0, 1.0),) if lane.passes == 0 or self.full else ((1.0, 1.0), (0.15, 0.9)):
                 end = float(np.clip(angle + sense * self.random.uniform(low, high) * usual, least, greatest))
                 if sense * (end - angle) > MIN_MOVE:
                     moves = swing.moves.then(end, rest, lane.speed)

@@ -6,7 +6,8 @@ go on that wind furthest.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,24 +24,41 @@ DEARER = 4  # a stroke in contact takes more time than in free flight, so that f
 UNWOUND = 0.25  # turns, below which a rope leans on the peg rather than winds
 
 
-@dataclass(frozen=True, eq=False)
-class Pumped(Swing):
-    """A swing in contact, with times, s, angles (T, n), rad, and rates, rad/s, after its last stroke."""
+class _Run(NamedTuple):
+    """Times, s, turns, angles, rad, and rates, rad/s, of a rope as long as it is clear of its arm and obstacles."""
 
-    after: tuple[Array, Array, Array] = field(default=(np.zeros(0),) * 3)
+    t: Array
+    turns: Array
+    q: Array
+    qd: Array
+
+    @property
+    def most(self) -> float:
+        """Return the most turns at any time."""
+        return float(np.abs(self.turns).max(initial=0.0))
 
     def state(self, t: float) -> State:
         """Return the state at the last sample until a time, s, or at the first one."""
-        times, q, qd = self.after
-        k = max(0, int(np.searchsorted(times, t + 1e-9)) - 1)
-        return State(float(times[k]), q[k], qd[k])
+        row = max(0, int(np.searchsorted(self.t, t + 1e-9)) - 1)
+        return State(float(self.t[row]), self.q[row], self.qd[row])
+
+
+@dataclass(frozen=True, eq=False)
+class Pumped(Swing):
+    """A swing in contact, and its run, which goes on after the last stroke."""
+
+    run: _Run | None = None
 
 
 class SwingsInContact(SwingSearch):
     """Search for swings in contact that wind a peg; arguments are as of :class:`SwingSearch`.
 
-    The first of the `chains` is that of runs in contact.
+    The first of the `chains` is that of runs in contact. Strokes are as long and as fast as the motor allows: only
+    their rests differ. A swing that nearly winds is simulated with shorter links as well, with all that it continues:
+    it strikes if it nearly winds there, too.
     """
+
+    full = True
 
     def __init__(
         self,
@@ -50,50 +68,71 @@ class SwingsInContact(SwingSearch):
         random: np.random.Generator,
         options: SearchOptions,
     ) -> None:
-        width, rests = max(1, options.width // DEARER), max(1, options.rests // 2)
-        super().__init__(chains, peg, sides, random, replace(options, width=width, rests=rests))
+        width, rests = max(1, options.width // DEARER), max(1, (options.rests + 1) // 2)
+        fewer = replace(options, speeds=options.speeds[:1], width=width, rests=rests)
+        super().__init__(chains, peg, sides, random, fewer)
+        self._shorter: dict[Swing, Swing | None] = {}  # the same swings with shorter links; None: it fails with them
 
     def _strikes(self, tries: list[Try], budget: Budget, onward: bool = True) -> tuple[list[Strike], list[Swing]]:
         """Simulate tries in contact; return those that nearly wind, the best first, and swings to be continued."""
+        runs, nearly = self._simulated(0, tries, budget), self.options.nearly * self.problem.criteria.turns
+        rows = [k for k in np.argsort([-run.most for run in runs]).tolist() if runs[k].most >= nearly]
+        pairs = [(k, before) for k in rows[: self.options.batch] if (before := self._same(tries[k].swing, budget))]
+        finer = self._simulated(1, [tries[k]._replace(swing=before) for k, before in pairs], budget)
+        found, swings = list[Strike](), list[tuple[int, Swing]]()
+        for (k, _), other in zip(pairs, finer, strict=True):
+            run, one = runs[k], tries[k]
+            sense = np.sign(run.turns[furthest := int(np.abs(run.turns).argmax())])
+            unwound = np.flatnonzero(sense * run.turns[:furthest] < UNWOUND)
+            begin = run.state(float(run.t[unwound[-1] if unwound.size else 0]))
+            made = float((sense * other.turns[other.t >= begin.t]).max(initial=0.0))
+            if begin.t < self.problem.time and made >= nearly:
+                states, follow = (begin, other.state(begin.t)), () if onward else (one.moves,)
+                score = min(run.most, made)
+                found.append(Strike(one.moves, score, begin.t, False, one.swing, states, follow, pumped=True))
+        if onward:
+            some = [(k, self._swing(one, run)) for k, (one, run) in enumerate(zip(tries, runs, strict=True))]
+            swings = [(k, one) for k, one in some if one is not None]
+        return found, [one for _, one in best_swings(swings, self.options.width, self.options.siblings)]
+
+    def _swing(self, one: Try, run: _Run) -> Swing | None:
+        """Return the swing of a try; None if the rope was not clear until the end of its last stroke."""
+        stop = one.moves.stops(self.problem.limits)
+        if not run.t.size or run.t[-1] < stop:
+            return None
+        return Pumped(one.moves, (run.state(stop),), run.most, one.swing, run)
+
+    def _same(self, swing: Swing, budget: Budget) -> Swing | None:
+        """Return the same swing with shorter links; None if it, or one that it continues, fails with them."""
+        if swing.parent is None:
+            return replace(swing, states=swing.states[1:])
+        if swing not in self._shorter:
+            until = swing.states[0].t + self.options.watched * self.problem.period
+            before = self._same(swing.parent, budget)
+            one = None if before is None else Try(before, swing.moves, until)
+            self._shorter[swing] = None if one is None else self._swing(one, self._simulated(1, [one], budget)[0])
+        return self._shorter[swing]
+
+    def _simulated(self, chain: int, tries: list[Try], budget: Budget) -> list[_Run]:
+        """Simulate tries in contact on a chain, from swings on it."""
         if not tries:
-            return [], []
-        problem, limits, required = self.problem, self.problem.limits, self.problem.criteria.turns
-        begins = [one.moves.starts(limits)[one.swing.moves.ends.size] for one in tries]
-        starts = [
-            one.swing.state(at) if isinstance(one.swing, Pumped) else one.swing.states[0]
-            for one, at in zip(tries, begins, strict=True)
-        ]
+            return []
+        problem, limits, starts = self.chains[chain], self.problem.limits, list[State]()
+        for one in tries:
+            begin = float(one.moves.starts(limits)[one.swing.moves.ends.size])
+            run = one.swing.run if isinstance(one.swing, Pumped) else None
+            starts.append(one.swing.states[0] if run is None else run.state(begin))
         motions = [one.moves.motion(limits, state.t) for one, state in zip(tries, starts, strict=True)]
         q, qd = np.stack([each.q for each in starts]), np.stack([each.qd for each in starts])
         batch = RolloutBatch([problem.rope] * len(tries), [self.peg] * len(tries), motions, q, qd)
         spans = [one.until - state.t for one, state in zip(tries, starts, strict=True)]
-        self.runs += len(tries)
-        found, swings = list[Strike](), list[tuple[int, Swing]]()
-        for k, (one, samples) in enumerate(zip(tries, swing_in_contact(problem, batch, spans, budget), strict=True)):
-            t, turns, angles, rates = samples
-            if not t.size:
-                continue
-            base: Array = np.asarray(problem.arm.tip(motions[k].angle(t)))
-            clear, t = self._clear(angles, base), t + starts[k].t
-            furthest = int(np.abs(turns[:clear]).argmax()) if clear else 0
-            made = abs(float(turns[furthest])) if clear else 0.0
-            row = int(np.searchsorted(t, one.moves.stops(limits)))
-            if made >= self.options.nearly * required:
-                unwound = np.flatnonzero(np.sign(turns[furthest]) * turns[:furthest] < UNWOUND)
-                first = int(unwound[-1]) if unwound.size else 0
-                if t[first] < problem.time:
-                    states = State(float(t[first]), angles[first], rates[first]), State(0.0, *self.chains[1].start)
-                    follow = () if onward else (one.moves,)
-                    strike = Strike(one.moves, made, float(t[first]), False, one.swing, states, follow, pumped=True)
-                    found.append(strike)
-            if onward and row < min(clear, t.size):
-                state, after = State(float(t[row]), angles[row], rates[row]), (t[row:], angles[row:], rates[row:])
-                swings.append((k, Pumped(one.moves, (state,), made, one.swing, after)))
-        found = sorted(found, key=lambda each: -each.score)[: self.options.batch]
-        return found, [one for _, one in best_swings(swings, self.options.width, self.options.siblings)]
-
-    def _clear(self, q: Array, base: Array) -> int:
-        """Return after how many samples (T, n) a rope comes too near its arm, the shaft or an obstacle."""
-        problem, rope = self.problem, self.problem.rope
-        near = samples_clear_of_arm(rope, problem.arm, q[None], base[None], problem.clearance)
-        return int(min(near[0], clear_samples([rope], problem.obstacles, q[None], base[None], problem.clearance)[0]))
+        self.runs, runs = self.runs + len(tries), list[_Run]()
+        samples = swing_in_contact(problem, batch, spans, budget)
+        for motion, start, (t, turns, q, qd) in zip(motions, starts, samples, strict=True):
+            clear, base = 0, np.asarray(problem.arm.tip(motion.angle(t)))
+            if t.size:
+                near = samples_clear_of_arm(problem.rope, problem.arm, q[None], base[None], problem.clearance)
+                apart = clear_samples([problem.rope], problem.obstacles, q[None], base[None], problem.clearance)
+                clear = int(min(near[0], apart[0]))
+            runs.append(_Run(t[:clear] + start.t, turns[:clear], q[:clear], qd[:clear]))
+        return runs

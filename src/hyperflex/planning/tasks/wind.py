@@ -121,7 +121,7 @@ class WindTask(Task):
             else:
                 self._samples += 1
                 strikes = [one for one in found if isinstance(one, Strike)]
-                pumped = self._stopped and self._samples % 3 > 0
+                pumped = self._stopped and self._samples % 5 > 0
                 some = [one for one in strikes if one.pumped == pumped]
                 new = self._through_contact(some, budget) if pumped else self._free(some, budget)
         self._count()

@@ -1,0 +1,91 @@
+"""Swings through contact, for targets that stop each free swing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.budget import Budget
+from hyperflex.planning import MotorLimits, Problem, SearchOptions, WindCriteria, plan_cast
+from hyperflex.planning.clearance import sampled_obstacle_gaps
+from hyperflex.planning.feasibility import SWING, check_feasibility, search_time
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.swings import Swing
+from hyperflex.planning.swings_in_contact import Pumped, SwingsInContact
+
+ROPE, ARM = hf.Rope.uniform(0.8, 0.04, 20, 0.003, friction=1e-4), hf.Arm(length=0.08)
+PEG = hf.Peg(0.05, -0.36, 0.025, 0.3)  # beside the rope that hangs
+
+
+def search(problem: Problem, seed: int = 0) -> SwingsInContact:
+    options = SearchOptions(threads=1)
+    return SwingsInContact((problem, problem.cut(2)), PEG, [-1, 1], np.random.default_rng(seed), options)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    problem = Problem(ROPE, ARM, MotorLimits())
+    return replace(problem, time=search_time(problem, PEG))
+
+
+def swung(problem: Problem, moves: Moves, step: float) -> hf.Trajectory:
+    """Simulate moves from rest, in one run, until the last swing is over."""
+    motion, limits = moves.motion(problem.limits), problem.limits
+    until = moves.stops(limits) + SearchOptions().watched * problem.period
+    rope = {"q0": problem.start[0], "pegs": [PEG], "refine": False}
+    return hf.simulate(ROPE, motion, arm=ARM, duration=until, contact_step=step, **rope)
+
+
+def test_a_search_has_the_longest_time_where_a_swing_does_not_lift_the_tail_over_the_target(problem):
+    near, far = check_feasibility(problem, PEG), hf.Peg(0.5, -0.45, 0.025, 0.3)
+    assert near.feasible and near.energy_ratio < 1.0 < check_feasibility(problem, far).energy_ratio
+    assert problem.time == pytest.approx(SWING.max_periods * problem.period)
+    assert search_time(replace(problem, time=1.0), far) < 0.8 * problem.time
+
+
+def test_strokes_in_contact_wind_a_rope_as_one_run_of_all_of_them(problem):
+    """Strokes begin from states of coarse runs; the run has a tenth of their steps, and a hundredth of their error."""
+    found, one = [], search(problem)
+    while not found or found[0].score < 1.25:
+        found = one.extend(Budget(60.0))
+    best = found[0]
+    turns = np.abs(hf.winding.turns(swung(problem, best.moves, 2e-4), PEG)).max()
+    assert turns == pytest.approx(best.score, abs=0.1)
+    assert best.pumped and best.t < best.moves.stops(problem.limits) + problem.period
+    assert best.states[0].t == best.t
+    assert best.states[1].q.size == 2 * ROPE.n_links
+
+
+def test_a_swing_goes_on_from_the_sample_before_its_next_move():
+    t = np.array([1.0, 1.02, 1.04])
+    q = t[:, None] * np.ones(3)
+    swing = Pumped(Moves(1, np.zeros(1), np.zeros(1)), (), after=(t, q, -q))
+    assert isinstance(swing, Swing)
+    assert [swing.state(at).t for at in (0.9, 1.0, 1.03, 1.04, 7.0)] == [1.0, 1.0, 1.02, 1.04, 1.04]
+    assert swing.state(1.03).qd.tolist() == [-1.02] * 3
+
+
+def test_swings_that_touch_an_obstacle_are_not_continued(problem):
+    wall = hf.Peg(-0.35, -0.6, 0.05)
+    behind, one = replace(problem, obstacles=(wall,)), search(replace(problem, obstacles=(wall,)))
+    free = search(problem)
+    for each in (one, free):
+        for _ in range(4):
+            each.extend(Budget(60.0))
+    gaps = []
+    for each in (one, free):
+        least = np.inf
+        for swing in each._lanes[0].swings:
+            run = swung(behind, swing.moves, 2e-4)
+            before = run.t < swing.moves.stops(problem.limits)
+            joints = ARM.tip(swing.moves.motion(problem.limits).angle(run.t))
+            least = min(least, sampled_obstacle_gaps(ROPE, [wall], run.q[before], joints[before]).min())
+        gaps.append(least)
+    assert gaps[0] > 0.0 >= gaps[1]  # the obstacle is in the way of swings that do not know of it
+
+
+def test_a_target_that_stops_each_free_swing_is_wound():
+    plan = plan_cast(ROPE, ARM, PEG, criteria=WindCriteria(), options=SearchOptions(threads=1), time_budget=60.0)
+    assert plan.success
+    assert plan.moves.ends.size > 4
