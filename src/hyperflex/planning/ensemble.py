@@ -95,7 +95,7 @@ def verify_members(
     more = len(members) > 2
     second = found[1] if failed else repeatable(found[0], found[1], SAME_PASS * problem.period if more else SPARE.delay)
     late, links = any(each.strike_time > each.touch_time for each in found.values()), "shorter"
-    apart = abs(found[1].touch_time - found[0].touch_time) > SPARE.delay
+    apart = abs(delay(found[0], found[1])) > SPARE.delay
     if not second.message and more and (late or apart):
         found[2] = repeatable(found[1 if apart else 0], run(2))
         budget.check()
@@ -113,16 +113,24 @@ def repeatable(first: CastOutcome, finer: CastOutcome, most: float = SPARE.delay
     """
     if not finer.success:
         return finer
-    delay, given, now = finer.touch_time - first.touch_time, first.spare_clearance, finer.spare_clearance
+    late, given, now = delay(first, finer), first.spare_clearance, finer.spare_clearance
     if first.turns * finer.turns < 0.0:
         return replace(finer, message="it winds the other way: the swing is left to chance")
-    if abs(delay) > most:
-        how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
+    if abs(late) > most:
+        how = f"touches the peg {abs(late):.2f} s {'later' if late > 0.0 else 'sooner'}"
         return replace(finer, message=f"it {how}, {most:.2g} allowed: the swing is left to chance")
     if min(given, now) < min(SPARE.clearance, abs(given - now)):
         how = f"with {1e3 * now:.1f} mm to spare, not {1e3 * given:.1f} mm"
         return replace(finer, message=f"it passes arm, shaft or obstacle {how}: whether it touches is left to chance")
     return finer
+
+
+def delay(first: CastOutcome, finer: CastOutcome) -> float:
+    """Return how much later the second rope touches its target, s, or strikes it if that differs by less.
+
+    A rope that swings on through contact may graze the target once more, or once less, before it strikes.
+    """
+    return min(finer.touch_time - first.touch_time, finer.strike_time - first.strike_time, key=abs)
 
 
 def margin(criteria: WindCriteria, *outcomes: CastOutcome) -> float:
