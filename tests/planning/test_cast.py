@@ -299,7 +299,7 @@ def test_runs_that_disagree_leave_the_cast_to_chance():
 
 
 @pytest.mark.parametrize(("third", "succeeds"), [(0.1, True), (0.2, False)])
-def test_a_rope_that_touches_at_another_time_with_shorter_links_does_so_with_others_too(monkeypatch, third, succeeds):
+def test_a_rope_that_strikes_at_another_time_with_shorter_links_does_so_with_others_too(monkeypatch, third, succeeds):
     outcome, links = planned().outcome, CORD.n_links
     later = {links: 0.0, 3 * links: 0.1, 2 * links: third}
 
@@ -311,7 +311,7 @@ def test_a_rope_that_touches_at_another_time_with_shorter_links_does_so_with_oth
     problem, one = hf.Problem(CORD, ARM), Candidate(planned().moves, 1.0, 1.0)
     found = verify_members(problem, [problem.cut(3), problem.cut(2)], PEG, one, Budget(threads=1))
     assert (not found.message) == succeeds
-    assert found.message.startswith("with other links it touches the peg 0.10 s later") != succeeds
+    assert found.message.startswith("with other links it strikes the peg 0.10 s later") != succeeds
 
 
 def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():

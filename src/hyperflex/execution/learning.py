@@ -274,7 +274,8 @@ def learn_cast(
     Raises
     ------
     InvalidInput
-        If the plan is no cast, has no moves that strike, or begins with a swinging rope.
+        If the plan is no cast, has no moves that strike, begins with a swinging rope, or touches the target in a swing
+        before the strike.
     Interrupted
         By Ctrl-C; its ``partial`` is what was learned so far.
 
@@ -289,6 +290,7 @@ def learn_cast(
     checks.instance("plan", plan, CastPlan)
     problem, moves = plan.problem, plan.required(plan.moves, "motion")
     refuse_behind(problem.criteria.behind, "a cast that is learned")
+    plan.refuse_earlier_touch("a cast that is learned")
     if problem.q0:
         raise InvalidInput("a cast that is learned begins at rest", got="q0 and qd0", fix="Plan without state0")
     count = checks.count("attempts", attempts)

@@ -21,6 +21,7 @@ from hyperflex.planning.feasibility import (
     Feasibility,
     check_feasibility,
     find_remedies,
+    longest_time,
     nearest_feasible,
     search_time,
 )
@@ -102,7 +103,8 @@ class CastRequest:
         problem, touch = self.checked_problem(target)
         known = check_feasibility(problem, target)
         start = [one.moves for one in (*near, *self.options.start_from) if one.moves is not None]
-        task = WindTask(problem, target, self.options, self.uncertainty, start)
+        longest = problem.time if self.conditions.time_limit is not None else longest_time(problem)
+        task = WindTask(problem, target, self.options, self.uncertainty, start, longest=longest)
         if touch or not task.sides:
             inside = "the rope begins in the target, or in an obstacle next to it"
             known = replace(known, impossible=True, message=touch or inside)

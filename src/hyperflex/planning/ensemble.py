@@ -29,7 +29,7 @@ from hyperflex.planning.uncertainty import Scenario, Uncertainty
 # m, tolerance of runs with shorter links, which check the length of links alone: those of three casts of ropes with dry
 # friction took 0.5, 0.6 and 0.8 of the time with the usual one, and wound as often
 FINER_TOL = 1e-4
-SAME_PASS = 0.25  # periods, by which touches in one pass differ at most: the next pass is half a period later
+SAME_PASS = 0.25  # periods, by which strikes in one pass differ at most: the next pass is half a period later
 COUNTED = 8  # samples of an estimate that are simulated at once
 STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
 
@@ -49,7 +49,7 @@ class Spare:
     falling : float
         Turns beyond those required of a rope whose end lies on top of the target: it loses them if it falls.
     delay : float
-        Time between the first touches of two members, s. Those of throws that succeed agree to a sample or two.
+        Time between the strikes of two members, s. Those of throws that succeed agree to a sample or two.
     """
 
     turns: float = 0.1
@@ -67,7 +67,7 @@ def verify_members(
 ) -> Verified:
     """Verify moves on the rope as planned, and on the same with shorter links, in one or two ways.
 
-    The second way is for a rope that touches the target at another time with shorter links, if in the same pass: then
+    The second way is for a rope that strikes the target at another time with shorter links, if in the same pass: then
     both ways must agree. And for a rope that comes off after its first touch and winds later: what it does in between
     depends on little, so that two runs may agree by chance. The first member to fail ends the other. A candidate whose
     runs take more than three quarters of the remaining time fails. Where the problem begins in the middle of the moves,
@@ -95,7 +95,7 @@ def verify_members(
     more = len(members) > 2
     second = found[1] if failed else repeatable(found[0], found[1], SAME_PASS * problem.period if more else SPARE.delay)
     late, links = any(each.strike_time > each.touch_time for each in found.values()), "shorter"
-    apart = abs(delay(found[0], found[1])) > SPARE.delay
+    apart = abs(found[1].strike_time - found[0].strike_time) > SPARE.delay
     if not second.message and more and (late or apart):
         found[2] = repeatable(found[1 if apart else 0], run(2))
         budget.check()
@@ -108,29 +108,21 @@ def verify_members(
 def repeatable(first: CastOutcome, finer: CastOutcome, most: float = SPARE.delay) -> CastOutcome:
     """Return the outcome with shorter links, as failed if both do not agree on what a real rope does.
 
-    That is so if the rope winds the other way, touches the target more than `most` s sooner or later, or passes arm,
+    That is so if the rope winds the other way, strikes the target more than `most` s sooner or later, or passes arm,
     shaft or obstacle with little to spare and less than the difference of both runs.
     """
     if not finer.success:
         return finer
-    late, given, now = delay(first, finer), first.spare_clearance, finer.spare_clearance
+    delay, given, now = finer.strike_time - first.strike_time, first.spare_clearance, finer.spare_clearance
     if first.turns * finer.turns < 0.0:
         return replace(finer, message="it winds the other way: the swing is left to chance")
-    if abs(late) > most:
-        how = f"touches the peg {abs(late):.2f} s {'later' if late > 0.0 else 'sooner'}"
+    if abs(delay) > most:
+        how = f"strikes the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
         return replace(finer, message=f"it {how}, {most:.2g} allowed: the swing is left to chance")
     if min(given, now) < min(SPARE.clearance, abs(given - now)):
         how = f"with {1e3 * now:.1f} mm to spare, not {1e3 * given:.1f} mm"
         return replace(finer, message=f"it passes arm, shaft or obstacle {how}: whether it touches is left to chance")
     return finer
-
-
-def delay(first: CastOutcome, finer: CastOutcome) -> float:
-    """Return how much later the second rope touches its target, s, or strikes it if that differs by less.
-
-    A rope that swings on through contact may graze the target once more, or once less, before it strikes.
-    """
-    return min(finer.touch_time - first.touch_time, finer.strike_time - first.strike_time, key=abs)
 
 
 def margin(criteria: WindCriteria, *outcomes: CastOutcome) -> float:

@@ -151,14 +151,17 @@ def search_time(problem: Problem, peg: Peg) -> float:
     """Time, s, until the strike that a search allows by default.
 
     The strokes that swing the rope up from rest to the target and a stroke's gain beyond it, and
-    ``SwingCoefficients.spare_periods``; at least the time of the set-up, and the longest where a swing alone does not
-    lift the tail over the target.
+    ``SwingCoefficients.spare_periods``; at least the time of the set-up.
     """
-    gain, target = _gain(problem), _Target(problem, peg)
-    strokes = (target.angle + gain) / (SWING.mean_gain * gain)
-    periods = PUMPING * strokes + SWING.spare_periods if target.energy_ratio(math.inf) >= 1.0 else math.inf
-    periods = min(periods, SWING.max_periods)
+    gain = _gain(problem)
+    strokes = (_Target(problem, peg).angle + gain) / (SWING.mean_gain * gain)
+    periods = min(PUMPING * strokes + SWING.spare_periods, SWING.max_periods)
     return max(problem.time, periods * problem.period)
+
+
+def longest_time(problem: Problem) -> float:
+    """Time, s, until the strike of a rope that swings on through contact, by default; at least that of the set-up."""
+    return max(problem.time, SWING.max_periods * problem.period)
 
 
 class _Target:

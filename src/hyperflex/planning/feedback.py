@@ -210,7 +210,8 @@ def follow_plan(
     Raises
     ------
     InvalidInput
-        If the plan is no cast or has no moves, or a number is out of range.
+        If the plan is no cast or has no moves, its rope touches the target in a swing before the strike, or a number is
+        out of range.
 
     Notes
     -----
@@ -227,6 +228,7 @@ def follow_plan(
     if problem.obstacles:
         raise InvalidInput("casts past obstacles are not followed", got=f"{len(problem.obstacles)} obstacles")
     refuse_behind(problem.criteria.behind, "a plan that is followed")
+    plan.refuse_earlier_touch("a plan that is followed")
     if problem.q0:
         fix = "Follow a plan without state0"
         raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)

@@ -285,6 +285,16 @@ class CastPlan(Plan):
         """Whether a simulated run to the end shows that the plan fails."""
         return any(each.completed and not each.success for each in self.outcomes)
 
+    def refuse_earlier_touch(self, what: str) -> None:
+        """Raise InvalidInput if the rope touches the target in a swing before the strike, as `what` stops there."""
+        seen = self.outcome
+        if seen is not None and seen.strike_time - seen.touch_time > 0.5 * self.problem.period:
+            raise InvalidInput(
+                f"{what} must not touch the target before the swing that strikes it",
+                got=f"touched at {seen.touch_time:.2f} s, struck at {seen.strike_time:.2f} s",
+                fix="Carry it out without: its motion is complete",
+            )
+
     @property
     def unfinished(self) -> bool:
         """Whether the plan fails although its target is feasible: by Ctrl-C, or a run that was not completed."""

@@ -40,11 +40,14 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """Strokes without a strike, their states after the last one on each chain, and the swing that they continue."""
+    """Strokes without a strike, their states after the last one on each chain, and the swing that they continue.
+
+    Swings of the greatest `merit` go on: energy, J, in free flight; turns in contact.
+    """
 
     moves: Moves
     states: tuple[State, ...]
-    energy: float = 0.0
+    merit: float = 0.0
     parent: "Swing | None" = None
 
     def ancestor(self, strokes: int) -> "Swing":
@@ -64,7 +67,8 @@ class Strike(Candidate):
 
     `follow` are the moves to try in contact, which agree with `moves` until the strike; empty: usual last moves, of
     which so many were `tried`. `winds`: whether the rope made the required turns with some, for however short a time. A
-    swing that misses has no states; its score is below 0. `pumped`: whether the rope had touched the peg before.
+    swing that misses has no states; its score is below 0. `through_contact`: whether the rope had
+    touched the peg before; `given`: whether the moves were given.
     """
 
     swing: Swing | None = None
@@ -72,7 +76,8 @@ class Strike(Candidate):
     follow: tuple[Moves, ...] = field(default=())
     tried: int = 0
     winds: bool = False
-    pumped: bool = False
+    through_contact: bool = False
+    given: bool = False
 
 
 @dataclass(eq=False)
@@ -354,9 +359,9 @@ def _apart(rope: Rope, q: Array, finer: Rope, angles: Array) -> float:
 
 
 def best_swings(swings: list[tuple[int, Swing]], width: int, siblings: int) -> list[tuple[int, Swing]]:
-    """Return the swings with the most energy: `width` of each side, of these few of the same parent."""
+    """Return the swings of the greatest merit: `width` of each side, of these few of the same parent."""
     kept, count = list[tuple[int, Swing]](), Counter[object]()
-    for k, one in sorted(swings, key=lambda each: -each[1].energy):
+    for k, one in sorted(swings, key=lambda each: -each[1].merit):
         side, parent = f"side {one.moves.side}", id(one.parent)
         if count[side] < width and count[parent] < siblings:
             count[side] += 1

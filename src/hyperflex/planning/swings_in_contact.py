@@ -8,6 +8,7 @@ go on that wind furthest.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class _Run(NamedTuple):
     def state(self, t: float) -> State:
         """Return the state at the last sample until a time, s, or at the first one."""
         row = max(0, int(np.searchsorted(self.t, t + 1e-9)) - 1)
-        return State(float(self.t[row]), self.q[row], self.qd[row])
+        return State(float(self.t[row]), self.q[row].copy(), self.qd[row].copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +54,9 @@ class Pumped(Swing):
 class SwingsInContact(SwingSearch):
     """Search for swings in contact that wind a peg; arguments are as of :class:`SwingSearch`.
 
-    The first of the `chains` is that of runs in contact. Strokes are as long and as fast as the motor allows: only
-    their rests differ. A swing that nearly winds is simulated with shorter links as well, with all that it continues:
-    it strikes if it nearly winds there, too.
+    The first of the `chains` is that of runs in contact. Strokes are as long as the motor allows, and as fast as the
+    options: only their rests differ. A swing that nearly winds is simulated with shorter links as well, and so are
+    those that it continues: it strikes if it nearly winds with these, too.
     """
 
     full = True
@@ -69,46 +70,57 @@ class SwingsInContact(SwingSearch):
         options: SearchOptions,
     ) -> None:
         width, rests = max(1, options.width // DEARER), max(1, (options.rests + 1) // 2)
-        fewer = replace(options, speeds=options.speeds[:1], width=width, rests=rests)
+        fewer = replace(options, speeds=(max(options.speeds),), width=width, rests=rests)
         super().__init__(chains, peg, sides, random, fewer)
-        self._shorter: dict[Swing, Swing | None] = {}  # the same swings with shorter links; None: it fails with them
+        # The same swings with shorter links; None: it fails with them
+        self._shorter = WeakKeyDictionary[Swing, Swing | None]()
 
     def _strikes(self, tries: list[Try], budget: Budget, onward: bool = True) -> tuple[list[Strike], list[Swing]]:
         """Simulate tries in contact; return those that nearly wind, the best first, and swings to be continued."""
         runs, nearly = self._simulated(0, tries, budget), self.options.nearly * self.problem.criteria.turns
-        rows = [k for k in np.argsort([-run.most for run in runs]).tolist() if runs[k].most >= nearly]
-        pairs = [(k, before) for k in rows[: self.options.batch] if (before := self._same(tries[k].swing, budget))]
+        rows = [k for k, run in enumerate(runs) if run.t.size and run.most >= nearly]
+        best = sorted(rows, key=lambda k: -runs[k].most)[: self.options.batch]
+        pairs = [(k, before) for k in best if (before := self._with_shorter_links(tries[k].swing, budget))]
         finer = self._simulated(1, [tries[k]._replace(swing=before) for k, before in pairs], budget)
-        found, swings = list[Strike](), list[tuple[int, Swing]]()
-        for (k, _), other in zip(pairs, finer, strict=True):
-            run, one = runs[k], tries[k]
-            sense = np.sign(run.turns[furthest := int(np.abs(run.turns).argmax())])
-            unwound = np.flatnonzero(sense * run.turns[:furthest] < UNWOUND)
-            begin = run.state(float(run.t[unwound[-1] if unwound.size else 0]))
-            made = float((sense * other.turns[other.t >= begin.t]).max(initial=0.0))
-            if begin.t < self.problem.time and made >= nearly:
-                states, follow = (begin, other.state(begin.t)), () if onward else (one.moves,)
-                score = min(run.most, made)
-                found.append(Strike(one.moves, score, begin.t, False, one.swing, states, follow, pumped=True))
+        some = [self._strike(tries[k], runs[k], other, onward) for (k, _), other in zip(pairs, finer, strict=True)]
+        found, swings = [one for one in some if one is not None], list[tuple[int, Swing]]()
         if onward:
-            some = [(k, self._swing(one, run)) for k, (one, run) in enumerate(zip(tries, runs, strict=True))]
-            swings = [(k, one) for k, one in some if one is not None]
+            made = [self._swing(one, run) for one, run in zip(tries, runs, strict=True)]
+            swings = [(k, one) for k, one in enumerate(made) if one is not None]
         return found, [one for _, one in best_swings(swings, self.options.width, self.options.siblings)]
+
+    def _strike(self, one: Try, run: _Run, other: _Run, onward: bool) -> Strike | None:
+        """Return the strike of a try and its runs on both chains; None if it comes late, or not with shorter links.
+
+        It strikes when it last made fewer than UNWOUND turns before it made the most.
+        """
+        furthest = int(np.abs(run.turns).argmax())
+        sense = np.sign(run.turns[furthest])
+        unwound = np.flatnonzero(sense * run.turns[:furthest] < UNWOUND)
+        begin = run.state(float(run.t[unwound[-1] if unwound.size else 0]))
+        made = float((sense * other.turns[other.t >= begin.t]).max(initial=0.0))
+        nearly = self.options.nearly * self.problem.criteria.turns
+        if begin.t >= self.problem.time or not other.t.size or made < nearly:
+            return None
+        states, follow, score = (begin, other.state(begin.t)), () if onward else (one.moves,), min(run.most, made)
+        return Strike(one.moves, score, begin.t, False, one.swing, states, follow, through_contact=True)
 
     def _swing(self, one: Try, run: _Run) -> Swing | None:
         """Return the swing of a try; None if the rope was not clear until the end of its last stroke."""
         stop = one.moves.stops(self.problem.limits)
-        if not run.t.size or run.t[-1] < stop:
+        if not run.t.size or not run.t[0] <= stop <= run.t[-1]:
             return None
-        return Pumped(one.moves, (run.state(stop),), run.most, one.swing, run)
+        after = _Run(*(each[np.searchsorted(run.t, stop + 1e-9) - 1 :].copy() for each in run))
+        return Pumped(one.moves, (run.state(stop),), run.most, one.swing, after)
 
-    def _same(self, swing: Swing, budget: Budget) -> Swing | None:
+    def _with_shorter_links(self, swing: Swing, budget: Budget) -> Swing | None:
         """Return the same swing with shorter links; None if it, or one that it continues, fails with them."""
         if swing.parent is None:
             return replace(swing, states=swing.states[1:])
         if swing not in self._shorter:
             until = swing.states[0].t + self.options.watched * self.problem.period
-            before = self._same(swing.parent, budget)
+            budget.check()
+            before = self._with_shorter_links(swing.parent, budget)
             one = None if before is None else Try(before, swing.moves, until)
             self._shorter[swing] = None if one is None else self._swing(one, self._simulated(1, [one], budget)[0])
         return self._shorter[swing]

@@ -92,7 +92,10 @@ KEPT = (
 
 
 # The hand-over between free flight and contact steps
-SHORTEST_FLIGHT = 100.0  # steps in contact; a shorter flight takes more time than these
+SHORTEST_FLIGHT, FLIGHT_STEPS = (
+    0.01,
+    25.0,
+)  # s, steps in contact; the hand-over takes more time than a shorter flight saves
 FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and for so much more, m/s
 FLIGHT_TOL = 1e-3  # of the run's: with all of it a flight would gain and lose more energy than contact may
 SLACK = 0.01  # rad, gap at which a joint has left its limit
@@ -172,7 +175,7 @@ class ContactRollout(Rollout):
             return status.LEFT
         gap, speed, left = at.clearance(self.chain, self.drive, self.contacts, self.time, y, 0.0)
         bound = FASTER * speed + SUDDEN
-        self.clear = max(CLEAR, SHORTEST_FLIGHT * self.setup.contact_step * bound)
+        self.clear = max(CLEAR, max(SHORTEST_FLIGHT, FLIGHT_STEPS * self.setup.contact_step) * bound)
         if gap < self.clear or left <= SLACK:
             return status.LEFT
         self._lock()

@@ -62,6 +62,8 @@ class WindTask(Task):
         applies.
     anew : bool
         Whether the search begins from the start, too, if there are any that were seen.
+    longest : float
+        Time until the strike of a rope that swings on through contact, s; by default that of the problem.
 
     Attributes
     ----------
@@ -81,6 +83,7 @@ class WindTask(Task):
         start: Sequence[Moves] = (),
         seen: Sequence[tuple[Moves, RopeState]] = (),
         anew: bool = True,
+        longest: float = 0.0,
     ) -> None:
         self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
         self.sides = free_sides(problem, problem.beside(peg))
@@ -93,8 +96,9 @@ class WindTask(Task):
             states = tuple(State(now.t, now.q, now.qd).cut(parts) for parts in (1, pieces))
             made.append(Swing(moves, states, parent=made[-1] if made else None))
         self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options, made, anew)
+        long = replace(self.contact, time=longest or problem.time)
         self.pumping = SwingsInContact(
-            (self.contact, self.finer), peg, self.sides, np.random.default_rng([options.seed, 2]), options
+            (long, self.finer), peg, self.sides, np.random.default_rng([options.seed, 2]), options
         )
         self.order = 1 + np.random.default_rng([options.seed, 1]).permutation(len(FINISHES) - 1)  # of the last moves
         self._again = list[Strike]()  # to be tried with other last moves
@@ -103,8 +107,9 @@ class WindTask(Task):
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
         self.most_turns, self.furthest, self._flights = 0.0, 0, 0
         self._start = [replace(one, dwell=0.0) for one in start if one.side in self.sides]
-        self._samples = self._turns = 0
-        self._freely = False  # whether the rope winds after free flight
+        self._samples = self._draws = 0
+        self._anew = anew or not seen
+        self._winds_freely = self._winds_on = False  # whether the rope winds after free flight, and through contact
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
@@ -115,14 +120,14 @@ class WindTask(Task):
             budget.check()
             if self._start:
                 given, self._start = self._start, []
-                new = [replace(one, score=math.inf) for one in self.search.start(given, budget)]
+                new = [replace(one, score=math.inf, given=True) for one in self.search.start(given, budget)]
             elif self._again:
                 new, self._again = self._again, []
             else:
                 self._samples += 1
                 strikes = [one for one in found if isinstance(one, Strike)]
                 pumped = self._stopped and self._samples % 5 > 0
-                some = [one for one in strikes if one.pumped == pumped]
+                some = [one for one in strikes if one.through_contact == pumped]
                 new = self._through_contact(some, budget) if pumped else self._free(some, budget)
         self._count()
         return list(new)
@@ -140,16 +145,16 @@ class WindTask(Task):
 
     @property
     def _stopped(self) -> bool:
-        """Whether the beam search has begun again, and no free swing has wound the rope."""
-        return self.search.passes > 0 and not self._freely
+        """Whether the beam search has begun again, and no free swing wound the rope before others did."""
+        return self._anew and self.search.passes > 0 and (self._winds_on or not self._winds_freely)
 
     def _through_contact(self, found: list[Strike], budget: Budget) -> list[Strike]:
         """Return swings in contact that nearly wind: by turns from the beam search, near the best, with other ends."""
-        self._turns += 1
+        self._draws += 1
         best, wound = self._some(found), self._some([one for one in found if one.winds])
-        if wound and self._turns % 3 == 0:
+        if wound and self._draws % 3 == 0:
             return [self.other_ends(wound[self.search.random.integers(len(wound))])]
-        if best and self._turns % 3 == 1:
+        if best and self._draws % 3 == 1:
             new = self.pumping.vary(best, budget)
         else:
             new = self.pumping.extend(budget)
@@ -170,8 +175,8 @@ class WindTask(Task):
         """
         swings = [one for one in some if isinstance(one, Strike)]
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
-        states = [one.states[0] if one.pumped else one.states[0].cut(self._cuts) for one, _ in pairs]
-        sweeping = [not one.pumped for one, _ in pairs]
+        states = [one.states[0] if one.through_contact else one.states[0].cut(self._cuts) for one, _ in pairs]
+        sweeping = [not (one.through_contact or one.given) for one, _ in pairs]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping)
         found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
         reached = (wound.most >= required).astype(int) + np.isfinite(wound.slip) + (wound.turns >= required)
@@ -183,7 +188,8 @@ class WindTask(Task):
             winds = bool(wound.most[rows].max() >= required)
             moves = pairs[k][1].waiting(float(wound.dwell[k]))
             tried = replace(one, moves=moves, score=float(wound.score[k]), winds=winds)
-            self._freely |= winds and not one.pumped
+            self._winds_on |= winds and one.through_contact
+            self._winds_freely |= winds and not (one.through_contact or one.given)
             if wound.turns[k] >= required:
                 good.append(tried)
                 continue
