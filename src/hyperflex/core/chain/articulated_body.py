@@ -208,13 +208,6 @@ def joint_of(chain, i):  # type: ignore[no-untyped-def]
     return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
 
 
-@inlined
-def link_of(chain, i):  # type: ignore[no-untyped-def]
-    """Link i as :func:`link_step` takes it: length, mass * com, inertia about the motor-side joint, mass."""
-    ma = chain.mass[i] * chain.com[i]
-    return chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i]
-
-
 @non_allocating
 def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
     """Angular accelerations of all links by one sweep to the motor and one back; O(n).
@@ -245,10 +238,14 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
         rate = relative(w, i, base[3])
         t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), reaction_factor, angle, rate, slip[i], h)
         t += work[4 * i] + motor_torque(base, torque, i)
-        link, joint, sin, cos = link_of(chain, i), (t, t_back, kappa, kappa_back), work[4 * n + i], work[5 * n + i]
+        ma = chain.mass[i] * chain.com[i]
+        link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
+        joint = (t, t_back, kappa, kappa_back)
         if reaction_factor == 1.0:
             at = mutual(at)
-        at, back = link_step(link, joint, slip[i] * slip[i], reaction_factor, sin, cos, w[i] * w[i], at)
+        at, back = link_step(
+            link, joint, slip[i] * slip[i], reaction_factor, work[4 * n + i], work[5 * n + i], w[i] * w[i], at
+        )
         write(work, 1, 4 * i, WAY_BACK, back[:4])
     px = base[0] - chain.gx
     py = base[1] - chain.gy

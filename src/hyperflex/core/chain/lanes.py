@@ -19,7 +19,7 @@ import numpy as np
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
-from hyperflex.core.chain.articulated_body import BASE_SIZE, joint_of, link_of, link_step, mutual, sincos
+from hyperflex.core.chain.articulated_body import BASE_SIZE, joint_of, link_step, mutual, sincos
 from hyperflex.core.jit import inlined, kernel, non_allocating, read, write
 
 COLUMNS = (0,) * 4
@@ -56,19 +56,21 @@ UP, AT, DOWN = 0, ROW, 2 * ROW
 
 
 @kernel
-def aligned(size):  # type: ignore[no-untyped-def]
-    """Zeros that begin at the edge of a cache line: packed loads that cross one cost a fifth of the speed."""
+def rows(width, n):  # type: ignore[no-untyped-def]
+    """Lanes ((n + 2) ROW k,) for n links, all zero, and their last row: part of them for COLUMNS, else an array apart.
+
+    They begin at the edge of a cache line: packed loads that cross one cost a fifth of the speed.
+    """
+    k = len(width)
+    size = (n + 2) * ROW * k
     memory = np.zeros(size + 8)
     begin = -(memory.ctypes.data // 8) % 8
-    return memory[begin : begin + size]
-
-
-@kernel
-def rows(width, n):  # type: ignore[no-untyped-def]
-    """Lanes ((n + 2) ROW k,) for n links, all zero, and their last row: a part of them for COLUMNS, else apart."""
-    k = len(width)
-    lanes = aligned((n + 2) * ROW * k)
-    return lanes, aligned(ROW * k) if k > len(COLUMNS) else lanes[lanes.size - ROW * k :]
+    lanes = memory[begin : begin + size]
+    if k > len(COLUMNS):
+        apart = np.zeros(ROW * k + 8)
+        begin = -(apart.ctypes.data // 8) % 8
+        return lanes, apart[begin : begin + ROW * k]
+    return lanes, lanes[size - ROW * k :]
 
 
 @non_allocating
@@ -84,8 +86,8 @@ def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
     k = len(width)
     write(lanes, k, j, (DRAG, FX, FY, S), (0.0, 0.0, 0.0, 0.0))
     for i in range(chain.length.size):
-        at = (i + 1) * ROW * k + j
-        write(lanes, k, at, LINK, link_of(chain, i))
+        ma, at = chain.mass[i] * chain.com[i], (i + 1) * ROW * k + j
+        write(lanes, k, at, LINK, (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i]))
         write(lanes, k, at, JOINT, joint_of(chain, i))
         write(lanes, k, at, (DRAG, EXTERNAL, SLIP), (chain.drag[i], 0.0, 1.0))
         lanes[DRAG * k + j] += chain.drag[i]

@@ -289,15 +289,6 @@ def basis(order, theta, weight):  # type: ignore[no-untyped-def]
         weight[b] = total
 
 
-@inlined
-def weighed(weight, half, i, ys, dys):  # type: ignore[no-untyped-def]
-    """Sum of link i's angle, rate and acceleration at the nodes, in units of half the step; `weight` is (9,)."""
-    n, total = (ys.shape[1] - 2) // 2, 0.0
-    for k in range(3):
-        total += weight[k] * ys[k, i] + half * (weight[3 + k] * ys[k, n + i] + half * weight[6 + k] * dys[k, n + i])
-    return total
-
-
 @kernel
 def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
@@ -312,8 +303,14 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     basis(0, theta, value)
     basis(1, theta, slope)
     for i in range(n):
-        out[i] = weighed(value, half, i, ys, dys)
-        out[n + i] = weighed(slope, half, i, ys, dys) / half
+        q = w = 0.0
+        for k in range(3):
+            rate = half * ys[k, n + i]
+            bend = half * half * dys[k, n + i]
+            q += value[k] * ys[k, i] + value[3 + k] * rate + value[6 + k] * bend
+            w += slope[k] * ys[k, i] + slope[3 + k] * rate + slope[6 + k] * bend
+        out[i] = q
+        out[n + i] = w / half
     for i in range(2 * n, 2 * n + 2):
         total = 0.0
         for b in range(6):

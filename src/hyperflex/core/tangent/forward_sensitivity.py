@@ -19,7 +19,7 @@ from hyperflex.core.chain.articulated_body import BASE_SIZE, Array, sincos, sine
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, base_size, base_state, polynomial, segment, within
 from hyperflex.core.integrate.observation import enter_state
 from hyperflex.core.integrate.rollout import DEGREE, END, JOINT, LENGTH, MODES
-from hyperflex.core.integrate.steps import ERRORS, basis, begin_columns, end_columns, rates, weighed
+from hyperflex.core.integrate.steps import ERRORS, basis, begin_columns, end_columns, rates
 from hyperflex.core.jit import inlined, kernel, non_allocating, read, write, zeros
 from hyperflex.core.stiction import (
     STICTION,
@@ -214,18 +214,13 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
             write(lanes, K, beyond + at, (tg.BX, tg.BY), (heavier * px, heavier * py))
 
 
-@inlined
-def cells(lanes, own, i):  # type: ignore[no-untyped-def]
-    """Numbers of link i of a pair: its cell in the lanes, and what is stored of it in `own` (n PARTS CELL,)."""
-    first = ((i + 1) * ln.ROW + tg.DQ) * K
-    return lanes[first : first + CELL], own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
-
-
 @non_allocating
 def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
     """Put the derivatives of a pair, `own` (n PARTS CELL,), into the lanes, initial ones where a column begins."""
-    for i in range(own.size // (PARTS * CELL)):
-        cell, kept = cells(lanes, own, i)
+    n = own.size // (PARTS * CELL)
+    for i in range(n):
+        cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
+        kept = own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
         if begins:
             for x in range(anew.size):  # a length unknown to the compiler, which would unroll a short loop
                 cell[x] = kept[NOW + x] + anew[x] * (kept[START + x] - kept[NOW + x])
@@ -237,8 +232,10 @@ def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
 @non_allocating
 def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
     """Take the derivatives of one pair out of the lanes, and add the complete columns to their sum."""
-    for i in range(own.size // (PARTS * CELL)):
-        cell, kept = cells(lanes, own, i)
+    n = own.size // (PARTS * CELL)
+    for i in range(n):
+        cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
+        kept = own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
         if ends:
             for x in range(weight.size):
                 kept[SUM + x] += weight[x] * cell[x]
@@ -406,6 +403,15 @@ def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ign
             combine(weight, half, i, workspace.nodes, workspace.bends, dq, dw)
             if late:
                 add_time_shift(weight, half, i, ys, dys, moving[m], longer, dq, dw)
+
+
+@inlined
+def weighed(weight, half, i, ys, dys):  # type: ignore[no-untyped-def]
+    """Sum of link i's angle, rate and acceleration at the nodes, in units of half the step; `weight` is (9,)."""
+    n, total = (ys.shape[1] - 2) // 2, 0.0
+    for k in range(3):
+        total += weight[k] * ys[k, i] + half * (weight[3 + k] * ys[k, n + i] + half * weight[6 + k] * dys[k, n + i])
+    return total
 
 
 @non_allocating
