@@ -182,30 +182,6 @@ def test_a_plan_of_a_whip_is_refused(refused, tmp_path):
     )
 
 
-@pytest.mark.parametrize(("stuck", "message"), [(False, "the torque was switched off"), (True, "did not confirm")])
-def test_ctrl_c_keeps_the_log_and_tells_of_the_torque(hyperflex_json, plan, tmp_path, monkeypatch, stuck, message):
-    notes, tell = tmp_path / "notes", output.note
-
-    def say(phase):
-        tell(phase)
-        if phase == "the cast runs":
-            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-
-    monkeypatch.setattr(output, "note", say)
-    monkeypatch.setattr(execution, "open_drive", partial(open_ideal, notes, stuck=stuck))
-    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
-    quick = ["--wait", "0", "--countdown", "0", "--approach", "1", "--calm", "0", "--torque", "1", "--yes"]
-    how = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml", *quick
-    code, result = hyperflex_json("run", plan, "-o", tmp_path / "done", *how)
-    assert (code, result["status"], result["success"]) == (130, "interrupted", False)
-    assert message in result["message"]
-    assert ("off" in notes.read_text().split()) is not stuck
-    (cast,) = result["casts"]
-    assert cast["cycles"] > 0
-    assert {Path(path).name for path in result["files"].values()} == {"run.nc", "run.png", "run.mcap"}
-    assert all(Path(path).is_file() for path in result["files"].values())
-
-
 BUSY = "behind the clock", "no valid reply", "has not answered", "goal jumps", "too late", "watchdog expired"
 
 
@@ -223,6 +199,30 @@ def in_time(hyperflex_json):
         return pytest.skip(f"this machine is too busy for real time: {told}")
 
     return call
+
+
+@pytest.mark.parametrize(("stuck", "message"), [(False, "the torque was switched off"), (True, "did not confirm")])
+def test_ctrl_c_keeps_the_log_and_tells_of_the_torque(in_time, plan, tmp_path, monkeypatch, stuck, message):
+    notes, tell = tmp_path / "notes", output.note
+
+    def say(phase):
+        tell(phase)
+        if phase == "the cast runs":
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    monkeypatch.setattr(output, "note", say)
+    monkeypatch.setattr(execution, "open_drive", partial(open_ideal, notes, stuck=stuck))
+    DriveZero(0.0).to_toml(tmp_path / "zero.toml")
+    quick = ["--wait", "0", "--countdown", "0", "--approach", "1", "--calm", "0", "--torque", "1", "--yes"]
+    how = "--motor", "moteus:/dev/none", "--zero", tmp_path / "zero.toml", *quick
+    code, result = in_time("run", plan, "-o", tmp_path / "done", *how)
+    assert (code, result["status"], result["success"]) == (130, "interrupted", False)
+    assert message in result["message"]
+    assert ("off" in notes.read_text().split()) is not stuck
+    (cast,) = result["casts"]
+    assert cast["cycles"] > 0
+    assert {Path(path).name for path in result["files"].values()} == {"run.nc", "run.png", "run.mcap"}
+    assert all(Path(path).is_file() for path in result["files"].values())
 
 
 @pytest.mark.nightly

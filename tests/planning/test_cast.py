@@ -162,10 +162,10 @@ def test_a_fallback_that_fails_is_none():
 
 
 def test_ctrl_c_as_a_search_for_a_fallback_begins_leaves_the_failed_plan(monkeypatch):
-    def begun(problem, peg, *given):
+    def begun(problem, peg, *given, **named):
         if peg != FAR:
             raise KeyboardInterrupt
-        return WindTask(problem, peg, *given)
+        return WindTask(problem, peg, *given, **named)
 
     monkeypatch.setattr(casting, "WindTask", begun)
     with pytest.raises(hf.Interrupted) as caught:
