@@ -12,6 +12,7 @@ from hyperflex.planning import MotorLimits, Problem, SearchOptions, plan_cast
 from hyperflex.planning.clearance import sampled_obstacle_gaps
 from hyperflex.planning.feasibility import longest_time
 from hyperflex.planning.moves import Moves
+from hyperflex.planning.swings import Strike
 from hyperflex.planning.swings_in_contact import SwingsInContact
 from hyperflex.planning.tasks.wind import WindTask
 
@@ -110,6 +111,13 @@ def test_a_search_begins_with_a_plan_that_swings_on_through_contact(plan):
     found = task.rollout(task.sample([], Budget(60.0)), Budget(60.0))
     assert [one.good for one in found] == [True]
     assert not task._winds_freely
+
+
+def test_a_rope_that_comes_off_and_strikes_after_the_time_limit_fails(plan):
+    late = plan.outcome.strike_time - 0.1
+    one = Strike(plan.moves, 1.0, late, through_contact=True)
+    task = WindTask(plan.problem, PEG, SearchOptions(threads=1), longest=late)
+    assert task.verify(one, Budget(60.0)).message.startswith("it strikes at")
 
 
 def test_a_plan_that_swings_on_through_contact_is_not_followed(plan):

@@ -92,10 +92,8 @@ KEPT = (
 
 
 # The hand-over between free flight and contact steps
-SHORTEST_FLIGHT, FLIGHT_STEPS = (
-    0.01,
-    25.0,
-)  # s, steps in contact; the hand-over takes more time than a shorter flight saves
+SHORTEST_FLIGHT = 0.01  # s; the hand-over takes more time than a shorter flight saves
+FLIGHT_STEPS = 25.0  # the same in contact steps: long ones take little time
 FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and for so much more, m/s
 FLIGHT_TOL = 1e-3  # of the run's: with all of it a flight would gain and lose more energy than contact may
 SLACK = 0.01  # rad, gap at which a joint has left its limit

@@ -281,6 +281,9 @@ class WindTask(Task):
             problem = replace(problem, side=one.moves.side, q0=tuple(q), qd0=tuple(qd))
         finer = [problem.cut(each) for each in ((pieces, pieces - 1) if pieces > 2 else (pieces,))]
         found = verify_members(problem, finer, self.peg, one, budget, since)
+        most, seen = self.pumping.problem.time, found.outcome
+        if isinstance(one, Strike) and one.through_contact and not found.message and seen.strike_time > most:
+            found = replace(found, message=f"it strikes at {seen.strike_time:.2f} s, {most:.2f} s allowed", margin=-1.0)
         if found.message or not self.scenarios:
             return found
         values = self._values(one.moves, self.scenarios, budget)
