@@ -419,12 +419,12 @@ def _bounded_step(found: Scores, size: int, own: list[int], slope: Array) -> tup
 
     which, count = [*found.free, *own], len(found.free)
     matrix = found.information.sum(axis=0)[np.ix_(which, which)]
-    sizes, directions = np.linalg.eigh(matrix)
-    root, known = np.sqrt(sizes[sizes > TESTING.tiny]), directions[:, sizes > TESTING.tiny]
+    # Without the identity, rounding would choose the step along directions that the data do not determine
+    root = np.linalg.cholesky(matrix + TESTING.tiny * np.eye(len(which)))
     score = np.append(np.zeros(count), slope)
     scale, above = found.scale[which], (found.x - found.plant.parameters.lower)[which]
     room = np.multiply(above, scale, out=np.full(scale.size, np.inf), where=np.isfinite(scale))
-    step = lsq_linear((known * root).T, -(known.T @ score) / root, (-np.maximum(room, 0.0), np.inf), method="bvls").x
+    step = lsq_linear(root.T, -np.linalg.solve(root, score), (-np.maximum(room, 0.0), np.inf), method="bvls").x
     shift = np.zeros(size)
     shift[found.free] = step[:count] / scale[:count]
     return shift, step[count:], max(0.0, -float(step @ (2.0 * score + matrix @ step)) / found.total)
