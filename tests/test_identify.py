@@ -279,7 +279,7 @@ def test_a_poor_guess_arrives_at_the_same_place(free_swing, fitted, guess):
     assert result.success
     for name, value in fitted.ratios.items():  # convergence stops at a small part of the std
         np.testing.assert_allclose(result.ratios[name], value, atol=0.2 * float(fitted.ratio_std[name].max()))
-    # Three combinations of the masses act on nothing: no test moves x along them (0.11 at most was measured; if rounding chooses, 1e5).
+    # Three combinations of the masses have no effect: no test moves x along them (0.11 was seen; 1e5 by rounding)
     assert max(float(np.abs(each.shift).max()) for each in result.score_tests) < 1.0
 
 
