@@ -172,6 +172,17 @@ def test_a_rope_of_few_links_is_refused(links):
     refuses("too few links", Problem, rope, CAST_SETUP.arm, CAST_SETUP.limits)
 
 
+def test_an_arm_without_length_is_refused():
+    """It turns at the rope's first joint, which moves nothing: no cast, whip or insertion can be planned."""
+    given = CAST_SETUP.rope, hf.Arm(0.0)
+    for plan, target in (
+        (hf.plan_cast, PEG),
+        (hf.plan_whip, hf.TipTarget(1.0, -1.0)),
+        (hf.plan_insert, hf.Slot(1.0, -1.0, 0.1)),
+    ):
+        refuses("arm has no length.*got 0.*more than 0 m.*first joint", plan, *given, target, time_budget=1.0)
+
+
 PEG = hf.Peg(-0.8338, -1.0743, 0.04)
 FAR = hf.Peg(1.72 * np.sin(0.9), -1.72 * np.cos(0.9), 0.04)  # some 10 cm beyond what is in reach in its direction
 SLOW, LAZY, WEAK = (replace(CAST_SETUP, limits=MotorLimits(*pair)) for pair in ((0.8, 12.0), (8.6, 0.5), (0.8, 1.0)))

@@ -48,8 +48,9 @@ class Problem:
     Raises
     ------
     InvalidInput
-        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short or
-        too long, clearance is below 0, the arm reaches an obstacle or a peg, or side or start are not as above.
+        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the arm has no length, the
+        time is too short or too long, clearance is below 0, the arm reaches an obstacle or a peg, or side or start are
+        not as above.
     """
 
     rope: Rope
@@ -72,6 +73,13 @@ class Problem:
                 got=self.rope.n_links,
                 allowed=f"at least {MIN_LINKS}; 25 to 60 are usual",
                 fix="Give the rope more, shorter links",
+            )
+        if self.arm.length == 0.0:
+            raise InvalidInput(
+                "the arm has no length, so that the motor cannot move the rope",
+                got=self.arm.length,
+                allowed="more than 0 m",
+                fix="Give the distance from the shaft to the rope's first joint",
             )
         if math.isfinite(self.criteria.max_sideways):
             refuse_rope(self.rope)
