@@ -97,7 +97,7 @@ class Rig:
 
     def once(self, plan: CastPlan, follow: bool) -> tuple[CastRun | None, dict[str, Any]]:
         """Unwind the rope and carry out a plan; return the run and its result."""
-        closed = FollowOptions(decision_time=0.3) if follow else None
+        closed = FollowOptions() if follow else None
         made = plan.required(plan.motion, "motion")
         begin = time.monotonic()
         self.emulator.hang(float(made.angle(0.0)))

@@ -52,7 +52,7 @@ def rest_before(moves: Moves, move: int) -> float:
 
 def test_a_throw_that_was_late_by_one_rest_is_led_back():
     """The state after a stroke that was 40 ms late: the remaining moves correct most of it."""
-    goal, move = Goal.of(CAST_SETUP, PEG, WINDS, OPTIONS), 3
+    goal, move = Goal.of(CAST_SETUP, PEG, WINDS), 3
     rests = WINDS.rests.copy()
     rests[move - 1] += 0.04
     late = replace(WINDS, rests=rests)
@@ -71,7 +71,7 @@ def miss(throw: Moves, goal: Goal) -> float:
     """Distance from the goal's features, by whole flights from rest, at the best time about the goal's."""
     rope, arm, motion, t = CAST_SETUP.rope, CAST_SETUP.arm, throw.motion(LIMITS), goal.t + np.arange(-0.25, 0.25, 0.002)
     run = hf.simulate(rope, motion, arm=arm, duration=float(t[-1]), t_eval=t, tol=1e-4)
-    away = features(rope, arm, motion, t, run.q, run.qd, OPTIONS) - goal.features
+    away = features(rope, arm, motion, t, run.q, run.qd) - goal.features
     return float((away**2).sum(axis=1).min())
 
 
@@ -187,6 +187,10 @@ def test_a_motor_that_does_not_come_along_ends_the_throw():
     assert "rad from its command" in done.message
     assert motor.asked[-1] == (done.decisions[0].t, done.motion)
     assert float(done.motion.angle(float(done.motion.breaks[-1]))) == pytest.approx(0.0, abs=1e-9)
+    motor, patient = Kept(torque=0.005), hf.FollowOptions(max_arm_error=10.0)
+    done = hf.follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor, options=patient)
+    assert done.completed
+    assert "expected to miss" in done.message
 
 
 def test_a_correction_that_the_motor_refuses_is_late_and_the_plan_continues():

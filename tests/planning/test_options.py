@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.planning import Conditions, MotorLimits, SearchOptions, TargetGrid, WindCriteria
+from hyperflex.planning import Conditions, FollowOptions, MotorLimits, SearchOptions, TargetGrid, WindCriteria
 from hyperflex.planning.outcome import evaluate_cast
 from tests.planning.known import PEG, planned
 from tests.refusals import refuses
@@ -15,7 +15,7 @@ from tests.refusals import refuses
 UNCHECKED = {"executor", "chunk_size", "x", "y"}  # where they are used
 
 
-@pytest.mark.parametrize("kind", [MotorLimits, WindCriteria, SearchOptions, TargetGrid])
+@pytest.mark.parametrize("kind", [MotorLimits, WindCriteria, SearchOptions, TargetGrid, FollowOptions])
 def test_each_option_refuses_what_it_cannot_use(kind):
     for name in {each.name for each in fields(kind)} - UNCHECKED:
         refuses(name, kind, **{name: [3]})

@@ -92,7 +92,7 @@ def run(
     torque: Annotated[float | None, "Limit of torque, which a real motor needs", "N m"] = None,
     max_deviation: Annotated[float, "Angle between arm and goal that stops a run", "rad"] = 0.3,
     follow: Annotated[bool, "Correct the moves while the rope swings."] = False,
-    decision_time: Annotated[float, "Time for such a correction, s."] = 0.3,
+    correction: Annotated[Given, planning.FollowOptions, "decision_time"],
     repeat: Annotated[
         int | None,
         typer.Option(help="Casts at most. [default: 10 with --learn, else 1]", min=1, max=100),
@@ -142,7 +142,7 @@ def run(
         return
     if emulated:
         output.note(EMULATED)
-    closed = planning.FollowOptions(decision_time=decision_time) if follow else None
+    closed = planning.FollowOptions(**correction) if follow else None
     name = f"{motor} (simulated motor and rope)" if emulated else motor
     with nullcontext() if page is None else execution.RunPage(planned, page, name) as shown:
         if shown is not None:

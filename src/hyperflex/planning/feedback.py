@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.control import TrueState, hanging_state
@@ -18,6 +17,7 @@ from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
+from hyperflex.options import check, option
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import refuse_behind
 from hyperflex.planning.plan import CastPlan
@@ -28,6 +28,13 @@ from hyperflex.planning.uncertainty import Scenario
 from hyperflex.status import Status
 
 SLOWLY = 0.3  # fraction of the motor's speed at which an aborted cast takes the arm down
+# m, m/s: units in the distance from the planned strike, in which such errors of a joint count alike
+PLACE, SPEED = 0.05, 0.5
+LEAST_GAIN = 0.1  # reduction of that distance below which the moves stay as they are
+# s, rad: scales of the changes of a rest and of a stroke; in these, the step of the finite differences
+REST, STROKE, DIFFERENCE = 0.15, 0.6, 0.06
+ROUNDS = 1  # Gauss-Newton steps of a correction: the next one is made at the next rest
+WINDOW = 0.3  # s about the planned strike within which flights are compared
 
 
 @dataclass(frozen=True)
@@ -45,39 +52,22 @@ class FollowOptions:
         Time to send a decision to the motor, s.
     max_arm_error : float
         Angle, rad, between arm and command at a rest, above which a cast is aborted.
-    min_gain : float
-        Required reduction of the distance from the planned strike by changed moves, in scales.
     blind_time : float
         Time before the expected strike, s, within which the rope is no longer observed.
-    position_scale, speed_scale : float
-        Units of a joint's position error, m, and velocity error, m/s, in the distance from the planned strike.
-    rest_scale, stroke_scale : float
-        Scales of the changes of a rest, s, and of a stroke, rad.
-    rounds : int
-        Gauss-Newton steps of a correction.
-    difference : float
-        Step of the finite differences, in scales.
-    window : float
-        Time about the planned strike within which flights are compared, s.
     """
 
-    decision_time: float = 0.1
-    real_time: bool = False
-    sending: float = 0.05
-    max_arm_error: float = 0.2
-    min_gain: float = 0.1
-    blind_time: float = 0.15
-    position_scale: float = 0.05
-    speed_scale: float = 0.5
-    rest_scale: float = 0.15
-    stroke_scale: float = 0.6
-    rounds: int = 1
-    difference: float = 0.06
-    window: float = 0.3
+    decision_time: float = option(0.3, "time for a correction", "s", sign="nonnegative")
+    real_time: bool = option(False, "discard corrections that are not ready in time")
+    sending: float = option(0.05, "time to send a correction to the motor", "s", sign="nonnegative")
+    max_arm_error: float = option(
+        0.2, "angle between arm and command at a rest that aborts a cast", "rad", sign="nonnegative"
+    )
+    blind_time: float = option(
+        0.15, "time before the strike within which the rope is not observed", "s", sign="nonnegative"
+    )
 
     def __post_init__(self) -> None:
-        for name in ("decision_time", "min_gain", "max_arm_error", "blind_time"):
-            object.__setattr__(self, name, checks.number(name, getattr(self, name), sign="nonnegative"))
+        check(self, "")
 
 
 @dataclass(frozen=True)
@@ -94,7 +84,8 @@ class Decision:
         Time until that move, as planned before the decision, s.
     before, after : float
         Distance of the predicted strike from the planned one before and after the decision: root mean square of the
-        errors of the joints' positions and velocities, in scales; inf if the rope is not predicted to strike.
+        errors of the joints' positions and velocities, in units of PLACE and SPEED; inf if the rope is not predicted to
+        strike.
     action : {"kept", "changed", "aborted", "late"}
         Late: the decision came too late and was not carried out. What is aborted too late ends after the move that had
         begun.
@@ -217,7 +208,7 @@ def follow_plan(
     -----
     From each observed state the flight is simulated and compared, at its nearest approach, with the planned strike in
     positions and velocities of all joints. Gauss-Newton steps on the remaining strokes and rests
-    (:mod:`hyperflex.planning.shooting`) reduce this distance; they are carried out if they reduce it by `min_gain`.
+    (:mod:`hyperflex.planning.shooting`) reduce this distance; they are carried out if they reduce it by LEAST_GAIN.
     Contact before the last observation is not detected.
 
     A decision takes 0.05 to 0.3 s of processor time with 50 links.
@@ -235,7 +226,7 @@ def follow_plan(
     chosen = options or FollowOptions()
     if motor is not None:
         motor.set_motion(moves.motion(problem.limits), 0.0)
-    goal = Goal.of(problem, plan.target, moves, chosen)
+    goal = Goal.of(problem, plan.target, moves)
     if goal is None:
         return FollowResult(moves, moves.motion(problem.limits), (), chosen, "the planned moves do not strike")
     rope = rope or problem.rope
@@ -261,14 +252,14 @@ class Goal:
     features: Array
 
     @classmethod
-    def of(cls, problem: Problem, peg: Peg, moves: Moves, options: FollowOptions) -> "Goal | None":
+    def of(cls, problem: Problem, peg: Peg, moves: Moves) -> "Goal | None":
         """Return the goal of moves; None without a strike."""
         motion = moves.motion(problem.limits)
         one = RolloutBatch.from_start(problem, [problem.rope], [peg], [motion])
         found = fly_to_strikes(problem, peg, one, Budget())
         if not np.isfinite(found.t[0]):
             return None
-        now = features(problem.rope, problem.arm, motion, found.t, found.q, found.qd, options)
+        now = features(problem.rope, problem.arm, motion, found.t, found.q, found.qd)
         return cls(float(found.t[0]), now[0])
 
     def at(self, planned: Rope, rope: Rope) -> "Goal":
@@ -291,14 +282,14 @@ class Goal:
         return float(t[k] + part[k] * (t[1] - t[0])), away[k]
 
 
-def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array, options: FollowOptions) -> Array:
-    """Positions and velocities of the joints (T, 4 n) at times t (T,), s, over their scales and sqrt(n).
+def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array) -> Array:
+    """Positions and velocities of the joints (T, 4 n) at times t (T,), s, over PLACE, SPEED and sqrt(n).
 
     `q`, rad, and `qd`, rad/s, are (T, n); the motion is the arm's.
     """
     base, base_velocity = arm.tip_motion(motion, t)
     places, speeds = rope.joints(q, base)[:, 1:], rope.joint_velocities(q, qd, base_velocity)[:, 1:]
-    scaled = np.concatenate([places / options.position_scale, speeds / options.speed_scale], axis=2)
+    scaled = np.concatenate([places / PLACE, speeds / SPEED], axis=2)
     return np.asarray(scaled.reshape(len(q), -1) / np.sqrt(rope.n_links))
 
 
@@ -377,7 +368,7 @@ class _Loop:
         starts, kept = self.starts(), self.flights([self.moves])[0]
         best = self.corrected(kept, first) if first < self.last else kept
         before, after = (float(np.linalg.norm(each.residuals)) for each in (kept, best))
-        changed = after < before - self.options.min_gain
+        changed = after < before - LEAST_GAIN
         chosen = best if changed else kept
         begun = int((starts < self.goal.t + self.delay).sum())
         if self.move >= begun - 1 and first <= self.last:
@@ -406,10 +397,10 @@ class _Loop:
 
         The last move stays, and a rest that is due now leaves time for the decision.
         """
-        options, count = self.options, self.moves.ends.size
+        count = self.moves.ends.size
         free = np.concatenate([np.arange(first, self.last), np.arange(count + first, count + self.last)])
-        scale = np.repeat([-options.stroke_scale, options.rest_scale], self.last - first)  # a longer stroke may not fit
-        least, due = min(options.decision_time, float(self.moves.rests[first])), count + first
+        scale = np.repeat([-STROKE, REST], self.last - first)  # a longer stroke may not fit
+        least, due = min(self.options.decision_time, float(self.moves.rests[first])), count + first
 
         def fly(flight: _Flight, changes: Sequence[Array], later: Sequence[float]) -> list[_Flight | None]:
             change = np.zeros((len(changes), 2 * count))
@@ -417,16 +408,16 @@ class _Loop:
             change[:, due] = np.maximum(change[:, due], least - flight.moves.rests[first])
             return [*self.flights([flight.moves.varied(each) for each in change])]
 
-        return shoot(kept, scale, fly, options.rounds, options.difference, self.budget)[0]
+        return shoot(kept, scale, fly, ROUNDS, DIFFERENCE, self.budget)[0]
 
     def flights(self, casts: Sequence[Moves]) -> list[_Flight]:
         """Simulate casts (M) from the observed state, and compare them with the goal where they pass it nearest."""
-        options, goal, since, batch = self.options, self.goal, self.seen.t, self._rollouts(casts)
-        t, q, qd = batch.fly(self.problem.arm, goal.t - since + options.window, self.budget)
-        near, found = np.flatnonzero(np.abs(t + since - goal.t) <= options.window), list[_Flight]()
+        goal, since, batch = self.goal, self.seen.t, self._rollouts(casts)
+        t, q, qd = batch.fly(self.problem.arm, goal.t - since + WINDOW, self.budget)
+        near, found = np.flatnonzero(np.abs(t + since - goal.t) <= WINDOW), list[_Flight]()
         for m, (cast, motion) in enumerate(zip(casts, batch.motions, strict=True)):
             passing = t[near], q[m, near], qd[m, near]
-            rows = features(self.problem.rope, self.problem.arm, motion, *passing, options)
+            rows = features(self.problem.rope, self.problem.arm, motion, *passing)
             found.append(_Flight(cast, *goal.passed(t[near], rows)))
         return found
 
