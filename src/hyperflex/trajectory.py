@@ -13,7 +13,7 @@ from hyperflex import checks, extras, files
 from hyperflex.checks import Array, ByName
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
-from hyperflex.model import Rope, Setup, unit_across
+from hyperflex.model import Rope, Setup
 from hyperflex.status import Status
 
 if TYPE_CHECKING:
@@ -244,8 +244,7 @@ class Trajectory:
     @cached_property
     def tip_velocity(self) -> Array:
         """Tip velocity (T, 2), m/s."""
-        speed = self.rope.length * self.qd
-        return _read_only(self.base_velocity + (speed[:, None] * unit_across(self.q, 1)).sum(axis=2))
+        return _read_only(self.rope.joint_velocities(self.q, self.qd, self.base_velocity)[:, -1].copy())
 
     @property
     def energy_error(self) -> Array:

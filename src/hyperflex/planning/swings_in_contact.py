@@ -62,12 +62,7 @@ class SwingsInContact(SwingSearch):
     full = True
 
     def __init__(
-        self,
-        chains: Sequence[Problem],
-        peg: Peg,
-        sides: list[int],
-        random: np.random.Generator,
-        options: SearchOptions,
+        self, chains: Sequence[Problem], peg: Peg, sides: list[int], random: np.random.Generator, options: SearchOptions
     ) -> None:
         width, rests = max(1, options.width // DEARER), max(1, (options.rests + 1) // 2)
         fewer = replace(options, speeds=(max(options.speeds),), width=width, rests=rests)
