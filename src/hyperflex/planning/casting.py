@@ -26,7 +26,7 @@ from hyperflex.planning.feasibility import (
     search_time,
 )
 from hyperflex.planning.moves import Moves
-from hyperflex.planning.options import Conditions, SearchOptions, WindCriteria, refuse_behind
+from hyperflex.planning.options import LEAST_TURNS, Conditions, SearchOptions, WindCriteria, refuse_behind
 from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.plan import CastPlan, FallbackTarget
 from hyperflex.planning.planner import Planner
@@ -424,7 +424,7 @@ def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
     criteria, end = plan.problem.criteria, plan.motion.end
     kept = min(np.abs(winding.turns(run, plan.target)[run.t >= end + criteria.settle]).min() for run in runs)
     turns = math.floor(TURNS_STEPS * kept) / TURNS_STEPS
-    if not 0.0 < turns < criteria.turns:
+    if not LEAST_TURNS < turns < criteria.turns:
         return ()
     easier = replace(plan.problem, criteria=replace(criteria, turns=turns))
     succeeds = all(evaluate_cast(easier, plan.target, run, end).success for run in runs)

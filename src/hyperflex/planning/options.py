@@ -15,6 +15,7 @@ from hyperflex.interfaces import RopeState
 from hyperflex.model import Obstacle, Peg, checked_obstacles
 from hyperflex.options import check, option
 
+LEAST_TURNS = 0.5  # which a rope that only lies over a peg has
 MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 
@@ -87,8 +88,8 @@ class WindCriteria:
 
     def __post_init__(self) -> None:
         check(self, "")
-        if not 0.5 < self.turns <= 20.0:
-            allowed = "more than 0.5 turns, up to 20"
+        if not LEAST_TURNS < self.turns <= 20.0:
+            allowed = f"more than {LEAST_TURNS:g} turns, up to 20"
             raise InvalidInput("turns are not those of a wound rope", got=self.turns, allowed=allowed)
         if self.settle > 10.0:
             raise InvalidInput("settle is longer than a rope takes to come to rest", got=self.settle, allowed="<= 10 s")
