@@ -55,7 +55,6 @@ from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
 RESULTS = Path(__file__).parent / "results"
 LINKS = 50
 FINER = 2.5  # times the links in the independent check
-NEAR_PEG = 0.3  # longest link near the peg there, radii of the rope's axis on it; plans are verified with 0.5
 STEP, TOL = 0.5 * DEFAULT_CONTACT_STEP, 0.2 * DEFAULT_TOL  # s, m, of the independent check
 FRICTION = 5e-4  # N m s/rad, of each joint of LINKS links
 TIP = {"nominal": 0.0, "weighted": 0.02}  # kg
@@ -266,7 +265,7 @@ def checked(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
     fine = problem(rope, FINER)
-    fine = fine.cut(cuts(fine.rope, (peg,), arm=fine.arm, ratio=NEAR_PEG))
+    fine = fine.cut(cuts(fine.rope, (peg,), arm=fine.arm))
     cast = verify_cast(fine, peg, motion, tol=TOL, contact_step=STEP, time_budget=LONGEST)
     row = {
         "success": cast.success,

@@ -35,7 +35,6 @@ from hyperflex.planning import MotorLimits, Problem, check_feasibility, plan_cas
 RESULTS = Path(__file__).parent / "results"
 SECONDS = 40.0  # s of processor time for a plan
 FINER = 2.5  # times the links in the independent run
-NEAR_PEG = 0.3  # longest link near the peg in that run, radii of the rope's axis on it; plans are verified with 0.5
 
 
 def rope_and_arm(seed: int, number: int, finer: float = 1.0) -> tuple[hf.Rope, hf.Arm]:
@@ -89,7 +88,7 @@ def targets(seed: int, number: int, rope: hf.Rope, arm: hf.Arm, count: int) -> I
 def held(seed: int, number: int, peg: hf.Peg, plan: hf.CastPlan) -> bool:
     """Whether a plan succeeds in the independent run."""
     finer = Problem(*rope_and_arm(seed, number, FINER), MotorLimits())
-    finer = finer.cut(cuts(finer.rope, (peg,), arm=finer.arm, ratio=NEAR_PEG))
+    finer = finer.cut(cuts(finer.rope, (peg,), arm=finer.arm))
     motion = plan.required(plan.motion, "motion")
     outcome = verify_cast(finer, peg, motion, tol=0.2 * DEFAULT_TOL, contact_step=0.5 * DEFAULT_CONTACT_STEP)
     return outcome.success

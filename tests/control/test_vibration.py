@@ -211,6 +211,7 @@ def pushed(held: hf.VibrationPosture, force: np.ndarray) -> np.ndarray:
 
 
 def test_a_weak_motor_is_refused_with_what_it_lacks():
+    refuses("the arm has no length", hf.plan_vibration, ROD, 1.9, hf.MotorLimits(), arm=hf.Arm(length=0.0))
     plan = hf.plan_vibration(ROD, 1.9, hf.MotorLimits(), arm=hf.Arm(length=0.1))
     assert not plan.success
     assert plan.missing["speed"] == (plan.motor.speed, hf.MotorLimits().speed)

@@ -128,7 +128,7 @@ def test_mujoco_agrees_with_two_links_on_their_limits():
 def test_a_bend_radius_stays_when_links_are_cut():
     rope = hf.Rope.uniform(1.0, 0.06, 10, friction=0.0).with_bend_radius(0.05)
     np.testing.assert_allclose(rope.max_bend[1:], 2.0 * math.atan(0.1 / 0.1), rtol=1e-14)
-    fine = hf.refine_rope(rope, [hf.Peg(0.5, -0.5, 0.02)], ratio=0.3)
+    fine = hf.refine_rope(rope, [hf.Peg(0.5, -0.5, 0.02)])
     again = fine.replace(max_bend=np.inf).with_bend_radius(0.05)
     np.testing.assert_allclose(fine.max_bend, again.max_bend, rtol=1e-12)
     assert fine.n_links > 50

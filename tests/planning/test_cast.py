@@ -56,6 +56,8 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     finer = hf.Problem(hf.with_links(CORD, 38), ARM)
     assert verify_cast(finer, PEG, cast.motion, contact_step=1e-4).success
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
+    planned, shorter = (each.run.rope.length.min() / (PEG.radius + CORD.radius) for each in cast.outcomes)
+    assert shorter <= 0.3 < planned <= 0.5  # links near the peg, in radii of the rope's axis on it
 
 
 def test_a_plan_continues_from_states_that_were_measured(cast):
@@ -372,34 +374,6 @@ def test_a_wound_rope_that_slips_is_given_time_to_settle(monkeypatch):
     assert [cut.dwell, cut.slip, cut.score, cut.turns] == [0.0, hurried.slip, hurried.score, hurried.turns]
 
 
-def test_a_rollout_ends_when_the_rope_has_come_off(monkeypatch):
-    """It winds by 2.6 turns, and the last move pulls it off again: nothing is simulated of the rest that follows."""
-    who, spans = known.problem(), []
-
-    def simulated(setup, **given):
-        spans.append(setup.duration)
-        return simulate(setup, **given)
-
-    monkeypatch.setattr(rollouts, "simulate", simulated)
-
-    def simulated_for(end, sweeping):
-        moves = known.WINDS.then(end, 0.3).waiting(6.0)
-        found, motion = known.simulated_strikes(who, known.PEG, [moves]), moves.motion(who.limits)
-        batch = RolloutBatch([who.rope], [known.PEG], [motion.shifted(-float(found.t[0]))], found.q, found.qd)
-        spans.clear()
-        return simulate_contact(who, batch, found.t, Budget(threads=1), sweeping=[sweeping]), sum(spans)
-
-    off, short = simulated_for(1.5, True)
-    whole, long = simulated_for(1.5, False)
-    assert off.turns == whole.turns == 0.0
-    assert off.most == pytest.approx(whole.most, abs=1e-4)  # its parts end elsewhere
-    assert whole.most > 2.0
-    assert short < 0.5 * long
-    on, spent = simulated_for(0.0, True)
-    assert on.turns > 2.0
-    assert spent > long
-
-
 def test_moves_to_begin_with_do_not_wait_before_it_is_known_that_they_must():
     who = known.problem()
     task = WindTask(who, known.PEG, hf.SearchOptions(threads=1), start=[known.WINDS.waiting(3.0)])
@@ -455,6 +429,6 @@ def test_a_plan_that_fails_by_its_turns_reports_how_many_it_keeps():
     assert verify_cast(easier, plan.target, plan.motion).success
     assert fewer_turns(plan) == ()  # it succeeds
     aside = replace(plan.target, x=plan.target.x - 0.2)
-    assert fewer_turns(replace(failed, target=aside)) == ()  # 0.3 turns are none
+    assert fewer_turns(replace(failed, target=aside)) == ()  # 0.2 turns are none
     slips = replace(failed.problem, criteria=replace(more, max_slip=1e-9))
     assert fewer_turns(replace(failed, problem=slips)) == ()  # fewer turns do not help

@@ -49,7 +49,7 @@ def stretched(rope: Rope, length: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any
     return {"length": length, "com": rope.com * ratio, "inertia": inertia}
 
 
-FINE = 0.5  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta), as with 0.3
+FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
 COARSE = 1.0  # ratio above which a set-up's rope is reported to hold less: by 15 % at 2
 MOST_PIECES = 10_000  # of a divided rope: with more of them a run takes hours
 
@@ -92,8 +92,8 @@ def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None,
     >>> import hyperflex as hf
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     >>> fine = hf.refine_rope(cable, [hf.Peg(x=1.0, y=-0.5, radius=0.03)])
-    >>> fine.n_links, bool(fine.length.min() <= 0.5 * 0.0325)
-    (98, True)
+    >>> fine.n_links, bool(fine.length.min() <= 0.3 * 0.0325)
+    (142, True)
     """
     return divided(rope, cuts(rope, pegs, arm=arm, ratio=ratio))
 

@@ -84,8 +84,8 @@ class Decision:
         Time until that move, as planned before the decision, s.
     before, after : float
         Distance of the predicted strike from the planned one before and after the decision: root mean square of the
-        errors of the joints' positions and velocities, in units of PLACE and SPEED; inf if the rope is not predicted to
-        strike.
+        errors of the joints' positions and velocities, in units of 0.05 m and 0.5 m/s; inf if the rope is predicted
+        not to strike.
     action : {"kept", "changed", "aborted", "late"}
         Late: the decision came too late and was not carried out. What is aborted too late ends after the move that had
         begun.
@@ -208,7 +208,7 @@ def follow_plan(
     -----
     From each observed state the flight is simulated and compared, at its nearest approach, with the planned strike in
     positions and velocities of all joints. Gauss-Newton steps on the remaining strokes and rests
-    (:mod:`hyperflex.planning.shooting`) reduce this distance; they are carried out if they reduce it by LEAST_GAIN.
+    (:mod:`hyperflex.planning.shooting`) reduce this distance; they are carried out if they reduce it by 0.1.
     Contact before the last observation is not detected.
 
     A decision takes 0.05 to 0.3 s of processor time with 50 links.

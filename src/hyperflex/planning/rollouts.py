@@ -65,9 +65,6 @@ class RolloutModel:
     sweep, sweep_turns : float
         A run in contact ends that makes fewer turns until so many sqrt(length / g): of 2,423 runs 141 wound in the end,
         12 of these had fewer, and 57 % of all simulated time came later.
-    off : float
-        It ends, too, if it makes fewer turns than this at a multiple of that time: the rope has come off. Of 1,440 runs
-        of random ropes 29 wound in the end, 4 of these had come off before, and 37 % of the rest's time came later.
     check, check_turns : float
         The same at so many s after the motion's end.
     last : float
@@ -99,7 +96,6 @@ class RolloutModel:
     folded: float = 0.3
     sweep: float = 1.3
     sweep_turns: float = 0.65
-    off: float = 0.25
     check: float = 0.9
     check_turns: float = 0.75
     last: float = 0.8
@@ -414,10 +410,8 @@ class _Contact:
         end, check = stop + 1.5 + criteria.settle, stop + MODEL.check
         sweep = MODEL.sweep * math.sqrt(rope.total_length / max(rope.g, 1e-9))
         usual = min(1.0, criteria.turns / 1.25)  # the limits below suit 1.25 turns, and those of more
-        hope, parts = usual * MODEL.check_turns, list[tuple[float, float]]()
-        if self.sweeping:
-            later = [(until, MODEL.off) for until in np.arange(2.0 * sweep, check, sweep).tolist()]
-            parts = [(min(sweep, check), usual * MODEL.sweep_turns), *later]
+        parts = [(min(sweep, check), usual * MODEL.sweep_turns)] if self.sweeping else []
+        hope = usual * MODEL.check_turns
         setup = self._setup()
         if not starts_outside(setup):
             return NEVER, 0.0, math.inf
@@ -425,8 +419,8 @@ class _Contact:
             if not self._run(setup, until):
                 return NEVER, 0.0, math.inf
             t, turns, _, _ = self.samples
-            reached = until <= sweep and until < check - 1e-9
-            if float(np.abs(turns if reached else turns[-1:]).max()) < least:
+            seen = turns if until < check - 1e-9 else turns[-1:]
+            if float(np.abs(seen).max()) < least:
                 return self._turns(float(t[-1]))[0], 0.0, math.inf
         way = self._settled(setup, end, max(check, stop + criteria.settle))
         score, stay = self._turns(end + self.dwell)
