@@ -37,7 +37,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, cuts
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.paper import T_REST, casting_arm
 from hyperflex.planning import (
@@ -265,7 +265,6 @@ def checked(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
     fine = problem(rope, FINER)
-    fine = fine.cut(cuts(fine.rope, (peg,), arm=fine.arm))
     cast = verify_cast(fine, peg, motion, tol=TOL, contact_step=STEP, time_budget=LONGEST)
     row = {
         "success": cast.success,

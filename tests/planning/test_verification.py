@@ -133,9 +133,9 @@ def test_the_torque_of_a_blow_is_reported():
 
 
 def test_contact_is_required_and_reported():
-    """2.36 turns, 850 degrees, of which 609 lie on the peg all through the watch: the rest is straight or hangs."""
+    """2.36 turns, 850 degrees, of which 616 lie on the peg all through the watch: the rest is straight or hangs."""
     seen = planned().outcome
-    assert np.degrees(seen.contact_angle) == pytest.approx(609, abs=3)  # 636 at its end
+    assert np.degrees(seen.contact_angle) == pytest.approx(616, abs=3)  # 643 at its end
     assert 0.25 < abs(seen.turns) - seen.contact_angle / (2.0 * np.pi) < 0.8
     motion = WINDS.motion(problem().limits)
     assert verify_cast(replace(problem(), criteria=hf.WindCriteria(contact=10.5)), PEG, motion).success

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         Property,
         parse_label,
     )
-    from hyperflex.model.refine import cuts, divided, refine_rope, stretched, with_links
+    from hyperflex.model.refine import FINE, cuts, divided, refine_rope, stretched, with_links
     from hyperflex.model.rope import (
         MOST_LINKS,
         Rope,

@@ -258,7 +258,7 @@ class CastPlan(Plan):
     Attributes
     ----------
     finer_outcome : CastOutcome or None
-        With links of a third of the length, and shorter ones near the target.
+        With links of a third of the length.
     margin : float
         Smallest distance of a criterion from its limit in both runs, divided by a usual amount; see
         :func:`hyperflex.planning.ensemble.margin`. A robust plan that succeeds in all scenarios has 1.

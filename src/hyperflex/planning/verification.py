@@ -6,16 +6,12 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array, Flags
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, cuts
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, FINE, Peg, Rope, Setup, Wall, cuts
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import Clearance, obstacle_clearance, rope_clearance
 from hyperflex.planning.problem import Problem
 from hyperflex.trajectory import Trajectory
 
-# Longest link near a peg, in radii of the rope's axis on it. With as short links as `refine_rope` makes, 0.3, checks of
-# casts with long ropes took twice as long. A rope holds up to 7 % less than the capstan equation allows, and up to 3 %
-# with 0.3 (friction 0.5, two turns). The check with shorter links has 0.3
-NEAR_PEG = 0.5
 FOLD = 1e-3  # rad past half a turn, above which a rope has folded through itself: a limit may be passed by less
 
 
@@ -43,15 +39,16 @@ def verified_setup(
     *,
     tol: float = DEFAULT_TOL,
     contact_step: float = DEFAULT_CONTACT_STEP,
+    ratio: float = FINE,
 ) -> Setup:
     """Return what is simulated to verify a motion of `duration`, s, from rest; `tol` in m and `contact_step` in s.
 
-    Links are refined near `pegs`, and near those that the rope is to run behind. The set-up's obstacles, which are not
-    to be touched, are there as well.
+    Links are refined near `pegs`, and near those that the rope is to run behind; `ratio` is as of ``refine_rope``. The
+    set-up's obstacles, which are not to be touched, are there as well.
     """
     pegs = (*pegs, *problem.criteria.behind)
     arm, beside = problem.arm, (*pegs, *problem.obstacles)
-    fine = problem.cut(cuts(problem.rope, pegs, arm=arm, ratio=NEAR_PEG))
+    fine = problem.cut(cuts(problem.rope, pegs, arm=arm, ratio=ratio))
     given: dict[str, Any] = {"q0": fine.q0, "qd0": fine.qd0} if fine.q0 else {}
     rope = limit_bend(fine.rope)
     return Setup(rope, motion, arm, duration=duration, tol=tol, pegs=beside, contact_step=contact_step, **given)

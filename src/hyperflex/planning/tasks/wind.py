@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Peg, cuts
+from hyperflex.model import Peg
 from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, strikes_in_plane, verify_members
 from hyperflex.planning.moves import PUMPING, Moves
 from hyperflex.planning.options import SearchOptions
@@ -279,10 +279,7 @@ class WindTask(Task):
         if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
             since, q, qd = last.states[0]
             problem = replace(problem, side=one.moves.side, q0=tuple(q), qd0=tuple(qd))
-        finer, near = list[Problem](), (self.peg, *problem.criteria.behind)
-        for each in (pieces, pieces - 1) if pieces > 2 else (pieces,):
-            shorter = problem.cut(each)
-            finer.append(shorter.cut(cuts(shorter.rope, near, arm=shorter.arm)))
+        finer = [problem.cut(each) for each in ((pieces, pieces - 1) if pieces > 2 else (pieces,))]
         found = verify_members(problem, finer, self.peg, one, budget, since)
         most, seen = self.pumping.problem.time, found.outcome
         if isinstance(one, Strike) and one.through_contact and not found.message and seen.strike_time > most:
