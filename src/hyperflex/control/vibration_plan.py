@@ -173,7 +173,8 @@ class _Family:
 
     def __post_init__(self) -> None:
         if self.arm is not None and checks.instance("arm", self.arm, Arm).length == 0.0:
-            raise InvalidInput("the arm has no length, so that it moves no rope", got=0.0, allowed="more than 0 m")
+            fix = "Give its length, or no arm: then the rope's first joint itself vibrates"
+            raise InvalidInput("the arm has no length", got=0.0, allowed="more than 0 m", fix=fix)
         pull = math.sin(self.tilt - self.rope.hanging_angle)
         self.upright = abs(pull) < 1e-6  # or hanging: there any strength does, and below the tilt depends on it
         self.away = 0.0 if self.upright else math.copysign(1.0, pull)

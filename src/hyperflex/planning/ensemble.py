@@ -29,9 +29,9 @@ from hyperflex.planning.uncertainty import Scenario, Uncertainty
 # m, tolerance of runs with shorter links, which check the length of links alone: those of three casts of ropes with dry
 # friction took 0.5, 0.6 and 0.8 of the time with the usual one, and wound as often
 FINER_TOL = 1e-4
-# Their longest link near the peg, in radii of the rope's axis on it: those of two casts of long ropes took 0.4 and 0.8
-# of the time with 0.3, as planned. A rope holds up to 7 % less than the capstan equation allows (friction 0.5, two
-# turns), and up to 3 % with 0.3
+# Longest link near the peg in these runs, in radii of the rope's axis on it; the run as planned has 0.3. Two casts of
+# long ropes took 0.4 and 0.8 of the time that they take with 0.3. A rope of such links holds up to 7 % less than the
+# capstan equation allows (friction 0.5, two turns), and up to 3 % less with 0.3
 FINER_RATIO = 0.5
 SAME_PASS = 0.25  # periods, by which strikes in one pass differ at most: the next pass is half a period later
 COUNTED = 8  # samples of an estimate that are simulated at once

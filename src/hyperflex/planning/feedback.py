@@ -56,14 +56,14 @@ class FollowOptions:
         Time before the expected strike, s, within which the rope is no longer observed.
     """
 
-    decision_time: float = option(0.3, "time for a correction", "s", sign="nonnegative")
-    real_time: bool = option(False, "discard corrections that are not ready in time")
-    sending: float = option(0.05, "time to send a correction to the motor", "s", sign="nonnegative")
+    decision_time: float = option(0.3, "Time for a correction.", "s", sign="nonnegative")
+    real_time: bool = option(False, "Discard corrections that are not ready in time.")
+    sending: float = option(0.05, "Time to send a correction to the motor.", "s", sign="nonnegative")
     max_arm_error: float = option(
-        0.2, "angle between arm and command at a rest that aborts a cast", "rad", sign="nonnegative"
+        0.2, "Angle between arm and command at a rest that aborts a cast.", "rad", sign="nonnegative"
     )
     blind_time: float = option(
-        0.15, "time before the strike within which the rope is not observed", "s", sign="nonnegative"
+        0.15, "Time before the strike within which the rope is not observed.", "s", sign="nonnegative"
     )
 
     def __post_init__(self) -> None:
