@@ -410,7 +410,7 @@ def _unwound(task: WindTask) -> str:
     criteria, most = task.problem.criteria, task.most_turns
     return (
         f"the best moves do not wind the rope: it makes {most:.2f} turns at most, {criteria.turns:g} required",
-        f"the best moves wind the rope {most:.2f} turns, but it comes off again",
+        f"the best moves wind the rope {most:.2f} turns, but it comes off again, or too near arm or obstacles",
         "the best moves wind the rope, but it comes too near its arm, the shaft or an obstacle, or not behind its pegs",
         f"the best moves wind the rope, but with shorter links it comes off or slips by {1e3 * criteria.max_slip:g} mm",
     )[task.furthest]

@@ -48,9 +48,10 @@ class Joints(NamedTuple):
 # the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST, HIGHEST: the relative
 # rate after the step may be between these, rad/s. BEFORE: that before, rad/s. LEVER: length of the chain beyond the
 # joint, m. CREEP: stiction tolerance of dry friction, rad/s, 0.0 without. FREE, FREE + 1: as ``Motion.joint``, without
-# friction and limits.
+# friction and limits. MET, MET + 1: regularized friction, as ``regularize`` in ``joints``.
 SEARCHED = 3  # rows from START on
-IMPULSE, START, AFTER, RUBBED, GOOD, _, _, BOUND, LOWEST, HIGHEST, BEFORE, LEVER, CREEP, FREE, ROWS = *range(14), 15
+IMPULSE, START, AFTER, RUBBED, GOOD, _, _, BOUND, LOWEST, HIGHEST, BEFORE, LEVER, CREEP = range(13)
+FREE, MET, ROWS = 13, 15, 17
 
 
 class Motion(NamedTuple):

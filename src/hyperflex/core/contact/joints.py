@@ -22,6 +22,7 @@ from hyperflex.core.contact.arrays import (
     LEVER,
     LOWER,
     LOWEST,
+    MET,
     OPEN,
     RELAXED,
     RUBBED,
@@ -45,7 +46,8 @@ JOINT_CLOSING = 1e-9
 # friction. At 0.7, a rope of 1 m that is bent to a circle takes 18 h to straighten. Two verified runs of wound ropes
 # took 6 and 18 % longer with it than with a hundred times as much
 BEND_RATE = 1e-4
-# part of the dry friction by which a regularized one may miss its law
+# part of the dry friction by which a regularized one may miss its law at the usual tolerance of positions, and in
+# proportion more at a larger one
 RUBBING = 1e-3
 # s, over which the present rate is extrapolated to a gap
 SOON = 0.01
@@ -86,7 +88,8 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
         of[CREEP, i] = BEND_RATE * workspace.impulses.loose * chain.length[i] if bound > 0.0 else 0.0
         held = memory.bent[i] >= UPPER
         joints.mode[i] = memory.bent[i] if held else OPEN
-        of[AFTER, i], of[RUBBED, i] = rate, 0.0 if held else max(-bound, min(last, bound))
+        of[AFTER, i] = rate + relative(motion.change, i, motion.base[2])
+        of[RUBBED, i] = 0.0 if held else max(-bound, min(last, bound))
         of[START, i] = last - of[RUBBED, i]
 
 
@@ -114,13 +117,13 @@ def write_joints(motion, joints, penalty):  # type: ignore[no-untyped-def]
             slope = penalty * of[LEVER, i] * of[LEVER, i]
             torque = of[START, i] - slope * (of[BEFORE, i] - (of[HIGHEST, i] if mode == UPPER else of[LOWEST, i]))
         if of[CREEP, i] > 0.0:
-            rubbed, rubbing = regularized_impulse(joints, i)
-            torque, slope = torque + rubbed, slope + rubbing
+            regularize(of, i)
+            torque, slope = torque + of[MET, i], slope + of[MET + 1, i]
         joint[i, 0], joint[i, 1] = of[FREE, i] + torque, of[FREE + 1, i] + slope
 
 
 @non_allocating
-def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-untyped-def]
+def update_joint_modes(motion, joints, penalty, change, loose):  # type: ignore[no-untyped-def]
     """Read rates and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
     Returns how many broke it.
@@ -130,10 +133,9 @@ def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-unty
         rate = of[BEFORE, i] + relative(motion.change, i, motion.base[2])
         mass = penalty * of[LEVER, i] * of[LEVER, i]
         if of[CREEP, i] > 0.0:
-            rubbed, rubbing = regularized_impulse(joints, i)
-            of[RUBBED, i] = rubbed - rubbing * (rate - of[BEFORE, i])
+            of[RUBBED, i] = of[MET, i] - of[MET + 1, i] * (rate - of[BEFORE, i])
         of[AFTER, i] = rate
-        violations += abs(of[RUBBED, i] - friction_law(joints, i)) > RUBBING * of[BOUND, i]
+        violations += abs(of[RUBBED, i] - friction_law(joints, i)) > RUBBING * loose * of[BOUND, i]
         of[IMPULSE, i], new_mode = joint_mode(joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[START, i], mass)
         if new_mode != joints.mode[i]:
             violations += 1
@@ -156,26 +158,26 @@ def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def regularized_impulse(joints, i):  # type: ignore[no-untyped-def]
-    """Impulse L of regularized friction at the rate before the step, N m s, and by how much it falls with the rate.
+def regularize(of, i):  # type: ignore[no-untyped-def]
+    """Linearize regularized friction at joint i about the last solution, to rows MET and MET + 1.
 
-    Its law, L s = -bound w with s^2 = w^2 + tolerance^2, is linearized in both L and w about the last solution, with L
-    within the bound: the slope is never negative, and few rounds find joints that break loose (Chan, Golub and Mulet
-    1999, doi:10.1137/S1064827596299767).
+    These are the impulse L at the rate before the step, N m s, and by how much it falls with the rate. The law,
+    L s = -bound w with s^2 = w^2 + tolerance^2, is linearized in both L and w, with L within the bound: the slope is
+    never negative, and few rounds find joints that break loose (Chan, Golub and Mulet 1999,
+    doi:10.1137/S1064827596299767).
     """
-    of = joints.of
-    bound, size = of[BOUND, i], math.hypot(of[AFTER, i], of[CREEP, i])
+    bound, size = of[BOUND, i], math.sqrt(of[AFTER, i] ** 2 + of[CREEP, i] ** 2)
     last, part = max(-bound, min(of[RUBBED, i], bound)), of[AFTER, i] / size
     slope = (bound + last * part) / size
-    return last * part * part - slope * of[BEFORE, i], slope
+    of[MET, i], of[MET + 1, i] = last * part * part - slope * of[BEFORE, i], slope
 
 
 @non_allocating
-def obeys_friction(joints):  # type: ignore[no-untyped-def]
+def obeys_friction(joints, loose):  # type: ignore[no-untyped-def]
     """Whether regularized friction obeys its law to within RUBBING."""
     of, obeys = joints.of, True
     for i in joints.which:
-        obeys = obeys and abs(of[RUBBED, i] - friction_law(joints, i)) <= RUBBING * of[BOUND, i]
+        obeys = obeys and abs(of[RUBBED, i] - friction_law(joints, i)) <= RUBBING * loose * of[BOUND, i]
     return obeys
 
 
@@ -183,7 +185,9 @@ def obeys_friction(joints):  # type: ignore[no-untyped-def]
 def friction_law(joints, i):  # type: ignore[no-untyped-def]
     """Impulse of regularized friction at the rate after the step, N m s."""
     of = joints.of
-    return -of[BOUND, i] * of[AFTER, i] / math.hypot(of[AFTER, i], of[CREEP, i]) if of[CREEP, i] > 0.0 else 0.0
+    return (
+        -of[BOUND, i] * of[AFTER, i] / math.sqrt(of[AFTER, i] ** 2 + of[CREEP, i] ** 2) if of[CREEP, i] > 0.0 else 0.0
+    )
 
 
 @non_allocating

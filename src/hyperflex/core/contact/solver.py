@@ -93,7 +93,7 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
     a criterion of velocity would let neither mode hold for a P0 outside the cone. `change` selects the
     contacts: NONE, ALL, EVEN or EVEN + 1. Returns how many broke it.
     """
-    violations = update_joint_modes(motion, joints, penalty, change != NONE)
+    violations = update_joint_modes(motion, joints, penalty, change != NONE, impulses.loose)
     for c in range(contacts.total[0]):
         vn, vt = velocity(contacts, motion, c)
         vt -= spin.reach[contacts.peg[c]] * spin.after[contacts.peg[c]]
@@ -324,7 +324,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     """
     store(impulses, joints)
     total, last, penalty, residual = climb(chain, contacts, impulses, motion, joints, spin, h, whole)
-    solved = residual <= SLIGHT_SPEED * impulses.loose and obeys_friction(joints)
+    solved = residual <= SLIGHT_SPEED * impulses.loose and obeys_friction(joints, impulses.loose)
     if last == 0.0:  # nothing was found at all: let go
         release_joints(joints)
         for c in range(contacts.total[0]):
