@@ -374,6 +374,16 @@ def test_a_wound_rope_that_slips_is_given_time_to_settle(monkeypatch):
     assert [cut.dwell, cut.slip, cut.score, cut.turns] == [0.0, hurried.slip, hurried.score, hurried.turns]
 
 
+def test_a_wound_rope_that_still_swings_in_a_verified_run_is_given_time_to_settle():
+    who, moves = known.problem(), known.WINDS.then(1.5, 0.5)
+    hurried = verify_cast(who, known.PEG, moves.motion(who.limits))
+    assert "1.22 remain while it is watched" in hurried.message
+    found = WindTask(who, known.PEG, hf.SearchOptions(threads=1)).verify(Candidate(moves, 1.0, 1.0), Budget(threads=1))
+    assert not found.message
+    assert found.candidate.moves.dwell == pytest.approx(rollouts.MODEL.periods * who.period)
+    assert abs(found.outcome.turns) == pytest.approx(abs(hurried.turns), abs=0.03)
+
+
 def test_moves_to_begin_with_do_not_wait_before_it_is_known_that_they_must():
     who = known.problem()
     task = WindTask(who, known.PEG, hf.SearchOptions(threads=1), start=[known.WINDS.waiting(3.0)])

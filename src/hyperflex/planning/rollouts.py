@@ -479,23 +479,21 @@ class _Contact:
         return True
 
     def _settled(self, setup: Setup, end: float, since: float) -> float:
-        """Wait until a wound rope at the `end`, s, does not slip, as long as it helps; return its slip, m.
+        """Wait until a wound rope at the `end`, s, neither slips nor loses turns as it swings; return its slip, m.
 
-        It is the greatest since a time, s, and the dwell, or in a wait that does not help; inf if too few turns stay.
+        It waits as long as it helps. The slip is the greatest since a time, s, and the dwell, or in a wait that does
+        not help; inf if too few turns stay.
         """
         criteria = self.problem.criteria
-        if self._turns(end)[1] < criteria.turns:
-            return math.inf
-        way = self._slip(since)
+        way = self._slip(since) if self._turns(end)[1] >= criteria.turns else math.inf
         for wait in (self.problem.period * np.arange(1.0, self.periods + 1.0)).tolist():
             before = self.samples, self.near
-            if way <= 0.1 * criteria.max_slip or not self._run(setup, end + wait):
+            if way <= 0.1 * criteria.max_slip or abs(self.samples[1][-1]) < criteria.turns:
                 break
-            if self._turns(end + wait)[1] < criteria.turns:
-                self.dwell = wait
-                return math.inf
-            slip = self._slip(since + wait)
-            if slip >= 0.5 * way and not slip < criteria.max_slip <= way:
+            if not self._run(setup, end + wait):
+                break
+            slip = self._slip(since + wait) if self._turns(end + wait)[1] >= criteria.turns else math.inf
+            if math.isfinite(slip) and slip >= 0.5 * way and not slip < criteria.max_slip <= way:
                 (self.samples, self.near), way = before, max(way, slip)
                 break
             self.dwell, way = wait, slip

@@ -13,6 +13,7 @@ from hyperflex.model import Peg
 from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, strikes_in_plane, verify_members
 from hyperflex.planning.moves import PUMPING, Moves
 from hyperflex.planning.options import SearchOptions
+from hyperflex.planning.outcome import CastOutcome
 from hyperflex.planning.planner import Candidate, Task, Verified
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import (
@@ -269,18 +270,31 @@ class WindTask(Task):
                 follow.append(self._ended(moves, one.t, int(random.integers(3)), end, rest, speed))
         return replace(one, follow=tuple(follow), score=math.inf)
 
+    def _unsettled(self, outcome: CastOutcome) -> bool:
+        """Whether a rope that is wound in the end fails because it slips or loses turns as it swings."""
+        criteria, slip = self.problem.criteria, outcome.slip
+        enough = abs(outcome.turns) >= criteria.turns and not outcome.refused
+        return enough and (not outcome.wound or criteria.max_slip <= slip < math.inf)
+
     def alike(self, one: Candidate, other: Candidate) -> bool:
         """Whether two candidates swing alike until the strike."""
         return _alike(one, other)
 
     def verify(self, one: Candidate, budget: Budget) -> Verified:
-        """Verify moves in an ensemble: as planned, with shorter links, and in scenarios."""
+        """Verify moves in an ensemble: as planned, with shorter links, and in scenarios.
+
+        If the rope is wound in the end, but slips or loses turns while it is watched, as it still swings, it is given
+        as much more time to settle as in rollouts.
+        """
         pieces, problem, since = self.options.pieces, self.problem, 0.0
         if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
             since, q, qd = last.states[0]
             problem = replace(problem, side=one.moves.side, q0=tuple(q), qd0=tuple(qd))
         finer = [problem.cut(each) for each in ((pieces, pieces - 1) if pieces > 2 else (pieces,))]
         found = verify_members(problem, finer, self.peg, one, budget, since)
+        if any(each is not None and self._unsettled(each) for each in (found.outcome, found.finer_outcome)):
+            one = replace(one, moves=one.moves.waiting(MODEL.periods * self.problem.period))
+            found = verify_members(problem, finer, self.peg, one, budget, since)
         most, seen = self.pumping.problem.time, found.outcome
         if isinstance(one, Strike) and one.through_contact and not found.message and seen.strike_time > most:
             found = replace(found, message=f"it strikes at {seen.strike_time:.2f} s, {most:.2f} s allowed", margin=-1.0)
