@@ -95,7 +95,9 @@ KEPT = (
 SHORTEST_FLIGHT = 0.01  # s; the hand-over takes more time than a shorter flight saves
 FLIGHT_STEPS = 25.0  # the same in contact steps: long ones take little time
 FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and for so much more, m/s
-FLIGHT_TOL = 1e-3  # of the run's: with all of it a flight would gain and lose more energy than contact may
+# Of the run's tolerance: four ropes, with dry friction and without, gained and lost up to 1e-7 of the energy scale for
+# each second in flights with this part of the default tolerance, up to 2e-6 with ten times as much
+FLIGHT_TOL = 1e-2
 # m, from this tolerance on a rope with dry friction takes contact steps everywhere: in free flight its joints stick at
 # exact events. Contact steps with 1e-4 erred as little as a flight with 1e-4, in half of the time of one with 1e-7.
 # Above, energy may appear as in a rope with low friction. Of 195 runs of nine ropes with 1e-3 58 wound, 51 of these
