@@ -9,6 +9,8 @@ from hyperflex.core.contact.arrays import AFTER, IMPULSE, OPEN, RUBBED
 from hyperflex.core.contact.joints import BEND_RATE
 from hyperflex.core.contact.memory import new_contact_memory, save_memory, save_trend
 from hyperflex.core.contact.run import new_contact_workspace, try_step
+from hyperflex.model import DEFAULT_TOL
+from hyperflex.simulation.contact import COARSE_TOL
 from tests.core.helpers import scene_of
 from tests.reference.random_throws import draw
 
@@ -81,6 +83,21 @@ def test_a_joint_that_sticks_flies_on_as_stuck():
     assert rise(run.energy_error) < 1e-5
 
 
+def test_a_coarse_run_with_dry_friction_takes_contact_steps_everywhere_and_keeps_its_tolerance():
+    rope = hf.Rope.uniform(1.0, 0.05, 20, 0.003, friction=2e-4, dry_friction=2e-4)
+    swings = hf.arm_swings(t_move=0.4, t_rest=0.1)
+    how = {"arm": hf.Arm(length=0.15), "duration": 1.0, "t_eval": np.linspace(0.0, 1.0, 21), "refine": False}
+    exact = hf.simulate(rope, swings, tol=1e-8, **how)
+    how |= {"pegs": [FAR], "contact_step": 4e-4}
+    usual, coarse = (hf.simulate(rope, swings, tol=tol, **how) for tol in (DEFAULT_TOL, COARSE_TOL))
+    assert usual.attrs["free_time"] > 0.9
+    assert coarse.attrs["free_time"] == 0.0
+    assert coarse.attrs["contact_steps"] >= 2500
+    assert np.abs(coarse.joints - exact.joints).max() < 5.0 * COARSE_TOL  # errors of steps add up
+    smooth = hf.simulate(rope.replace(dry_friction=0.0), swings, tol=COARSE_TOL, **how)
+    assert smooth.attrs["free_time"] > 0.9
+
+
 @pytest.mark.parametrize(("index", "dry"), [(2, 1e-3), (6, 1e-4), (8, 1e-2)])
 def test_energy_never_grows_in_throws_with_dry_friction(index, dry):
     _, rope, how = draw(index, 1.0)
@@ -93,21 +110,21 @@ def test_energy_never_grows_in_throws_with_dry_friction(index, dry):
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
-def draped(n: int, dry: float, h: float, count: int) -> tuple[np.ndarray, float]:
-    """Let a level rope fall over a peg in steps h, s.
+def draped(n: int, dry: float, h: float, count: int, tol: float = DEFAULT_TOL) -> tuple[np.ndarray, float]:
+    """Let a level rope fall over a peg in steps h, s, at a tolerance of positions, m.
 
     Returns its joints in the end (n, 2), m, and by how much the impulse of a joint misses the law of friction at most,
     over its bound. Each step is solved.
     """
     rope = hf.Rope.uniform(0.8, 0.05, n, 0.003, friction=1e-4, dry_friction=dry)
     scene = scene_of(hf.Setup(rope, pegs=[hf.Peg(0.25, -0.04, 0.03, 0.3)]))
-    workspace, memory = new_contact_workspace(scene, 1e-6, h, 1e-5), new_contact_memory(n, 1)
+    workspace, memory = new_contact_workspace(scene, 1e-6, h, tol), new_contact_memory(n, 1)
     y, most = np.repeat([1.5, 0.0], n), 0.0
     for k in range(count):
         begin = segment(scene.drive, 0.0), k * h, h, y, memory, workspace, True, 0.0, True
         assert try_step(scene, *begin)[1] > 0
         of = workspace.joints.of
-        law = -h * dry * of[AFTER] / np.hypot(of[AFTER], BEND_RATE * rope.length)
+        law = -h * dry * of[AFTER] / np.hypot(of[AFTER], tol / DEFAULT_TOL * BEND_RATE * rope.length)
         most = max(most, float(np.abs(of[IMPULSE] + of[RUBBED] - law).max()) / (h * dry))
         save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, h)
         save_trend(memory, workspace, h)
@@ -123,6 +140,9 @@ def test_friction_obeys_its_law_in_every_step_of_a_draped_rope():
     assert most < 1.1e-3
     # 0.17 mm; 0.02 mm are left with the short steps
     assert np.abs(coarse - fine).max() < 4e-4
+    loose, most = draped(48, 2e-3, 1e-3, 600, 30.0 * DEFAULT_TOL)
+    assert 1.1e-3 < most < 30.0 * 1.1e-3
+    assert np.abs(loose - coarse).max() < 30.0 * 4e-4
 
 
 def test_samples_of_a_draped_rope_do_not_depend_on_other_samples():
