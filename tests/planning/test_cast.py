@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.budget import Budget
+from hyperflex.budget import Budget, OutOfTime
 from hyperflex.planning import (
     Moves,
     casting,
@@ -374,7 +374,20 @@ def test_a_wound_rope_that_slips_is_given_time_to_settle(monkeypatch):
     assert [cut.dwell, cut.slip, cut.score, cut.turns] == [0.0, hurried.slip, hurried.score, hurried.turns]
 
 
-def test_a_wound_rope_that_still_swings_in_a_verified_run_is_given_time_to_settle():
+def test_a_wound_rope_that_loses_turns_as_it_swings_is_given_time_to_settle():
+    who, moves = replace(known.problem(), criteria=hf.WindCriteria(turns=1.27)), known.WINDS.then(1.0, 0.5)
+    found = known.simulated_strikes(who, known.PEG, [moves])
+    batch = RolloutBatch(
+        [who.rope], [known.PEG], [moves.motion(who.limits).shifted(-float(found.t[0]))], found.q, found.qd
+    )
+    hurried, settled = (simulate_contact(who, batch, found.t, Budget(threads=1), periods=periods) for periods in (0, 2))
+    assert hurried.turns < who.criteria.turns <= settled.turns
+    assert np.isinf(hurried.slip)
+    assert settled.slip < who.criteria.max_slip
+    assert settled.dwell > 0.0
+
+
+def test_a_wound_rope_that_still_swings_in_a_verified_run_is_given_time_to_settle(monkeypatch):
     who, moves = known.problem(), known.WINDS.then(1.5, 0.5)
     hurried = verify_cast(who, known.PEG, moves.motion(who.limits))
     assert "1.22 remain while it is watched" in hurried.message
@@ -382,6 +395,16 @@ def test_a_wound_rope_that_still_swings_in_a_verified_run_is_given_time_to_settl
     assert not found.message
     assert found.candidate.moves.dwell == pytest.approx(rollouts.MODEL.periods * who.period)
     assert abs(found.outcome.turns) == pytest.approx(abs(hurried.turns), abs=0.03)
+
+    def out_of_time(problem, finer, peg, one, *given):
+        if one.moves.dwell:
+            raise OutOfTime
+        return verify_members(problem, finer, peg, one, *given)
+
+    monkeypatch.setattr("hyperflex.planning.tasks.wind.verify_members", out_of_time)
+    found = WindTask(who, known.PEG, hf.SearchOptions(threads=1)).verify(Candidate(moves, 1.0, 1.0), Budget(threads=1))
+    assert found.message.startswith("with shorter links of 2.68 turns 1.22 remain")
+    assert found.candidate.moves.dwell == 0.0
 
 
 def test_moves_to_begin_with_do_not_wait_before_it_is_known_that_they_must():

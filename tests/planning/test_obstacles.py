@@ -106,8 +106,7 @@ def test_a_search_sees_what_lies_in_the_way():
     off = simulate_contact(replace(loose, obstacles=[lowest]), one, free.t, Budget(threads=1))
     assert off.score[0] < on.score[0]
     assert off.turns[0] < on.turns[0]
-    assert off.most[0] >= problem().criteria.turns  # it ended then
-    assert np.isinf(off.slip[0])
+    assert np.isinf(off.slip[0])  # it ended before it had settled
     assert np.isfinite(on.slip[0])
 
 

@@ -189,6 +189,17 @@ def test_warnings(monkeypatch):
     assert f"weight at the arm makes {weight:.2g} N m" in WhipReport(whip).warning
 
 
+def test_a_plan_that_failed_with_shorter_links_first_shows_that_run(tmp_path):
+    fails = replace(planned(winds=False), finer_outcome=planned(winds=False).outcome)
+    plan = replace(fails, outcome=None)
+    assert plan.run is fails.run
+    report = CastReport(plan)
+    assert report.verdict == CastReport(fails).verdict
+    assert "film" in report.pictures()
+    page = report.write(tmp_path)["page"].read_text("utf-8")
+    assert page.count("not known") >= 7  # the run as planned, in the table of checks
+
+
 def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     plan = unreachable()
     page = CastReport(plan).write(tmp_path)["page"].read_text("utf-8")

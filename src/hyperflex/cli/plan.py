@@ -240,7 +240,7 @@ class Task(Source):
         result = {**plan.summary(), "verdict": report.verdict, **more}
         with output.keeping(written, "the page and its figures", result), output.spinner() as progress:
             progress(doing)
-            if plan.outcome is not None and not plan.interrupted:
+            if plan.seen is not None and not plan.interrupted:
                 measured, values = measure()
                 report, result = report_of(plan, measured), result | values
             written |= report.add_page(self.out, progress=progress, remarks=output.WARNED)

@@ -146,7 +146,7 @@ class CastRequest:
             plan = found()
             if self.uncertainty is not None and plan.moves is not None:
                 given = task.problem, task.peg, plan.moves, self.uncertainty
-                aside = math.nan if plan.outcome is None else plan.outcome.aside
+                aside = math.nan if plan.seen is None else plan.seen.aside
                 chance = estimate_success_probability(*given, aside=aside, time_budget=budget, options=self.options)
                 plan = replace(plan, success_probability=chance)
         return found(interrupted=True) if stop.received else plan
@@ -410,16 +410,16 @@ def _unwound(task: WindTask) -> str:
     criteria, most = task.problem.criteria, task.most_turns
     return (
         f"the best moves do not wind the rope: it makes {most:.2f} turns at most, {criteria.turns:g} required",
-        f"the best moves wind the rope {most:.2f} turns, but it comes off again, or too near arm or obstacles",
+        f"the best moves wind the rope {most:.2f} turns, but it comes off again, or touches its arm or an obstacle",
         "the best moves wind the rope, but it comes too near its arm, the shaft or an obstacle, or not behind its pegs",
         f"the best moves wind the rope, but with shorter links it comes off or slips by {1e3 * criteria.max_slip:g} mm",
     )[task.furthest]
 
 
 def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
-    """Return the turns that both verified runs of a plan keep, as a remedy, if it then fails for nothing else."""
+    """Return the turns that the verified runs of a plan keep, as a remedy, if it then fails for nothing else."""
     runs = [each.run for each in plan.outcomes if each.run is not None]
-    if len(runs) < 2 or plan.motion is None:
+    if not runs or plan.motion is None:
         return ()
     criteria, end = plan.problem.criteria, plan.motion.end
     kept = min(np.abs(winding.turns(run, plan.target)[run.t >= end + criteria.settle]).min() for run in runs)

@@ -58,7 +58,7 @@ class Plan(ABC):
     moves : Moves or None
         The best moves found.
     outcome : CastOutcome, TipStrike or InsertOutcome, or None
-        Their outcome in a simulated run; None if there was none.
+        Their outcome in a simulated run; None if there was none, or if a cast's run with shorter links failed first.
     finer_outcome
         Their outcome with shorter links.
     message : str
@@ -93,9 +93,14 @@ class Plan(ABC):
         return None if self.moves is None else self.moves.motion(self.problem.limits)
 
     @property
+    def seen(self) -> Any:
+        """Outcome of the run as planned, or of that with shorter links if this failed first; None without a run."""
+        return self.finer_outcome if self.outcome is None else self.outcome
+
+    @property
     def run(self) -> Trajectory | None:
-        """The verified run; None if there is none, or if the plan was read from a file."""
-        return None if self.outcome is None else self.outcome.run
+        """The run of :attr:`seen`; None if there is none, or if the plan was read from a file."""
+        return None if self.seen is None else self.seen.run
 
     @property
     def clearance(self) -> float:
@@ -316,7 +321,7 @@ class CastPlan(Plan):
 
     def measure_holding_force(self) -> HoldingForce | None:
         """Pull at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""
-        outcome, most = self.outcome, self.problem.criteria.max_slip
+        outcome, most = self.seen, self.problem.criteria.max_slip
         if outcome is None or self.run is None or not (outcome.wound and outcome.slip < most):
             return None
         return measure_holding_force(self.run, self.target, max_slip=most)

@@ -77,9 +77,10 @@ class RolloutModel:
         Weight of turns that are undone again, cost of a second of delay, slip that costs half a turn, and cost of a
         rope that comes too near its arm or an obstacle, folds flat, or does not run behind a peg, turns.
     periods : int
-        Periods of its swing that a wound rope is given to settle if it slips by more than a tenth of `max_slip`, each
-        if its slip then halves, or falls below `max_slip`; and as many more if it still slips with shorter links. Of 31
-        runs of four ropes that slipped by 4 to 170 mm 29 slipped by less than 5 mm after one period, 30 after three.
+        Periods of its swing that a rope that is wound in the end is given to settle if it loses turns as it swings, or
+        slips by more than a tenth of `max_slip`, each if its slip then halves, or falls below `max_slip`; and as many
+        more if it does so with shorter links. Of 31 runs of four ropes that slipped by 4 to 170 mm 29 slipped by less
+        than 5 mm after one period, 30 after three.
     longest : float
         Processor time of a run in contact, at most.
     """
@@ -339,9 +340,8 @@ def tail_energy(
 class WindingScores:
     """Scores (M,) of runs in contact, greater is better, and turns (M,) that stay, 0 if a run failed.
 
-    And the greatest slip (M,), m, after the rope has settled, infinite if too few turns stay or the run ended with a
-    fault, the most turns (M,) at any time, and the time (M,), s, by which the motion must end later for the rope to
-    settle.
+    And the greatest slip (M,), m, after the rope has settled, infinite if too few turns stay or the run ended early,
+    the most turns (M,) at any time, and the time (M,), s, by which the motion must end later for the rope to settle.
     """
 
     score: Array
@@ -364,8 +364,9 @@ def simulate_contact(
 
     The score is in turns: those that stay, a part of those that do not, less what delay, slip, and a rope that is too
     near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. Those
-    that are `sweeping` (M,) end early if they make few turns; by default none are. A wound rope that slips is given up
-    to so many `periods` of its swing to settle.
+    that are `sweeping` (M,) end early if they make few turns; by default none are. A run whose rope was too near arm or
+    obstacles ends once it has made the turns required. A rope that is wound in the end, but slips or loses turns as it
+    swings, is given up to so many `periods` of its swing to settle.
     """
 
     def one(k: int) -> tuple[float, ...]:
@@ -402,7 +403,7 @@ class _Contact:
         self.periods, self.dwell = periods, 0.0
         self.rope, self.motion, self.peg = batch.ropes[0], batch.motions[0], batch.pegs[0]
         self.pegs, self.most = (self.peg, *problem.criteria.behind), 0.0
-        self.near = 0.0  # s, too near arm or obstacles
+        self.seconds_near, self._looked = 0.0, 0  # s, too near arm or obstacles, in so many samples
         self.state: State | None = None
         none, angles = np.zeros(0), np.zeros((0, self.rope.n_links))
         # times, s, turns, angles, rad, and rates, rad/s
@@ -461,7 +462,7 @@ class _Contact:
         """
         limit = self.budget.limit(MODEL.longest)
         while (since := float(self.samples[0][-1]) if self.samples[0].size else 0.0) < until - 1e-9:
-            if self.near > 0.0 and self.most >= enough:
+            if self.most >= enough and self._look() > 0.0:
                 break
             end = min(until, since + MODEL.look) if math.isfinite(enough) else until
             polls: Array = np.arange(since, end + MODEL.step - 1e-9, MODEL.step)[1:]
@@ -475,7 +476,6 @@ class _Contact:
             self.state = run.state
             t, turned, q, qd = (np.concatenate(each) for each in zip(self.samples, more, strict=True))
             self.samples = t, turned, q, qd
-            self.near += self._seconds_near(*(each[-polls.size - 1 :] for each in (t, q, qd)))
         return True
 
     def _settled(self, setup: Setup, end: float, since: float) -> float:
@@ -487,14 +487,14 @@ class _Contact:
         criteria = self.problem.criteria
         way = self._slip(since) if self._turns(end)[1] >= criteria.turns else math.inf
         for wait in (self.problem.period * np.arange(1.0, self.periods + 1.0)).tolist():
-            before = self.samples, self.near
+            before = self.samples
             if way <= 0.1 * criteria.max_slip or abs(self.samples[1][-1]) < criteria.turns:
                 break
             if not self._run(setup, end + wait):
                 break
             slip = self._slip(since + wait) if self._turns(end + wait)[1] >= criteria.turns else math.inf
             if math.isfinite(slip) and slip >= 0.5 * way and not slip < criteria.max_slip <= way:
-                (self.samples, self.near), way = before, max(way, slip)
+                self.samples, way = before, max(way, slip)
                 break
             self.dwell, way = wait, slip
         return way
@@ -514,9 +514,13 @@ class _Contact:
         score = min(stay, most) + MODEL.passing * min(float(np.abs(turns).max()), most)
         return score - MODEL.late * self.begin, stay
 
-    def _seconds_near(self, t: Array, q: Array, qd: Array) -> float:
-        """Return how long the rope is too near arm or obstacles, s."""
+    def _look(self) -> float:
+        """Return how long the rope has been too near arm or obstacles, s."""
+        if self._looked == self.samples[0].size:
+            return self.seconds_near
         problem, rope = self.problem, self.rope
+        t, q, qd = (self.samples[k][max(0, self._looked - 1) :] for k in (0, 2, 3))
+        self._looked = self.samples[0].size
         polls: Array = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / MODEL.poll) + 1)
         places = interpolated(t, q, qd, polls), problem.arm.tip(self.motion.angle(polls))
         near = np.zeros(polls.size, dtype=bool)
@@ -525,11 +529,13 @@ class _Contact:
         if problem.obstacles:
             least = max(problem.clearance, 0.0)
             near |= sampled_obstacle_gaps(rope, problem.obstacles, *places, least) <= least
-        return MODEL.poll * int(near.sum())
+        self.seconds_near += MODEL.poll * int(near.sum())
+        return self.seconds_near
 
     def _cost(self, t: Array, q: Array) -> float:
         """Return the cost of a rope that was too near arm or obstacles, or does not run behind its pegs in the end."""
-        cost = MODEL.fault * (1.0 + self.near / (self.near + 0.3)) if self.near else 0.0
+        near = self._look()
+        cost = MODEL.fault * (1.0 + near / (near + 0.3)) if near else 0.0
         if behind := self.problem.criteria.behind:
             some = t >= t[-1] - MODEL.last
             apart = float(way_gaps(self.rope, self.peg, behind, q[some], self._joints(t, q)[some]).max(initial=0.0))

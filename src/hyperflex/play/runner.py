@@ -67,7 +67,7 @@ class Runner:
         shown: dict[str, Any] | None = None
         if plan is not None:
             shown = {"kind": plan.kind, "success": plan.success, "message": plan.message}
-            shown["simulated"] = plan.outcome is not None
+            shown["simulated"] = plan.seen is not None
         own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": shown, "planning": search}
         return self.session.scene() | own
 
@@ -173,7 +173,7 @@ class Runner:
     def _wind(self) -> None:
         """Show the plan at a quarter of its speed, from 0.5 s before the rope strikes."""
         plan = self._required()
-        seen = plan.outcome
+        seen = plan.seen
         strike = seen.strike_time if isinstance(seen, CastOutcome) else seen.t if seen else 0.0
         self.session.play(plan.setup(), "cast", skip=max(0.0, strike - 0.5))  # NaN: it never strikes
         if self._usual is None:
@@ -182,7 +182,7 @@ class Runner:
 
     def _required(self, *, success: bool = False) -> AnyPlan:
         """Return the plan; InvalidInput if there is none, if it was not simulated, or, if required, if it fails."""
-        if self.plan is None or self.plan.outcome is None or (success and not self.plan.success):
+        if self.plan is None or self.plan.seen is None or (success and not self.plan.success):
             why = "no plan has been made yet" if self.plan is None else f"the plan fails: {self.plan.message}"
             raise InvalidInput(why, fix="Plan first, for a target that the rope reaches")
         return self.plan

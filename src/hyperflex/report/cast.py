@@ -43,7 +43,7 @@ class CastReport(PlanReport[CastPlan]):
 
     def __init__(self, plan: CastPlan, held: HoldingForce | None = None) -> None:
         self.held = held
-        self.sense = -1.0 if plan.outcome is not None and plan.outcome.turns < 0.0 else 1.0
+        self.sense = -1.0 if plan.seen is not None and plan.seen.turns < 0.0 else 1.0
         self.way = "clockwise" if self.sense < 0.0 else "counterclockwise"
         super().__init__(plan)
 
@@ -61,7 +61,7 @@ class CastReport(PlanReport[CastPlan]):
     @property
     def event(self) -> float:
         """When the rope strikes the target, s."""
-        return math.nan if self.plan.outcome is None else self.plan.outcome.strike_time
+        return math.nan if self.plan.seen is None else self.plan.seen.strike_time
 
     @property
     def stop(self) -> float:

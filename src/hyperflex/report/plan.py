@@ -52,7 +52,7 @@ class PlanReport(ABC, Generic[PlanT]):
     def __init__(self, plan: PlanT) -> None:
         self.plan: PlanT = plan
         setup = plan.problem
-        content = {"setup": setup, "rope": setup.rope, "limits": setup.limits, "seen": plan.outcome}
+        content = {"setup": setup, "rope": setup.rope, "limits": setup.limits, "seen": plan.seen}
         template = f"plan/{self.name}.txt"
         content |= {"known": TipOptions(), "great_torque": GREAT_TORQUE, "bounce_time": BOUNCE_TIME}
         texts = self.texts = Texts(template, report=self, plan=plan, **content)
@@ -85,7 +85,7 @@ class PlanReport(ABC, Generic[PlanT]):
     @property
     def outcome(self) -> Any:
         """The outcome of the verified run; InvalidInput if there is none."""
-        return self.plan.required(self.plan.outcome, "outcome")
+        return self.plan.required(self.plan.seen, "outcome")
 
     @property
     def event(self) -> float:

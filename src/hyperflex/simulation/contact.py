@@ -98,15 +98,15 @@ FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, 
 # Of the run's tolerance: four ropes, with dry friction and without, gained and lost up to 1e-7 of the energy scale for
 # each second in flights with this part of the default tolerance, up to 2e-6 with ten times as much
 FLIGHT_TOL = 1e-2
-# m, from this tolerance on a rope with dry friction takes contact steps everywhere: in free flight its joints stick at
-# exact events. Contact steps with 1e-4 erred as little as a flight with 1e-4, in half of the time of one with 1e-7.
-# Above, energy may appear as in a rope with low friction. Of 195 runs of nine ropes with 1e-3 58 wound, 51 of these
-# with 1e-5 as well, in 0.43 of the time (with less exact friction in contact steps, too); before, 48 of 52
+# m, above this tolerance a run is coarse: near pegs a rope with dry friction takes contact steps everywhere, as in free
+# flight each of its joints sticks at an exact event, and more energy may appear (below). Of 195 runs of nine ropes with
+# 1e-3 58 wound, 51 of these with 1e-5 as well, in 0.43 of the time (with coarser friction in contact steps, too);
+# before, 48 of 52
 COARSE_TOL = 1e-4
 SLACK = 0.01  # rad, gap at which a joint has left its limit
 CLEAR = 0.03  # m, gap at which a rope that was in contact has left, unless it is so fast that it would be back at once
 # Energy that may appear at the default tolerance, in parts of the energy scale for each second: if joint friction is at
-# least LOW_FRICTION, N m s/rad, and if it is lower. Then the rope's own motion sets the steps.
+# least LOW_FRICTION, N m s/rad, and if it is lower or the run coarse. Then the rope's own motion sets the steps.
 GAIN, GAIN_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4
 BUDGET = 250  # steps between two checks of the budget and of interrupts; some take milliseconds
 # Facts of a trajectory, from the clock of the contact steps
@@ -135,8 +135,9 @@ class ContactRollout(Rollout):
         self.contact = at.ContactState(self.progress.y, np.zeros(at.CLOCK), np.zeros((2, m)), memory, torque)
         self.turning, self.round = np.flatnonzero(np.isfinite(self.contacts.inertia)), round_places(setup.pegs)
         self.flights, self.flown, self.flying, self.clear = 0, 0.0, False, CLEAR
+        self.coarse = setup.tol > COARSE_TOL
         # Free flight knows no force on the tip
-        self.flies = not any(setup.tip_force) and (setup.tol < COARSE_TOL or not can_stick(self.chain))
+        self.flies = not any(setup.tip_force) and not (self.coarse and setup.pegs and can_stick(self.chain))
         self._begin(None)
 
     def check_start(self) -> None:
@@ -236,7 +237,7 @@ class ContactRollout(Rollout):
     def _touch(self, least: float = -np.inf) -> int:
         """Step with contacts until the rope has left the pegs, and at least until `least`, s."""
         setup, clock, contact = self.setup, self.progress.clock, self.contact
-        gain = GAIN if self.chain.viscous.max() >= LOW_FRICTION and setup.tol <= COARSE_TOL else GAIN_FREE
+        gain = GAIN_FREE if self.coarse or self.chain.viscous.max() < LOW_FRICTION else GAIN
         rate = setup.tol / DEFAULT_TOL * self._energy() * gain
         contact.clock[at.T], contact.clock[at.INDEX] = clock[T], clock[INDEX]
         forced = self.time < least

@@ -20,9 +20,9 @@ from hyperflex.core.contact.arrays import (
     HIGHEST,
     IMPULSE,
     LEVER,
+    LINE,
     LOWER,
     LOWEST,
-    MET,
     OPEN,
     RELAXED,
     RUBBED,
@@ -118,7 +118,7 @@ def write_joints(motion, joints, penalty):  # type: ignore[no-untyped-def]
             torque = of[START, i] - slope * (of[BEFORE, i] - (of[HIGHEST, i] if mode == UPPER else of[LOWEST, i]))
         if of[CREEP, i] > 0.0:
             regularize(of, i)
-            torque, slope = torque + of[MET, i], slope + of[MET + 1, i]
+            torque, slope = torque + of[LINE, i], slope + of[LINE + 1, i]
         joint[i, 0], joint[i, 1] = of[FREE, i] + torque, of[FREE + 1, i] + slope
 
 
@@ -133,7 +133,7 @@ def update_joint_modes(motion, joints, penalty, change, loose):  # type: ignore[
         rate = of[BEFORE, i] + relative(motion.change, i, motion.base[2])
         mass = penalty * of[LEVER, i] * of[LEVER, i]
         if of[CREEP, i] > 0.0:
-            of[RUBBED, i] = of[MET, i] - of[MET + 1, i] * (rate - of[BEFORE, i])
+            of[RUBBED, i] = of[LINE, i] - of[LINE + 1, i] * (rate - of[BEFORE, i])
         of[AFTER, i] = rate
         violations += abs(of[RUBBED, i] - friction_law(joints, i)) > RUBBING * loose * of[BOUND, i]
         of[IMPULSE, i], new_mode = joint_mode(joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[START, i], mass)
@@ -159,7 +159,7 @@ def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def regularize(of, i):  # type: ignore[no-untyped-def]
-    """Linearize regularized friction at joint i about the last solution, to rows MET and MET + 1.
+    """Linearize regularized friction at joint i about the last solution, to rows LINE and LINE + 1.
 
     These are the impulse L at the rate before the step, N m s, and by how much it falls with the rate. The law,
     L s = -bound w with s^2 = w^2 + tolerance^2, is linearized in both L and w, with L within the bound: the slope is
@@ -169,12 +169,12 @@ def regularize(of, i):  # type: ignore[no-untyped-def]
     bound, size = of[BOUND, i], math.sqrt(of[AFTER, i] ** 2 + of[CREEP, i] ** 2)
     last, part = max(-bound, min(of[RUBBED, i], bound)), of[AFTER, i] / size
     slope = (bound + last * part) / size
-    of[MET, i], of[MET + 1, i] = last * part * part - slope * of[BEFORE, i], slope
+    of[LINE, i], of[LINE + 1, i] = last * part * part - slope * of[BEFORE, i], slope
 
 
 @non_allocating
 def obeys_friction(joints, loose):  # type: ignore[no-untyped-def]
-    """Whether regularized friction obeys its law to within RUBBING."""
+    """Whether regularized friction obeys its law to within RUBBING times `loose`."""
     of, obeys = joints.of, True
     for i in joints.which:
         obeys = obeys and abs(of[RUBBED, i] - friction_law(joints, i)) <= RUBBING * loose * of[BOUND, i]

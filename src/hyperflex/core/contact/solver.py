@@ -319,8 +319,8 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
 
     Returns
     -------
-    int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or more where `impulses` are loose, or
-        regularized friction not to within RUBBING.
+    int : rounds, negative if the law is not obeyed to within SLIGHT_SPEED, or regularized friction not to within
+        RUBBING, or more where `impulses` are loose.
     """
     store(impulses, joints)
     total, last, penalty, residual = climb(chain, contacts, impulses, motion, joints, spin, h, whole)

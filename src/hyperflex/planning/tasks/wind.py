@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from hyperflex.budget import Budget
+from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Peg
@@ -283,8 +284,8 @@ class WindTask(Task):
     def verify(self, one: Candidate, budget: Budget) -> Verified:
         """Verify moves in an ensemble: as planned, with shorter links, and in scenarios.
 
-        If the rope is wound in the end, but slips or loses turns while it is watched, as it still swings, it is given
-        as much more time to settle as in rollouts.
+        A rope that is wound in the end, but slips or loses turns while it is watched, as it still swings, is given
+        time to settle once: the `periods` of rollouts.
         """
         pieces, problem, since = self.options.pieces, self.problem, 0.0
         if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
@@ -293,8 +294,10 @@ class WindTask(Task):
         finer = [problem.cut(each) for each in ((pieces, pieces - 1) if pieces > 2 else (pieces,))]
         found = verify_members(problem, finer, self.peg, one, budget, since)
         if any(each is not None and self._unsettled(each) for each in (found.outcome, found.finer_outcome)):
-            one = replace(one, moves=one.moves.waiting(MODEL.periods * self.problem.period))
-            found = verify_members(problem, finer, self.peg, one, budget, since)
+            waits = replace(one, moves=one.moves.waiting(MODEL.periods * self.problem.period))
+            with suppress(OutOfTime):
+                again = verify_members(problem, finer, self.peg, waits, budget, since)
+                one, found = (one, found) if again.message else (waits, again)
         most, seen = self.pumping.problem.time, found.outcome
         if isinstance(one, Strike) and one.through_contact and not found.message and seen.strike_time > most:
             found = replace(found, message=f"it strikes at {seen.strike_time:.2f} s, {most:.2f} s allowed", margin=-1.0)
