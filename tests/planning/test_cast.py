@@ -460,6 +460,9 @@ def test_a_plan_that_fails_by_its_turns_reports_how_many_it_keeps():
     assert 2.0 < turns < abs(plan.outcome.turns)
     easier = replace(plan.problem, criteria=replace(more, turns=turns))
     assert verify_cast(easier, plan.target, plan.motion).success
+    (alone,) = fewer_turns(replace(failed, outcome=None))  # as planned it did not end
+    assert "in one run of two" in alone
+    assert "in one run" not in said
     assert fewer_turns(plan) == ()  # it succeeds
     aside = replace(plan.target, x=plan.target.x - 0.2)
     assert fewer_turns(replace(failed, target=aside)) == ()  # 0.2 turns are none

@@ -417,7 +417,10 @@ def _unwound(task: WindTask) -> str:
 
 
 def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
-    """Return the turns that the verified runs of a plan keep, as a remedy, if it then fails for nothing else."""
+    """Return the turns that the verified runs of a plan keep, as a remedy, if it then fails for nothing else.
+
+    If the other run did not end, the remedy says so.
+    """
     runs = [each.run for each in plan.outcomes if each.run is not None]
     if not runs or plan.motion is None:
         return ()
@@ -428,7 +431,8 @@ def fewer_turns(plan: CastPlan) -> tuple[str, ...]:
         return ()
     easier = replace(plan.problem, criteria=replace(criteria, turns=turns))
     succeeds = all(evaluate_cast(easier, plan.target, run, end).success for run in runs)
-    return (f"{turns:.3g} turns required",) if succeeds else ()
+    alone = "" if len(runs) > 1 else " (in one run of two; the other was not simulated to its end)"
+    return (f"{turns:.3g} turns required{alone}",) if succeeds else ()
 
 
 def _delivered(plan: CastPlan) -> CastPlan:

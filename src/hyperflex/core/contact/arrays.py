@@ -48,8 +48,8 @@ class Joints(NamedTuple):
 # the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST, HIGHEST: the relative
 # rate after the step may be between these, rad/s. BEFORE: that before, rad/s. LEVER: length of the chain beyond the
 # joint, m. CREEP: stiction tolerance of dry friction, rad/s, 0.0 without. FREE, FREE + 1: as ``Motion.joint``, without
-# friction and limits. LINE, LINE + 1: the line
-# by which ``regularize`` replaces the law of dry friction: impulse, N m s, at the rate before, and its slope.
+# friction and limits. LINE, LINE + 1: of the line by which ``regularize`` replaces the law of dry
+# friction, the impulse at the rate before, N m s, and by how much it falls with the rate, kg m^2.
 SEARCHED = 3  # rows from START on
 IMPULSE, START, AFTER, RUBBED, GOOD, _, _, BOUND, LOWEST, HIGHEST, BEFORE, LEVER, CREEP = range(13)
 FREE, LINE, ROWS = 13, 15, 17
