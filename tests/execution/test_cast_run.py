@@ -102,6 +102,13 @@ def test_the_log_and_the_figure_say_which_motor_carried_out_which_plan(tmp_path)
     assert cast.plot().axes[0].get_title(loc="left").startswith(cast.motor)
 
 
+@pytest.mark.parametrize("part", [0.0, 0.4, 1.0])
+def test_an_arm_that_is_held_with_another_torque_than_its_weight_is_reported(part):
+    said, log = [], run(0.0, held=part * START).log
+    _compare_weight(replace(log, rows=log.rows[log.column("sent") < 0.0]), PLAN.problem, said.append)
+    assert ["Check zero, rope and arm" in each for each in said] == [True] * (part < 1.0)
+
+
 def test_an_arm_of_another_length_is_refused_where_nobody_can_judge():
     longer = replace(PLAN.problem, arm=hf.Arm(length=0.3))
     log = run(0.0, held=float(longer.arm.weight_torque(longer.rope, MOTION.angle(0.0)))).log
