@@ -16,11 +16,7 @@ from hyperflex.core.integrate.rollout import JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import new_substeps
 from hyperflex.core.stiction import STICTION
 from hyperflex.simulation.rollouts import TABLES, Rollout, rollout_limits
-from hyperflex.simulation.sensitivity import (
-    ParameterDirections,
-    forward_derivatives,
-    parameter_directions,
-)
+from hyperflex.simulation.sensitivity import ParameterDirections, forward_derivatives, parameter_directions
 from tests.reference import dense
 
 # an eighth-order difference: its truncation is far below the rounding, which is some 1e-15 over the spacing

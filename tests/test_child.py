@@ -48,6 +48,8 @@ def child(records: Records) -> Iterator[Child]:
 
 def test_a_child_answers_writes_and_ends_by_itself(child: Child, records: Records) -> None:
     assert child.ask("double", 21) == 42
+    child.link.send((-1, "double", 1))
+    assert child.ask("double", 2) == 4  # a late answer is dropped
     for k in range(4):
         child.ask("write", (k, 0.5))
     np.testing.assert_array_equal(records.read(), [[2.0, 0.5], [3.0, 0.5]])  # the oldest may be written meanwhile
@@ -72,11 +74,6 @@ def test_an_error_of_a_child_is_raised_in_the_parent(child: Child) -> None:
 def test_the_error_that_a_child_has_left_is_returned_at_its_end(child: Child) -> None:
     child.link.send((0, "fail"))
     assert "too large" in str(child.end(20.0))
-
-
-def test_a_late_answer_is_dropped(child: Child) -> None:
-    child.link.send((-1, "double", 1))
-    assert child.ask("double", 2) == 4
 
 
 def test_a_child_that_hangs_or_is_killed_is_noticed_and_ended(child: Child) -> None:

@@ -48,14 +48,11 @@ def changed(n: int, name: str, link: int) -> tuple[Callable[[float], hf.Setup], 
     return lambda x: setup(n, rope=base.replace(**{name: values + x * unit})), size
 
 
-LINKS = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness", "rest_angle")
-
-
 @pytest.mark.parametrize(
     ("n", "name", "link"),
-    [(1, name, 0) for name in ("length", "friction", "dry_friction")]
-    + [(5, name, 1) for name in LINKS]
-    + [(5, "dry_friction", link) for link in (0, 4)],
+    [(1, "dry_friction", 0), (5, "dry_friction", 4)]
+    + [(3, name, 1) for name in ("length", "mass", "friction", "stiffness", "rest_angle")]
+    + [(5, name, 1) for name in ("com", "inertia", "dry_friction")],
 )
 def test_rope_parameter_of_one_link(n, name, link):
     run = check(changed(n, name, link)[0], f"{name}[{link}]", changed(n, name, link)[1])

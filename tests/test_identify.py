@@ -221,6 +221,7 @@ def test_dry_friction_stiffness_tip_mass_and_a_tilted_camera():
     np.testing.assert_array_equal(result.rope.gravity, guess.gravity)  # the camera's turn is not the rope's
 
 
+@pytest.mark.nightly
 def test_what_is_not_there_goes_to_zero_or_stays_within_its_uncertainty(free_swing):
     result = identify(free_swing, DOUBLE, ["friction", "dry_friction"])
     assert (result.values["dry_friction"] <= 3.0 * result.std["dry_friction"]).all()
@@ -230,8 +231,8 @@ def test_what_is_not_there_goes_to_zero_or_stays_within_its_uncertainty(free_swi
 def test_a_led_first_joint():
     cable = Rope.uniform(0.6, 0.05, 3, friction=2e-4)
     arm, motion = Arm(0.1), arm_swings(t_move=0.5, t_rest=0.4)
-    t = np.linspace(0.0, 5.0, 301)
-    run = simulate(cable, motion, arm=arm, duration=5.0, t_eval=t, tol=1e-9)
+    t = np.linspace(0.0, 3.0, 181)
+    run = simulate(cable, motion, arm=arm, duration=3.0, t_eval=t, tol=1e-9)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(3).standard_normal(run.q.shape))
     result = identify(
         recording, cable.replace(friction=1e-3), ["friction:shared"], setup=RecordingSetup(motion=motion, arm=arm)
@@ -241,7 +242,7 @@ def test_a_led_first_joint():
     assert hung.has(Kind.POOR_FIT)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_gaps_uneven_times_and_markers(seed):
     recording = swing(DOUBLE)
     random = np.random.default_rng(seed)
@@ -259,6 +260,7 @@ def test_gaps_uneven_times_and_markers(seed):
         assert result.success
         within(result.ratios, result.ratio_std, ratios(DOUBLE))
         assert result.settings["left_out"] >= 1
+        assert result.held_out is None
         assert np.isnan(result.residuals).any()
         assert np.isfinite(result.residual_rms).all()
 
@@ -272,7 +274,13 @@ POOR_GUESSES = {
 }
 
 
-@pytest.mark.parametrize("guess", POOR_GUESSES.values(), ids=POOR_GUESSES.keys())
+@pytest.mark.parametrize(
+    "guess",
+    [
+        pytest.param(guess, id=name, marks=[] if name in ("hardly moves", "upside down") else pytest.mark.nightly)
+        for name, guess in POOR_GUESSES.items()
+    ],
+)
 def test_a_poor_guess_arrives_at_the_same_place(free_swing, fitted, guess):
     window = fitted.settings["window"]
     result = identify(free_swing, guess, ["inertia", "com", "mass", "friction"], options=FitOptions(window=window))
@@ -283,38 +291,8 @@ def test_a_poor_guess_arrives_at_the_same_place(free_swing, fitted, guess):
     assert max(float(np.abs(each.shift).max()) for each in result.score_tests) < 1.0
 
 
-def test_twins_by_a_finer_chain_are_told_apart_by_their_residuals():
-    fine = Rope.uniform(0.8, 0.04, 16, friction=4e-4)
-    t = np.linspace(0.0, 4.0, 201)
-    run = simulate(fine, duration=4.0, t_eval=t, q0=np.full(16, 1.0), qd0=np.zeros(16), tol=1e-9)
-    recording = Recording(t, run.joints[:, ::4].reshape(t.size, -1), kind="markers")
-    coarse = Rope.uniform(0.8, 0.04, 4, friction=1e-4)
-    result = identify(recording, coarse, ["friction:shared", "inertia:shared"])
-    # No noise: what is left is the model's own error. Smooth bending dissipates like eta = (EI-like constant) / length,
-    # so a coarse joint has about a quarter of the fine one's friction; boundary effects keep it within a factor of 2.
-    assert 0.5e-4 < result.values["friction"][0] < 2e-4
-    assert result.settings["autocorrelation"] > 3.0  # model error is smooth in time, and std allows for it
-
-
-def test_correlated_noise_widens_the_uncertainty(free_swing):
-    clean = simulate(DOUBLE, duration=8.0, t_eval=free_swing.t, tol=1e-9, **START).q
-    noise = np.random.default_rng(2).standard_normal(clean.shape)
-    for k in range(1, clean.shape[0]):
-        noise[k] = 0.9 * noise[k - 1] + np.sqrt(1.0 - 0.9**2) * noise[k]
-    free = ["inertia", "com", "friction"]
-    white, result = (
-        identify(each, GUESS, free, options=FitOptions(window=2.0, length_std=0.0, clock_std=0.0))
-        for each in (free_swing, Recording(free_swing.t, clean + NOISE * noise))
-    )
-    within(result.ratios, result.ratio_std, ratios(DOUBLE))
-    # An autocorrelation of 0.9^k stretches the std of a mean by sqrt(1.9 / 0.1) = 4.4; windows take some of it away.
-    wider = result.ratio_std["J/p1"] / white.ratio_std["J/p1"]
-    assert (wider > 2.5).all()
-    assert (wider < 5.0).all()
-
-
 def test_declared_noise_weighs_the_samples():
-    clean, random = swing(DOUBLE, noise=0.0), np.random.default_rng(4)
+    clean, random = swing(DOUBLE, duration=4.0, noise=0.0), np.random.default_rng(4)
     noise = np.where(np.arange(clean.t.size)[:, None] % 2, 0.1, NOISE) * np.ones((1, 2))  # every second one is bad
     data = clean.data + noise * random.standard_normal(noise.shape)
     told, untold = (
@@ -495,7 +473,6 @@ def test_held_out_part_is_not_fitted(free_swing):
     assert ours.held_out is not None
     assert theirs.held_out is not None
     assert (theirs.held_out.rms > 5.0 * ours.held_out.rms).all()
-    assert identify(free_swing, DOUBLE, ["friction"], options=FitOptions(train=np.inf)).held_out is None
 
 
 # ---- bad input

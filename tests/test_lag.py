@@ -26,7 +26,7 @@ def filtered(t: np.ndarray, lag: float) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize("lag", [0.002, 0.01, 0.05])
+@pytest.mark.parametrize("lag", [pytest.param(0.002, marks=pytest.mark.nightly), 0.01, 0.05])
 def test_it_is_the_filters_answer(lag):
     t = np.linspace(0.0, 2.5, 1001)
     true = filtered(t, lag)

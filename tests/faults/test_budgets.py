@@ -41,16 +41,17 @@ def one_gibibyte(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("one_gibibyte")
-def test_what_would_fill_the_memory_is_refused_before_it_is_begun():
+def test_what_would_fill_the_memory_is_refused_before_it_is_begun(monkeypatch):
     refuses(r"5000 links with 1000001 outputs would fill.*GiB.*1 GiB here.*t_eval", hf.simulate, LONG, duration=1e4)
     with pytest.raises(InvalidInput, match=r"1000 members with 20000 outputs of q, qd.*take fewer members"):
         hf.simulate_batch([ROPE] * 1000, duration=1.0, t_eval=np.linspace(0.0, 1.0, 20_000), keep=["q", "qd"])
     with pytest.raises(InvalidInput, match=r"derivatives of 4 links by 5 parameters at 1000001 outputs"):
         hf.sensitivities(ROPE, duration=1e4, wrt=["friction[:]", "tip_mass"])
-    t = np.arange(300_000) / 100.0
+    monkeypatch.setattr(memory, "available", lambda: 2.0**27)
+    t = np.arange(40_000) / 100.0
     many = hf.Recording(t, np.random.default_rng(1).normal(0.0, 0.1, (t.size, 10)))
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, friction=0.0)
-    words = r"fit of 20 parameters of 10 links to 2400000 values would fill.*Free fewer"
+    words = r"fit of 20 parameters of 10 links to 320000 values would fill.*Free fewer"
     refuses(words, hf.identify, many, rope, ["friction", "inertia"])
     assert hf.simulate(ROPE, duration=0.1).success
 

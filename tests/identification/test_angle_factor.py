@@ -86,7 +86,7 @@ def test_a_spring_keeps_its_name():
     assert {first.kind} | set(first.values["alike"]) >= {Kind.ANGLE_SCALE, "'stiffness'"}  # which is first, noise tells
 
 
-@pytest.mark.parametrize("more", [[], ["gravity_angle"]])
+@pytest.mark.parametrize("more", [[], pytest.param(["gravity_angle"], marks=pytest.mark.nightly)])
 def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir, more):
     """J/p1 would be 17 % off, by nine standard deviations."""
     t, q, guess = real_single(data_dir, 1.1)

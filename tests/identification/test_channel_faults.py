@@ -44,10 +44,10 @@ def moved(data, column, size):
 @pytest.mark.parametrize(
     ("n", "kind", "column", "name"),
     [
-        (1, "angles", 0, "angle of link 0"),
+        pytest.param(1, "angles", 0, "angle of link 0", marks=pytest.mark.nightly),
         (2, "angles", 1, "angle of link 1"),
         (1, "markers", 2, "x of marker 1"),
-        (2, "markers", 4, "x of marker 2"),
+        pytest.param(2, "markers", 4, "x of marker 2", marks=pytest.mark.nightly),
     ],
 )
 def test_a_zero_that_moves_by_five_deviations_is_named(n, kind, column, name):
@@ -78,7 +78,7 @@ def test_a_zero_of_one_link_that_is_off_is_named_first():
     assert first.values["angle"] == pytest.approx(0.03, rel=0.1)
 
 
-@pytest.mark.parametrize("kind", ["angles", "markers"])
+@pytest.mark.parametrize("kind", ["angles", pytest.param("markers", marks=pytest.mark.nightly)])
 def test_smoothed_samples_are_named_first_and_free_no_spring(kind):
     """A mean over 9 frames; springs that the guess has not explain as much, and moved J/p1 by 8 % when freed for it."""
     data = swing(2, kind)
@@ -96,8 +96,18 @@ def test_a_spring_is_no_smoothing():
 
 
 @each_draw
-@pytest.mark.parametrize("kind", ["angles", "markers"])
-@pytest.mark.parametrize("omitted", [{}, {"drag": 0.02}, {"dry_friction": 2e-4}], ids=["right", "drag", "dry"])
+@pytest.mark.parametrize(
+    ("kind", "omitted"),
+    [
+        ("angles", {}),
+        ("markers", {"drag": 0.02}),
+        ("angles", {"dry_friction": 2e-4}),
+        *(
+            pytest.param(kind, omitted, marks=pytest.mark.nightly)
+            for kind, omitted in (("markers", {}), ("angles", {"drag": 0.02}), ("markers", {"dry_friction": 2e-4}))
+        ),
+    ],
+)
 def test_right_recordings_and_errors_of_the_model_are_no_fault_of_a_channel(kind, omitted, seed):
     found = identified(2, swing(2, kind, seed=seed, **omitted), kind, free=["inertia", "friction"])
     assert not any(map(found.has, CHANNEL_FAULTS))

@@ -29,7 +29,7 @@ def string(duration: float, length: float = LENGTH, seed: int = 3) -> tuple[Arra
     return t, angle + NOISE * np.random.default_rng(seed).standard_normal(t.size)
 
 
-@pytest.mark.parametrize("free", [None, ["inertia", "friction"]])
+@pytest.mark.parametrize("free", [pytest.param(None, marks=pytest.mark.nightly), ["inertia", "friction"]])
 def test_a_declared_centre_of_mass_that_would_move_far_contradicts_the_clock(free: list[str] | None) -> None:
     """24 frames/s declared as 30: J/p1 would be 0.64 of the truth, with a com of 0.64 of the declared one."""
     t, angle = string(12.0)
@@ -59,7 +59,7 @@ def test_a_freed_length_far_from_the_declared_one_is_no_answer():
         assert each.std["length"][0] < 0.011 * LENGTH  # by clock_std alone: 1 %
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.nightly)])
 def test_a_clock_within_what_was_declared_is_no_fault_at_a_bound(seed: int) -> None:
     """A clock 0.3 % short: J/p1 seems less than a point mass can have, by 0.6 %, within clock_std of 0.5 %."""
     t, angle = string(10.0, seed=seed)

@@ -23,6 +23,7 @@ SHORT = Experiment("short", q0=0.8, rate=40.0, duration=3.0)
 NOISE = 2e-3
 
 
+@pytest.mark.nightly
 def test_predicted_deviations_are_those_of_many_fits():
     """40 twins: a deviation from 40 draws is known to 1 / sqrt(78) = 11 %; 3.5 of these. Stated ones agree better."""
     planned = design_experiment(SINGLE, ["inertia", "friction"], [SHORT], noise=NOISE).plans[0]

@@ -76,7 +76,7 @@ def test_what_was_declared_has_no_students_doubt():
 
 def test_what_held_centres_of_mass_change_is_what_a_fit_with_others_finds():
     """1 % of each: a linear estimate, so 3 % of it; noise is 50 times smaller than its effect."""
-    t = np.arange(600) / 60.0
+    t = np.arange(300) / 30.0
     true = TRUE.replace(friction=1e-3)
     swing = simulate(true, duration=10.0, t_eval=t, q0=[0.9, 1.2]).q
     seen = Recording(t, swing + 1e-4 * np.random.default_rng(0).standard_normal(swing.shape))

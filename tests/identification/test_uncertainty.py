@@ -138,6 +138,7 @@ def test_gaps_in_slow_residuals_do_not_change_their_noise(missing):
     assert said[1] == pytest.approx(said[0], rel=0.1)
 
 
+@pytest.mark.nightly
 def test_gaps_cost_a_real_recording_as_much_as_they_hide(data_dir):
     """A double pendulum with residuals far from white: one sample missing, then a fifth of all."""
     path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
@@ -240,7 +241,9 @@ def scatter(noise: list[Array], loss: LossName, pieces: int = 1) -> tuple[Array,
     return (np.abs(away) <= limit * np.sqrt(variance)).sum(axis=0), variance.mean(axis=0) / away.var(axis=0)
 
 
-@pytest.mark.parametrize("loss", ["squares", "huber", "cauchy"])
+@pytest.mark.parametrize(
+    "loss", ["huber", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("squares", "cauchy"))]
+)
 def test_robust_losses_know_how_their_estimates_scatter(loss):
     random, count = np.random.default_rng(5), 200
     noise = [

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hyperflex import files
-from hyperflex.paper import Claim, identification, reproduce, verdicts
-from hyperflex.paper.identification import PART, SMALL, SWINGS, WIDE, methods, record, revised
+from hyperflex.paper import READINGS, Claim, casting, identification, reproduce, verdicts
+from hyperflex.paper.identification import PART, SMALL, SWINGS, WIDE, methods, record, revised, settles
 from hyperflex.report import BLUE, RED
 
 
@@ -55,7 +55,10 @@ def test_tables_hold_the_rounds_and_the_methods():
     assert ("the paper", "NF", "102", "", "", "16.3") in PART.items["table2"].sections()[0].table.rows
 
 
-def test_both_parts_go_to_one_page_in_the_papers_order(tmp_path):
+def test_both_parts_go_to_one_page_in_the_papers_order(tmp_path, monkeypatch):
+    """Of each part one claim is measured; tests/claims measures all."""
+    for part, claim, case in ((PART, settles, SMALL), (casting.PART, casting.linearized, READINGS[0])):
+        monkeypatch.setitem(vars(part), "measures", {claim: [case]})
     result = reproduce(["fig9", "fig3"], tmp_path)
     assert [path.name for path in result.files][:4] == ["fig3.csv", "fig3.png", "fig9.csv", "fig9.png"]
     notes = files.read_table(tmp_path / "fig3.csv").notes

@@ -39,7 +39,7 @@ def test_a_damped_pendulum_forgets():
 
 def test_growth_is_that_of_the_dense_equations():
     """Nudge each angle and rate alone in Dormand and Prince's method; put the same random nudges together from that."""
-    rope, start, tiny, duration = RODS, np.concatenate([HIGH, np.zeros(2)]), 1e-6, 1.5
+    rope, start, tiny, duration = RODS, np.concatenate([HIGH, np.zeros(2)]), 1e-6, 0.8
 
     def end(state):
         return cast(links_of(rope), 0.0, still(duration), state[:2], state[2:], tol=1e-12)[-1]
@@ -159,14 +159,14 @@ def test_a_run_reports_until_when_it_agrees_with_tighter_ones():
     Of 130 other draws 89 were tangles; their horizons were 0.79 to 1.14 of when the runs part. No other one had any.
     """
     tangles = 0
-    for number in range(20):
+    for number in range(10):
         setup = drawn(number)
         run, other = hf.simulate(setup), hf.simulate(setup.replace(tol=0.01 * setup.tol))
         when, until = parted(run, other), run.predictable_until
         assert when == until == math.inf or when / 1.5 < until < 1.5 * when
         assert (run.warning() == "") == (when == math.inf)
         tangles += when < math.inf
-    assert 4 < tangles < 17
+    assert 2 < tangles < 9
 
 
 def test_a_tangle_reports_it_and_a_right_run_does_not(tmp_path):

@@ -74,13 +74,10 @@ def test_swings_that_touch_an_obstacle_are_not_continued(problem):
 
 
 def test_runs_that_fail_or_begin_too_near_the_arm_are_no_strikes(problem):
-    one = SwingsInContact(
-        (problem, problem.cut(2)), PEG, [1], np.random.default_rng(0), SearchOptions(nearly=0.0, speeds=(0.5, 1.0))
-    )
-    one.problem, one.chains = (
-        replace(problem, clearance=0.2),
-        tuple(replace(each, clearance=0.2) for each in one.chains),
-    )
+    options = SearchOptions(nearly=0.0, speeds=(0.5, 1.0))
+    one = SwingsInContact((problem, problem.cut(2)), PEG, [1], np.random.default_rng(0), options)
+    one.problem = replace(problem, clearance=0.2)
+    one.chains = tuple(replace(each, clearance=0.2) for each in one.chains)
     assert one.extend(Budget(60.0)) == []  # the arm's tip is nearer than that to the shaft
     free = search(problem)
     free.extend(Budget(60.0))
@@ -98,7 +95,8 @@ def test_a_rope_that_was_measured_is_not_cast_from_rest(problem):
 
 @pytest.fixture(scope="module")
 def plan() -> hf.CastPlan:
-    return plan_cast(ROPE, ARM, PEG, options=SearchOptions(threads=1), time_budget=60.0)
+    coarse = hf.Rope.uniform(0.8, 0.04, 10, 0.003, friction=1e-4)
+    return plan_cast(coarse, ARM, PEG, options=SearchOptions(threads=1), time_budget=60.0)
 
 
 def test_a_target_that_stops_each_free_swing_is_wound(plan):

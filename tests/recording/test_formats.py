@@ -489,7 +489,7 @@ def test_arrays_of_structs_and_of_places(tmp_path):
 # ---- damage
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("count", [4, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("name", SAMPLES)
 def test_damage_is_reported_or_harmless(tmp_path, name, count):
     from hypothesis import given
