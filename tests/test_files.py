@@ -41,16 +41,6 @@ def test_nothing_changes_when_the_block_raises(tmp_path, raised, before):
     assert not before or path.read_text() == before
 
 
-def test_nobody_sees_a_part_while_it_is_written(tmp_path):
-    path = tmp_path / "out.txt"
-    path.write_text("earlier")
-    with files.atomic(path) as file:
-        file.write("later")
-        file.flush()
-        assert path.read_text() == "earlier"
-    assert path.read_text() == "later"
-
-
 def test_permissions_and_links_stay(tmp_path):
     path, link = tmp_path / "out.txt", tmp_path / "link.txt"
     path.write_text("earlier")

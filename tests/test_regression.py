@@ -78,23 +78,6 @@ def test_a_shared_unknown_is_the_sum_of_the_single_ones_and_nothing_of_it_is_kno
     np.testing.assert_allclose(shared.known, single.known, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("friction_model", ["relative", "printed"])
-def test_lambda_and_tau_id_are_those_of_the_paper(friction_model):
-    """(5): Lambda = [qdd, S qd], with S as printed or S^T S; tau_id = -M_known qdd - C - P."""
-    rope = hf.Rope.uniform(1.0, 0.01, N, inertia=2e-6, friction=5e-4, friction_model=friction_model)
-    q, qd, qdd = states()
-    made = hf.fit_regression(rope, q, qd, qdd)
-    s = np.eye(N) - np.eye(N, k=-1)
-    s = s.T @ s if friction_model == "relative" else s
-    np.testing.assert_allclose(made.columns[..., 0], qdd, rtol=1e-14)
-    np.testing.assert_allclose(made.columns[..., 1], qd @ s.T, rtol=0, atol=1e-14)
-    bare = rope.replace(friction=np.zeros(N))
-    rest = [
-        (mass_matrix(bare, a) - 2e-6 * np.eye(N)) @ c + bias(bare, a, b) for a, b, c in zip(q, qd, qdd, strict=True)
-    ]
-    np.testing.assert_allclose(made.known, -np.array(rest), rtol=0, atol=1e-15)
-
-
 def test_a_moving_arm_enters_by_its_acceleration_angle_and_rate():
     rope, arm = rough_rope(), hf.Arm(length=0.2, inertia=1e-3)
     q, qd, qdd = states(1)

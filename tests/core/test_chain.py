@@ -19,7 +19,7 @@ AGREEMENT = 1e-10
 @pytest.mark.parametrize("n", SIZES)
 def test_accelerations_are_those_of_the_dense_reference(n, reaction, h, stuck):
     """Of a chain whose joints all slip, or of a constrained one, in which some are stuck."""
-    for seed in range(3):
+    for seed in range(3 if n < 200 else 1):
         links, state = random_links(n, seed, reaction=reaction, air=True), random_state(n, seed)
         grip = random_grip(n, seed) if stuck else None
         got = sweep(links, state, torque=0.03, h=h, grip=grip)

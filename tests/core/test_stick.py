@@ -159,19 +159,6 @@ def test_the_search_ends_at_the_first_event(case, locked):
         assert attempts <= (4 if locked else 3)
 
 
-def test_cubics_that_stay_positive_hide_nothing():
-    """Where all Bernstein coefficients are positive no sixteenth of the course is below zero, for random courses."""
-    rng, kept = np.random.default_rng(0), 0
-    for _ in range(300):
-        search = new_search(1)
-        search.low[:, 0], search.middle[:, 0], search.here[:, 0] = rng.normal(0.5, 1.0, (3, 2))
-        if events.stays_positive(search, 0, 1.0):
-            kept += 1
-            looks = np.linspace(0.005, 1.0, 200)
-            assert min(events.margin_within(search, search.here, 0, 1.0, 0.0, x) for x in looks) >= 0.0
-    assert kept > 20
-
-
 def test_a_dip_before_another_joint_s_event_is_found():
     """The second margin dips below zero in the middle, which its ends do not show; the first one's event is later."""
     line = (lambda t: 0.9 - t), (lambda t: -1.0)
@@ -205,10 +192,3 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding():
     taken, attempts = event_time([(value, slope)], 0.1)
     assert taken == pytest.approx(end + 2.0 * start / jerk, abs=2 * stick.STICTION.instant)
     assert attempts <= 16
-
-
-def test_a_step_without_event_is_taken_as_it_is():
-    search = new_search(2)
-    search.low[:, 0], search.low[:, 1] = (1.0, -0.5), (np.inf, 0.0)
-    search.here[:, 0], search.here[:, 1] = (0.6, -0.3), (np.inf, 0.0)
-    assert events.assess_step(search, 1.0) == (events.DONE, 1.0)

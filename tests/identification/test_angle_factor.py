@@ -55,17 +55,6 @@ def test_a_pendulum_read_too_small_or_too_large(factor):
     assert ("stiffness" in str(found.findings[0].values)) == (factor > 1.0)
 
 
-@pytest.mark.parametrize("factor", [0.97, 1.03, 1.1])
-@pytest.mark.nightly
-def test_a_double_pendulum_shows_a_small_factor(factor):
-    t, q = swing(DOUBLE, [0.9, 0.6])
-    guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
-    found = hf.identify(hf.Recording(t, factor * noisy(q)), guess, FREE, options=QUICK)
-    assert found.has(Kind.ANGLE_SCALE)
-    test = next(each for each in found.score_tests if each.name == ANGLES)
-    assert test.values[0] == pytest.approx(factor, abs=2e-3)
-
-
 def test_a_clock_that_drifts_keeps_its_name(data_dir):
     t, q, guess = real_single(data_dir, drift=0.02)
     found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction"], options=QUICK)

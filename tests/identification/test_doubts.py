@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.coverage import KINDS
-from benchmarks.wrong_input import noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification import Identification, Kind, Severity, ratios
@@ -100,16 +99,6 @@ def test_stamps_that_come_late_are_named_where_links_turn_fast(number):
     assert first.values["delay"] == pytest.approx(0.02, abs=0.005)
     assert not any("before" in each.values for each in found.findings)  # short fits explain nothing
     assert found.settings["starts_agree"] == found.settings["starts"] > 1  # it is no local optimum
-
-
-@pytest.mark.nightly
-def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock():
-    rope = hf.Rope.uniform(1.0, 0.05, 8, friction=4e-4)
-    t, q = swing(rope.replace(tip_mass=0.005), np.linspace(0.9, 0.6, 8))
-    found = hf.identify(hf.Recording(t, noisy(q)), rope.replace(friction=1e-3), options=QUICK)
-    assert (found.grade, found.findings[0].values["name"]) == ("do not use", "'tip_mass'")
-    assert found.score_tests[0].values[0] == pytest.approx(0.005, rel=0.01)
-    assert found.score_tests[0].beyond == np.inf  # first moments of a rope with held masses have no deviation
 
 
 @pytest.mark.parametrize(("free", "said"), [(["inertia", "com", "friction"], True), (["inertia", "com"], False)])

@@ -18,7 +18,7 @@ from hyperflex.motion import arm_swings
 from hyperflex.planning import RopePosterior
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
-from tests.identification.twins import EXACT, QUICK, WHOLE, WHOLE_QUICK, recorded
+from tests.identification.twins import EXACT, QUICK, WHOLE, WHOLE_QUICK
 
 LINKS, STIFFNESS = 15, 4.5e-3
 
@@ -233,15 +233,3 @@ def test_what_a_law_leaves_less_known_of_a_friction_is_no_more_than_it_is():
     model = with_model_error(basis, [replace(drag, excess_gain=0.95)], np.zeros(4)).information.model
     friction = basis.plant.parameters.labels.index("friction[0]")
     assert model[friction, friction] == pytest.approx(0.95 * basis.fit.x[friction] ** 2, rel=1e-6)
-
-
-@pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
-@pytest.mark.nightly
-def test_a_law_that_was_omitted_is_not_taken_for_links_that_are_too_long(left_out):
-    rope = Rope.uniform(length=1.0, mass=0.1, n_links=8, friction=4e-4)
-    q0, true = np.linspace(0.7, 1.1, 8), rope.replace(**left_out)
-    recording = recorded(true, q0, np.arange(120) / 30.0, 3e-3, declared=3e-3, tol=1e-8)
-    found = identify(recording, rope, ["friction:shared"], options=WHOLE_QUICK)
-    (test,) = (each for each in found.score_tests if each.name == "links")
-    assert test.excess_gain < 0.5
-    assert not found.has(Kind.LINKS_TOO_LONG)

@@ -37,16 +37,6 @@ def drift(found: hf.Identification) -> float:
     return float(next(each.values[0] for each in found.score_tests if each.name == DRIFT))
 
 
-@pytest.mark.parametrize(("duration", "free"), [(6.0, FREE), (20.0, None)], ids=["named", "default"])
-@pytest.mark.nightly
-def test_a_clock_that_drifts_is_reported(duration, free):
-    t, q = swing(DOUBLE, [0.9, 0.6], duration)
-    found = identified(t + 0.01 * t**2 / t[-1], q, free=free)
-    assert found.grade == "do not use"
-    assert found.findings[0].kind is Kind.DRIFT
-    assert drift(found) == pytest.approx(-0.04 * (1.0 - 1.2 / duration), abs=0.01)  # between the windows' middles
-
-
 def test_a_zero_that_is_off_is_no_clock_that_drifts():
     """Windows of large swings ask for another gravity than those of small ones, until the zero is off there as well."""
     t, q = swing(DOUBLE, [0.9, 0.6])

@@ -27,8 +27,7 @@ def tangled(n: int, friction_model: str, **changes: object) -> hf.Rope:
     return rope.replace(**changes)
 
 
-@pytest.mark.parametrize("friction_model", ["relative", "printed"])
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(("n", "friction_model"), [(1, "printed"), (2, "relative"), (3, "printed")])
 def test_a_cast_of_a_short_chain(n, friction_model):
     """Every switch of the arm within two and a half swings: springs, dry friction and a tip mass on the way."""
     rope = tangled(n, friction_model)

@@ -65,8 +65,7 @@ def test_a_level_rope_falls_at_its_terminal_velocity():
     assert ends[0] < np.pi / 2 - 1e-2  # too slow for the air to bear it, it falls ahead of its end
 
 
-@pytest.mark.parametrize("friction_model", ["relative", "printed"])
-@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize(("n", "friction_model"), [(1, "printed"), (3, "relative")])
 def test_a_cast_in_air_is_that_of_the_dense_equations(n, friction_model):
     rope = airy(n, friction_model=friction_model)
     stretches = list(bang_bang_swings(0.4, 0.3, 1.7))

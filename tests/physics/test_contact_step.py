@@ -10,8 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.chain.torque_peaks import COLUMNS, WINDOWS
 from hyperflex.core.contact import run as at
-from hyperflex.core.contact.arrays import OPEN
-from hyperflex.core.contact.memory import ContactMemory, new_contact_memory, save_memory
+from hyperflex.core.contact.memory import ContactMemory, new_contact_memory
 from hyperflex.core.contact.run import (
     ContactWorkspace,
     Scene,
@@ -22,7 +21,6 @@ from hyperflex.core.contact.run import (
     new_contact_workspace,
     try_step,
 )
-from hyperflex.core.contact.solver import ALL, EVEN, LOOSEST, NONE, STIFF, USUAL_TOL, looseness, update_modes
 from tests.core.helpers import scene_of
 from tests.reference.wrapping import laid
 
@@ -129,35 +127,3 @@ def copied(value: object) -> list[Array]:
     if isinstance(value, tuple):
         return [array for each in value for array in copied(each)]
     return [np.array(value)]
-
-
-def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one():
-    """What a soft step remembers grows from step to step, also while nothing touches."""
-    rope, still = hf.Rope.uniform(0.5, 0.05, 10, friction=1e-4), hf.moving_pivot([0.0, 1.0], [0.0] * 2, [0.0] * 2)
-    setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
-    scene, memory = scene_of(setup), new_contact_memory(10, 1)
-    memory.penalty[0], known = 1e-3 * rope.total_mass, []
-    for _ in range(60):
-        workspace = stepped(scene, np.zeros(10), np.zeros(10), memory=memory)
-        save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, STEP)
-        known.append(memory.penalty[0])
-    assert np.all(np.diff(known) >= 0.0)
-    assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)
-
-
-@pytest.mark.parametrize(("which", "first", "by"), [(NONE, 0, 1), (ALL, 0, 1), (EVEN, 0, 2), (EVEN + 1, 1, 2)])
-def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(which, first, by):
-    rope, q, scene = wound()
-    workspace = stepped(scene, q, np.zeros(rope.n_links))
-    impulses, count = workspace.impulses, int(workspace.contacts.total[0])
-    assert count > 10
-    impulses.mode[:count], impulses.target[:count] = OPEN, -1.0  # all are open, and close faster than they may
-    given = workspace.contacts, impulses, workspace.motion, workspace.joints, workspace.spin
-    assert update_modes(*given, rope.total_mass, which) == count
-    changed = np.flatnonzero(impulses.mode[:count] != OPEN)
-    np.testing.assert_array_equal(changed, [] if which == NONE else np.arange(first, count, by))
-
-
-def test_a_solution_may_leave_more_in_proportion_to_the_tolerance():
-    tolerances = np.array([1e-8, 1e-5, 1e-4, 1.0])
-    np.testing.assert_allclose([looseness(tol) for tol in tolerances], [1.0, 1.0, 1e-4 / USUAL_TOL, LOOSEST])

@@ -48,6 +48,7 @@ def test_a_free_swing_tends_to_the_string_with_order_two():
     assert errors[-1] < 5e-4
 
 
+@pytest.mark.nightly
 def test_a_cast_tends_to_the_string_with_order_two():
     string = String(LENGTH, MU, VISCOSITY, modes=28)
     t = np.linspace(0.0, 1.2, 13)

@@ -237,17 +237,6 @@ def test_events_of_many_joints_are_as_exact_as_the_steps_and_found_at_once():
     assert tried < 2.5 * (tried - rejected)
 
 
-def test_samples_between_events_lie_on_the_motion():
-    rope, q0 = messy(4, 3)
-    t = np.linspace(0.0, 0.5, 501)
-    kept = {"duration": 0.5, "q0": q0, "t_eval": t}
-    run, fine = hf.simulate(rope, tol=1e-7, **kept), hf.simulate(rope, tol=1e-11, **kept)
-    np.testing.assert_allclose(run.q, fine.q, rtol=0, atol=1e-5)  # as above
-    np.testing.assert_allclose(run.motor_work - run.dissipated_energy, -fine.dissipated_energy, rtol=0, atol=1e-7)
-    few = hf.simulate(rope, duration=0.5, q0=q0, t_eval=[0.5], tol=1e-7)
-    np.testing.assert_array_equal(few.q[-1], run.q[-1])  # samples leave no trace
-
-
 def test_folded_chains_find_their_way_with_printed_friction():
     """Without the reaction on the parent a fold may answer friction the wrong way; lawful modes exist all the same."""
     rope = hf.Rope(length=[0.1] * 5, mass=[0.02] * 5, dry_friction=1e-2, friction_model="printed")

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.core.integrate import rollout
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.simulation.rollouts import TABLES, rollout_limits
 from tests.faults.interrupting import left_by
 
 ARM = hf.Arm(length=0.105, inertia=1e-3)
@@ -78,35 +76,6 @@ def test_the_arm_of_a_failed_run_is_handed_over_too():
     assert part.status == "step too small"
     more = hf.simulate(cable(), state=part.state, **kept)
     assert (more.arm_angle[0], more.arm_rate[0]) == (part.arm_angle[-1], part.arm_rate[-1]) != (0.0, 0.0)
-
-
-def test_two_errors_of_a_step_are_distinguished_and_none_that_is_not_a_number_is_taken():
-    setup = hf.Setup(cable(), duration=1.0)
-    chain = setup.chain()
-    limits, workspace, rng = (
-        rollout_limits(setup, chain, 1.0),
-        rollout.new_workspace(chain, 9),
-        np.random.default_rng(3),
-    )
-    y, errors = rng.normal(size=22), 1e-6 * rng.normal(size=(2, 22))
-    errors[:, 20:] *= np.array([[1.0], [1e3]])  # the second errs most in energy
-
-    def sizes(*rows, at=y):
-        workspace.out[:], workspace.errors[:2], workspace.errors[2] = at, rows, 0.0
-        return rollout.error_norms(chain, limits, TABLES[0], 0.01, workspace)[:2]
-
-    first, second = sizes(*errors)
-    assert 0.0 < first < second < np.inf
-    assert sizes(errors[1], errors[0]) == (second, first)
-    np.testing.assert_allclose(sizes(errors[0], 3.0 * errors[0]), (first, 3.0 * first), rtol=1e-12)
-    assert sizes(0.0 * y, 0.0 * y) == (0.0, 0.0)
-    for value in (np.nan, np.inf):
-        for where in (0, 3, 13, 20, 21):
-            bad = y.copy()
-            bad[where] = value
-            assert sizes(errors[0], bad) == sizes(bad, errors[0]) == (np.inf, np.inf)
-            if where < 20:
-                assert sizes(*errors, at=bad) == (np.inf, np.inf)
 
 
 def test_fields_of_a_setup_are_replaced():

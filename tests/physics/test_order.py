@@ -166,28 +166,3 @@ def test_a_chain_without_any_torque_has_no_limit():
     run = hf.simulate(rope, duration=1.0, qd0=[0.1, 0.1], method="rk4", step=0.01, t_eval=[1.0])
     # Both links turn together about a fixed end: no relative motion, so the angle grows at a constant rate.
     np.testing.assert_allclose(run.q[-1], [0.1, 0.1], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("order", range(2, 13))
-def test_every_column_is_taken_once_and_the_rounds_are_few(order):
-    table = scheme(order)
-    taken = [int((table.column == j).sum()) for j in range(1, order + 1)]
-    assert taken == list(range(1, order + 1))  # column j takes j substeps
-    starts = (table.column > 0) & (table.done == 0)
-    assert starts.sum() == order
-    # The longest column, or all substeps spread over the lanes, whichever is more.
-    assert table.column.shape[0] == max(order, -(-order * (order + 1) // 2 // len(COLUMNS)))
-
-
-@pytest.mark.parametrize("order", [5, 7, 9])
-def test_error_estimates_weigh_columns_as_the_results_that_they_compare(order: int) -> None:
-    # Columns of values v(h) = 1 + h^k: a result of order p reproduces the limit for k < p, so the estimate
-    # vanishes for k below its order less one, and the lower ones are those of the schemes with fewer columns.
-    table = scheme(order)
-    j = np.arange(1, order + 1)
-    for k in range(order - 1):
-        # weights grow to some hundreds with the order, and their rounding with them
-        assert table.gaps[0, 1:] @ (1.0 / j) ** k == pytest.approx(0.0, abs=1e-11)
-    for less in (1, 2):
-        np.testing.assert_allclose(table.gaps[less, :-less], scheme(order - less).gaps[0], rtol=1e-14)
-        assert not table.gaps[less, -less:].any()

@@ -50,15 +50,6 @@ def test_steps_are_finer_where_those_of_10_ms_are_too_coarse():
     assert wrong < found.error < 0.05 * np.abs(found.joints).max()
 
 
-def test_figures_of_ball_joints():
-    """Six links released at 1.0 to 1.4 rad, half a degree out of the plane: mm at the tip with MuJoCo's balls."""
-    rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, friction=2e-4)
-    run = hf.simulate(rope, duration=2.01, q0=np.linspace(1.0, 1.4, 6), tol=1e-7)
-    found = hf.sideways(run, tilt=0.5 * DEGREE)
-    # printed to 0.1 mm; pairs of hinges, which carry twist, give 6.966, -3.007, -8.168, 6.663 in MuJoCo
-    np.testing.assert_allclose(1e3 * found.tip[[25, 50, 100, 200]], [7.0, -3.0, -8.2, 6.6], atol=0.08)
-
-
 def test_a_leaning_plane_and_a_draught_hold_a_rope_aside():
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=8, friction=1e-3, tip_mass=0.02)
     run = hf.simulate(rope, duration=2.0)
