@@ -122,13 +122,13 @@ def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
         assert abs(values.mean() - getattr(ROPE, name)[0]) < 1.0 * draws[0].std[name]
 
 
-@pytest.mark.parametrize("profile", ["measured", "measured rates"])
-def test_mixed_profiles_use_the_recording_and_stay_away_from_the_truth(profile):
-    found = hf.iterative_revision(swing(noise=0.01), GUESS, profile=profile, rounds=3)
+def test_mixed_profiles_use_the_recording_and_stay_away_from_the_truth():
     best = hf.iterative_revision(swing(noise=0.01), GUESS)
-    assert found.rounds[1].friction != pytest.approx(4e-3, rel=1e-3)
-    assert found.error == min(each.error for each in found.rounds)
-    assert found.error > 1.2 * best.error
+    for profile in ("measured", "measured rates"):
+        found = hf.iterative_revision(swing(noise=0.01), GUESS, profile=profile, rounds=3)
+        assert found.rounds[1].friction != pytest.approx(4e-3, rel=1e-3)
+        assert found.error == min(each.error for each in found.rounds)
+        assert found.error > 1.2 * best.error
 
 
 @pytest.mark.nightly
@@ -143,12 +143,9 @@ def test_what_would_become_negative_stops_at_zero_and_the_rest_adapts():
     # Links without inertia of their own, and noise that gives a negative one: about one recording in two.
     none = ROPE.replace(inertia=np.zeros(3))
     data = swing(none).data
-    for seed in range(8):
-        recording = hf.Recording(T, data + 5e-3 * np.random.default_rng(seed).standard_normal(data.shape))
-        found = hf.iterative_revision(recording, GUESS)
-        assert found.success
-        if found.best.inertia == 0.0:
-            break
+    recording = hf.Recording(T, data + 5e-3 * np.random.default_rng(1).standard_normal(data.shape))
+    found = hf.iterative_revision(recording, GUESS)
+    assert found.success
     assert found.best.inertia == 0.0
     # With J at 0, E is least at the eta that was found: as much is lost on either side of it.
     lost = [
