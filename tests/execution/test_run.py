@@ -21,7 +21,16 @@ from hyperflex import execution
 from hyperflex.checks import Array
 from hyperflex.control import TrueState
 from hyperflex.errors import DriveError, EstimatorLost, Interrupted, InvalidInput
-from hyperflex.execution import CastRun, MotionStream, RunOptions, observed_turns, run_plan
+from hyperflex.execution import (
+    CastRun,
+    EmulatedRope,
+    MotionStream,
+    RunOptions,
+    emulator_of,
+    observed_turns,
+    open_drive,
+    run_plan,
+)
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, FollowOptions, Moves, WindCriteria, check_feasibility, scaled_rope
@@ -314,3 +323,15 @@ def test_without_a_source_and_a_torque_nobody_reports_that_it_wound(carry_out: C
     assert any("Check zero, rope and arm" in each for each in doubts)  # it is held without torque
     assert not run.success
     assert run.summary()["wound"] in (None, False)
+
+
+def test_a_run_on_an_emulated_drive_sees_the_emulated_rope() -> None:
+    rope = PLAN.setup().rope  # shorter links near the peg
+    make, emulator = emulator_of(PLAN, "emulator:moteus", rope=rope)
+    with emulator:
+        source = EmulatedRope(emulator, ROPE, rope, PLAN.problem.arm)
+        connect = partial(open_drive, f"{make}:{emulator.port}", PLAN.problem.limits)
+        run = run_plan(PLAN, connect, source=source, options=replace(QUICK, wait=20.0, still=0.5))
+        assert run.judged_by == "state" or emulator.unfair, run.message
+        assert np.nanmax(np.abs(run.log.tracking_error)) < 0.3 or emulator.unfair
+        assert np.ptp(run.recording.data) > 0.2 or emulator.unfair

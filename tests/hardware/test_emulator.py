@@ -104,14 +104,7 @@ if __name__ == "__main__":
 """
 
 
-def test_an_emulator_ends_with_a_parent_that_is_killed(tmp_path) -> None:
-    script = tmp_path / "parent.py"
-    script.write_text(PARENT)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
-    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, env=environment) as parent:
-        number = int(parent.stdout.readline())
-        os.kill(number, 0)
-        parent.send_signal(signal.SIGKILL)
+def check_ended(number: int) -> None:
     until = time.monotonic() + 20.0
     while time.monotonic() < until:
         try:
@@ -120,6 +113,26 @@ def test_an_emulator_ends_with_a_parent_that_is_killed(tmp_path) -> None:
             return
         time.sleep(0.05)
     pytest.fail("the emulator outlives its parent")
+
+
+def test_an_emulator_ends_if_nobody_listens() -> None:
+    with Emulator(Echo, MotorModel()) as emulator:
+        number = emulator.pid
+        os.kill(number, 0)
+        emulator._child.link.close()  # as the system does when the parent is killed
+        check_ended(number)
+
+
+@pytest.mark.nightly
+def test_an_emulator_ends_with_a_parent_that_is_killed(tmp_path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, env=environment) as parent:
+        number = int(parent.stdout.readline())
+        os.kill(number, 0)
+        parent.send_signal(signal.SIGKILL)
+    check_ended(number)
 
 
 def test_a_device_that_cannot_be_made_is_reported_to_the_parent() -> None:
