@@ -43,15 +43,8 @@ def family(count: int, n: int = 8, seed: int = 0, **others: object) -> tuple[lis
 def test_members_equal_single_runs(others):
     ropes, motions = family(19, **others)  # more than the lanes, and not a multiple of them
     t = np.array([0.4, 1.0])
-    batch = hf.simulate_batch(
-        ropes,
-        motions,
-        arm=ARM,
-        duration=1.0,
-        t_eval=t,
-        tol=1e-7,
-        keep=("tip", "q", "qd", "motor_torque", "motor_work", "dissipated_energy"),
-    )
+    keep = ("tip", "q", "qd", "motor_torque", "motor_work", "dissipated_energy")
+    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=1.0, t_eval=t, tol=1e-7, keep=keep)
     assert batch.failed == []
     for m, (rope, motion) in enumerate(zip(ropes, motions, strict=True)):
         run = hf.simulate(rope, motion, arm=ARM, duration=1.0, t_eval=t, tol=1e-8)
@@ -61,9 +54,8 @@ def test_members_equal_single_runs(others):
         np.testing.assert_allclose(batch.qd[m], run.qd, rtol=0, atol=5e-2)
         # Energies of some 0.1 J.
         np.testing.assert_allclose(batch.motor_work[m], run.motor_work, rtol=0, atol=1e-5)
-        np.testing.assert_allclose(
-            batch.motor_torque[m], run.motor_torque, rtol=0, atol=1e-3 * np.ptp(run.motor_torque)
-        )
+        few = 1e-3 * np.ptp(run.motor_torque)
+        np.testing.assert_allclose(batch.motor_torque[m], run.motor_torque, rtol=0, atol=few)
         np.testing.assert_allclose(batch.dissipated_energy[m], run.dissipated_energy, rtol=0, atol=1e-5)
 
 

@@ -34,16 +34,8 @@ def rope(friction_model: str = "relative") -> hf.Rope:
 
 def with_arm(rope: hf.Rope) -> Links:
     """Arm and rope as one chain of the reference; the arm hangs from the wall and has no spring."""
-    own = {
-        "length": ARM.length,
-        "mass": ARM.mass,
-        "com": ARM.com,
-        "inertia": ARM.inertia,
-        "viscous": ARM.friction,
-        "dry": ARM.dry_friction,
-        "stiffness": 0.0,
-        "rest": 0.0,
-    }
+    own = {"length": ARM.length, "mass": ARM.mass, "com": ARM.com, "inertia": ARM.inertia}
+    own |= {"viscous": ARM.friction, "dry": ARM.dry_friction, "stiffness": 0.0, "rest": 0.0}
     links = links_of(rope)
     return links._replace(**{name: np.append(value, getattr(links, name)) for name, value in own.items()})
 

@@ -217,5 +217,4 @@ def test_toml_refuses_what_it_cannot_hold(tmp_path):
 def test_bad_toml_is_refused(tmp_path, text, error, match):
     path = tmp_path / "rope.toml"
     path.write_text(text)
-    with pytest.raises(error, match=match):
-        files.read_toml(path)
+    fails(error, match, files.read_toml, path)

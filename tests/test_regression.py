@@ -84,17 +84,9 @@ def test_a_moving_arm_enters_by_its_acceleration_angle_and_rate():
     angle, rate, acceleration = 0.4, -1.3, 2.1
     pull = 0.2 * acceleration * np.array([np.cos(angle), np.sin(angle)])
     pull += 0.2 * rate**2 * np.array([-np.sin(angle), np.cos(angle)])
-    made = hf.fit_regression(
-        rope.replace(stiffness=np.zeros(N), rest_angle=np.zeros(N)),
-        q,
-        qd,
-        qdd,
-        ["friction"],
-        pivot_acceleration=[pull],
-        arm_angle=angle,
-        arm_rate=rate,
-    )
     bare = rope.replace(stiffness=np.zeros(N), rest_angle=np.zeros(N))
+    led = {"pivot_acceleration": [pull], "arm_angle": angle, "arm_rate": rate}
+    made = hf.fit_regression(bare, q, qd, qdd, ["friction"], **led)
     moving = {"arm": arm, "arm_angle": angle}
     whole = mass_matrix(bare, q[0], **moving) @ np.append(acceleration, qdd[0])
     whole += bias(bare, q[0], qd[0], **moving, arm_rate=rate)

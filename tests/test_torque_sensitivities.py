@@ -13,14 +13,7 @@ from tests.frozen import check
 from tests.refusals import refuses
 
 TIMES, TORQUES = np.array([0.0, 0.2, 0.5, 0.7, 1.0]), np.array([0.0, 0.06, -0.05, -0.04, 0.05])
-ARM: dict[str, Any] = {
-    "length": 0.2,
-    "inertia": 2e-4,
-    "mass": 0.04,
-    "com": 0.08,
-    "friction": 1e-3,
-    "dry_friction": 0.01,
-}
+ARM = {"length": 0.2, "inertia": 2e-4, "mass": 0.04, "com": 0.08, "friction": 1e-3, "dry_friction": 0.01}
 
 
 def rope(**changes: Any) -> hf.Rope:

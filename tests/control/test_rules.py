@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.control import (
-    AmplitudeRule,
-    CrossingRule,
-    PumpingRule,
-    SwingModel,
-    TrueState,
-    arrival_time,
-    run_closed_loop,
-)
+from hyperflex import control
+from hyperflex.control import AmplitudeRule, CrossingRule, PumpingRule, SwingModel, TrueState, run_closed_loop
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from tests.refusals import refuses
@@ -91,11 +84,13 @@ def test_a_plan_is_followed_where_nothing_disturbs(recheck_time):
     motion = MODEL.motion(np.cumsum(np.append(0.0, plan + 0.5)))
     t, x = reach(motion, 5.0)
     wanted = 0.98 * x.max()
-    reached = float(arrival_time(t, x[None], wanted)[0])
+    reached = float(control.arrival_time(t, x[None], wanted)[0])
     rule = PumpingRule(MODEL, wanted, rests=plan, arrival_time=reached)
     swung = run_closed_loop(TrueState(ROPE, ARM), rule, MODEL, duration=reached, recheck_time=recheck_time)
     t, x = reach(swung.motion, 6.0)
-    assert arrival_time(t, x[None], wanted)[0] < reached + 0.02  # not later than planned, within planning's tolerance
+    assert (
+        control.arrival_time(t, x[None], wanted)[0] < reached + 0.02
+    )  # not later than planned, within planning's tolerance
 
 
 @pytest.mark.parametrize("planned", [True, False])

@@ -111,12 +111,8 @@ def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, err
     monkeypatch.setattr("hyperflex.simulation.simulate", fail)
     assert run(["simulate", str(tmp_path / "setup.toml"), "-o", str(tmp_path / "run.nc"), "--json"]) == 2
     out, err = capsys.readouterr()
-    assert (words in err, "bug" in err, "Traceback" in err, words in json.loads(out)["error"]) == (
-        True,
-        False,
-        False,
-        True,
-    )
+    told = words in err, "bug" in err, "Traceback" in err, words in json.loads(out)["error"]
+    assert told == (True, False, False, True)
 
 
 # ---- time

@@ -48,12 +48,8 @@ def test_what_grows_with_the_common_factor():
     common = scaling(parameters, parameters.start)
     assert common[parameters.labels.index("friction[1]")] == 0.0  # 0 times any factor
     found = in_common_factor(parameters, parameters.start, common[:, None])
-    assert [name for name, each in zip(parameters.labels, found, strict=True) if each] == [
-        "inertia[0]",
-        "inertia[1]",
-        "friction[0]",
-        "friction[1]",
-    ]
+    grow = [name for name, each in zip(parameters.labels, found, strict=True) if each]
+    assert grow == ["inertia[0]", "inertia[1]", "friction[0]", "friction[1]"]
     assert not in_common_factor(parameters, parameters.start, np.eye(7)[:, 6:]).any()  # only gravity_angle is unknown
 
 

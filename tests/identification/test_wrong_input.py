@@ -4,19 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.wrong_input import (
-    CAUSES,
-    DOUBLE,
-    SINGLE,
-    Case,
-    Outcome,
-    longer,
-    outcome,
-    ratios,
-    real,
-    simulated,
-    swing,
-)
+from benchmarks import wrong_input
+from benchmarks.wrong_input import DOUBLE, SINGLE, Case, Outcome, longer, outcome, ratios, simulated, swing
 
 import hyperflex as hf
 from hyperflex.budget import Budget
@@ -85,18 +74,9 @@ NAMED |= {
     )
 }
 NAMED |= {f"fast double: last link {late} ms late": Kind.LINK_LATE for late in (10, 30)}
-FIT = (
-    "as it is",
-    "moves alike",
-    "as they are",
-    "default",
-    "40 % of samples missing",
-    "guess off by 3",
-    "the same as gaps",
-    "with their times",
-    "outliers, robust",
-    "rounded to two digits",
-)  # must not be refused either
+# must not be refused either
+FIT = ("as it is", "moves alike", "as they are", "default", "40 % of samples missing", "guess off by 3")
+FIT += ("the same as gaps", "with their times", "outliers, robust", "rounded to two digits")
 
 
 def check(case: Case) -> Outcome:
@@ -131,7 +111,7 @@ def test_missing_frames_that_look_like_a_jump_are_named():
 @pytest.mark.parametrize("kind", ["single", "triple", "double"])
 @pytest.mark.nightly
 def test_real_recordings_declared_wrongly(data_dir, kind):
-    for case in real(data_dir):
+    for case in wrong_input.real(data_dir):
         if case.name.startswith(f"real {kind}"):
             check(case)
 
@@ -188,7 +168,7 @@ def test_a_suspicion_is_of_the_true_cause():
 
 def test_causes_are_those_of_cases():
     named = {case.wrong for case in SIMULATED}
-    assert set(CAUSES) <= named
+    assert set(wrong_input.CAUSES) <= named
 
 
 def test_a_recording_shorter_than_a_usual_window_is_checked_as_well():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.errors import SimulationError
+from tests.refusals import refuses
 
 PASSED = 1e-3  # rad, the project's goal
 
@@ -135,16 +136,13 @@ def test_a_stepper_and_a_torque_callback_meet_limits_too():
     how = {"arm": hf.Arm(length=0.1, mass=1.0, inertia=1e5), "duration": 0.6, "q0": [0.75]}
     driven = hf.simulate(rod, torque=lambda *_: 0.0, control_rate=50.0, **how)
     np.testing.assert_allclose(driven.q[-1], run.q[-1], rtol=0, atol=1e-5)  # the arm yields a little
-    with pytest.raises(InvalidInput, match="joint limits"):
-        stepper.linearize(state, 0.0, dt=0.02)
+    refuses("joint limits", stepper.linearize, state, 0.0, dt=0.02)
 
 
 def test_methods_without_impacts_report_it():
     rod = hf.Rope(length=[1.0], mass=[0.1], max_bend=0.6)
-    with pytest.raises(InvalidInput, match="joint 0 is bent"):
-        hf.simulate(rod, duration=1.0, q0=[0.7])
-    with pytest.raises(InvalidInput, match="acts on both links"):
-        hf.simulate(rod.replace(friction_model="printed"), duration=1.0, q0=[0.5])
+    refuses("joint 0 is bent", hf.simulate, rod, duration=1.0, q0=[0.7])
+    refuses("acts on both links", hf.simulate, rod.replace(friction_model="printed"), duration=1.0, q0=[0.5])
     with pytest.raises(SimulationError, match="max_bend"):
         hf.sensitivities(rod.replace(rest_angle=0.4), wrt=["mass"], duration=1.0, q0=[0.9])
     with pytest.raises(SimulationError, match="max_bend"):

@@ -5,8 +5,8 @@ import pytest
 from scipy.special import ellipk
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
 from hyperflex.motion import Motion
+from tests.refusals import refuses
 
 LENGTH, MASS, G = 0.5, 0.1, 9.81
 ROD = hf.Rope(length=[LENGTH], mass=[MASS])
@@ -159,5 +159,4 @@ def test_with_dry_friction_and_a_torque():
     ],
 )
 def test_bad_events(make, words):
-    with pytest.raises(InvalidInput, match=words):
-        make()
+    refuses(words, make)

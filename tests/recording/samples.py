@@ -55,16 +55,7 @@ def table(rows: list[list[str]], mark: str = ",", end: str = "\n") -> str:
 
 def motive() -> Sample:
     """Motive 1.23: a rigid body with its quaternion, and two markers."""
-    meta = [
-        "Format Version",
-        "1.23",
-        "Take Name",
-        "swing",
-        "Export Frame Rate",
-        f"{RATE:.6f}",
-        "Length Units",
-        "Millimeters",
-    ]
+    meta = f"Format Version,1.23,Take Name,swing,Export Frame Rate,{RATE:.6f},Length Units,Millimeters".split(",")
     kinds = ["Rigid Body"] * 8 + ["Marker"] * 6
     names = ["base"] * 8 + ["rope:pivot"] * 3 + ["rope:tip"] * 3
     parts = ["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"] + ["Position"] * 6
@@ -103,15 +94,7 @@ def vicon() -> Sample:
     rows = [["Trajectories"], [f"{RATE:g}"], ["", "", "rope:pivot", "", "", "rope:tip", "", ""]]
     rows += [["Frame", "Sub Frame", *"XYZ", *"XYZ"], ["", "", *["mm"] * 6]]
     rows += [[f"{k + 1}", "0", *cells([*PIVOT[k], *tip[k]])] for k in FRAMES]
-    rows += [
-        [],
-        ["Devices"],
-        ["1000"],
-        ["", "", "Force"],
-        ["Frame", "Sub Frame", "Fx"],
-        ["", "", "N"],
-        ["1", "0", "0.5"],
-    ]
+    rows += [row.split(",") for row in ("", "Devices", "1000", ",,Force", "Frame,Sub Frame,Fx", ",,N", "1,0,0.5")]
     arguments = {"markers": ["rope:pivot", "rope:tip"], **SPACE}
     return Sample(table(rows, end="\r\n").encode(), arguments, (FRAMES + 1) / RATE, METRES)
 
@@ -140,11 +123,8 @@ def trc() -> Sample:
     """OpenSim: tabs, an empty line below the header."""
     tip = lost(TIP, GONE)
     keys = ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate"]
-    rows = [
-        ["PathFileType", "4", "(X/Y/Z)", "swing.trc"],
-        keys,
-        [f"{RATE:g}", f"{RATE:g}", f"{COUNT}", "2", "mm", f"{RATE:g}"],
-    ]
+    values = [f"{RATE:g}", f"{RATE:g}", f"{COUNT}", "2", "mm", f"{RATE:g}"]
+    rows = [["PathFileType", "4", "(X/Y/Z)", "swing.trc"], keys, values]
     rows += [["Frame#", "Time", "pivot", "", "", "tip", "", ""], ["", "", "X1", "Y1", "Z1", "X2", "Y2", "Z2"], [""]]
     rows += [[f"{k + 1}", repr(float(T[k])), *cells([*PIVOT[k], *tip[k]])] for k in FRAMES]
     return Sample(table(rows, "\t").encode(), {**BOTH, **SPACE}, data=METRES, suffix=".trc")
@@ -284,11 +264,8 @@ UNLIKELY = 1e-3 * np.hstack([PLANAR["pivot"], lost(PLANAR["tip"], 7)])
 
 
 def deeplabcut() -> Sample:
-    head = [
-        ["scorer", *["net"] * 6],
-        ["bodyparts", *["pivot"] * 3, *["tip"] * 3],
-        ["coords", *["x", "y", "likelihood"] * 2],
-    ]
+    parts = ["bodyparts", *["pivot"] * 3, *["tip"] * 3]
+    head = [["scorer", *["net"] * 6], parts, ["coords", *["x", "y", "likelihood"] * 2]]
     rows = [[f"{k}", *cells([*image(PLANAR["pivot"])[k], 0.99, *image(PLANAR["tip"])[k], LIKELY[k]])] for k in FRAMES]
     return Sample(table(head + rows).encode(), {**BOTH, **LIKELIEST, "frame_rate": RATE}, data=UNLIKELY)
 
@@ -349,9 +326,8 @@ def matlab73() -> Sample:
         for name, values in (("run/t", T[None]), ("run/xy", METRES.T)):
             file[name] = values
         file["run"].attrs["MATLAB_class"] = np.bytes_(b"struct")
-    content = (
-        b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM" + bytes(384) + buffer.getvalue()[512:]
-    )
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM" + bytes(384)
+    content = head + buffer.getvalue()[512:]
     arguments = {"columns": ["run/xy"], "kind": "markers", "time_unit": "s", "unit": "m", "y_axis": "up"}
     return Sample(content, arguments, data=METRES, suffix=".mat")
 
@@ -365,9 +341,8 @@ def hdf5() -> Sample:
         file["b/notes"] = "a swing"
     columns = ["b/px", "b/py", "b/qx", "b/qy"]
     named = {"time": "a/stamps", "columns": columns, "kind": "markers"}
-    return Sample(
-        buffer.getvalue(), {**named, "time_unit": "s", "unit": "m", "y_axis": "up"}, data=METRES, suffix=".hdf5"
-    )
+    arguments = {**named, "time_unit": "s", "unit": "m", "y_axis": "up"}
+    return Sample(buffer.getvalue(), arguments, data=METRES, suffix=".hdf5")
 
 
 def plotjuggler() -> Sample:
@@ -375,10 +350,8 @@ def plotjuggler() -> Sample:
     start = 1_700_000_000.0
     rows = [["__time", "/imu/z", "/joint/position"]]
     for k in FRAMES:
-        rows += [
-            [repr(start + float(T[k])), "9.81", ""],
-            [repr(start + float(T[k])), "", repr(float(ANGLE[k] + 2 * np.pi))],
-        ]
+        stamp = repr(start + float(T[k]))
+        rows += [[stamp, "9.81", ""], [stamp, "", repr(float(ANGLE[k] + 2 * np.pi))]]
     t = start + T
     arguments = {"columns": ["/joint/position"], "kind": "angles", "unit": "rad", "wrapped": True}
     return Sample(table(rows).encode(), arguments, t - t[0], ANGLE[:, None])

@@ -13,7 +13,7 @@ import scipy.io
 from hyperflex.checks import Array
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.recording import Recording, read_recording
-from tests.refusals import refuses
+from tests.refusals import fails, refuses
 
 NAN = float("nan")
 
@@ -337,11 +337,9 @@ def test_other_suffixes_and_missing_files(tmp_path):
     (tmp_path / "swing.xlsx").write_bytes(b"PK\x03\x04")
     refuses("Excel workbook.*Save it as CSV", read_recording, tmp_path / "swing.xlsx")
     for suffix in ("csv", "nc", "mat"):
-        with pytest.raises(FileProblem, match="There is no"):
-            read_recording(tmp_path / f"gone.{suffix}")
+        fails(FileProblem, "There is no", read_recording, tmp_path / f"gone.{suffix}")
         (tmp_path / f"empty.{suffix}").write_bytes(b"")
-        with pytest.raises(FileProblem, match="is empty"):
-            read_recording(tmp_path / f"empty.{suffix}")
+        fails(FileProblem, "is empty", read_recording, tmp_path / f"empty.{suffix}")
 
 
 # ---- NetCDF
@@ -507,8 +505,7 @@ def test_elements_of_mat_files_are_checked(tmp_path, old, new):
     words = [np.array(each, dtype="<u4").tobytes() for each in (old, new)]
     assert words[0] in raw
     (tmp_path / "bad.mat").write_bytes(raw.replace(*words))
-    with pytest.raises(FileProblem, match="damaged or cut off"):
-        read_recording(tmp_path / "bad.mat")
+    fails(FileProblem, "damaged or cut off", read_recording, tmp_path / "bad.mat")
 
 
 # ---- the real files
