@@ -130,8 +130,15 @@ def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json,
 # ---- fits that end early
 
 
-@pytest.mark.parametrize("out", ["rope.toml", "found"])
-@pytest.mark.parametrize("heard", [False, True])
+@pytest.mark.parametrize(
+    ("out", "heard"),
+    [
+        ("rope.toml", False),
+        ("found", True),
+        pytest.param("rope.toml", True, marks=pytest.mark.nightly),
+        pytest.param("found", False, marks=pytest.mark.nightly),
+    ],
+)
 def test_ctrl_c_keeps_the_best_so_far(hyperflex, hyperflex_json, swing, ended, monkeypatch, out, heard):
     ended(interrupt=True, heard=heard)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests' own parent has set
@@ -222,8 +229,8 @@ def led(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("arcs", [ARCS, ("--arc-lengths", "0.05,0.1", "--arc-lengths", "0.2,0.3")])
-def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arcs):
+def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led):
+    arcs = ("--arc-lengths", "0.05,0.1", "--arc-lengths", "0.2,0.3")
     more = (*MARKERS, *arcs, "--setup", "setup.toml", "--origin", 0.05, -0.02, "--loss", "huber", "--train", "inf")
     code, result = hyperflex_json(*words("rope.toml", *more, recording="led.csv"))
     # Noise-free data of the same model: only the rollout's tolerance is left.
@@ -260,20 +267,8 @@ def test_a_torque_column_drives_the_pendulum(hyperflex_json, refused, tmp_path, 
     angle = np.degrees(run.q[:, 0] + 1e-3 * np.random.default_rng(0).standard_normal(t.size))
     files.write_table("log.csv", ["time", "pos", "current"], np.column_stack([t, -angle, -torque / 0.05]))
     rod.replace(inertia=[0.02], friction=[0.01]).to_toml("rod.toml")  # angles grow to the other side
-    read = [
-        "--time",
-        "time",
-        "--time-unit",
-        "s",
-        "--columns",
-        "pos",
-        "--kind",
-        "angles",
-        "--unit",
-        "deg",
-        "--sense",
-        "-x",
-    ]
+    read = ["--time", "time", "--time-unit", "s", "--columns", "pos", "--kind", "angles", "--unit", "deg"]
+    read += ["--sense", "-x"]
     noise = "--noise", 0.0573, "--torque-constant", 0.055
     given = words("out.toml", *read, *noise, recording="log.csv", rope="rod.toml")
     known = ("--torque-std", 0.1, "--length-std", 0, "--intervals", "covariance")

@@ -68,6 +68,13 @@ def ready(monkeypatch):
     return plan
 
 
+@pytest.fixture(autouse=True)
+def unseen(monkeypatch):
+    """Figures are made, but not turned into pixels, nor the run into a film: tests of reports and the demo do that."""
+    monkeypatch.setattr("hyperflex.report.plan.png", lambda _: b"\x89PNG")
+    monkeypatch.setattr("hyperflex.report.plan.player_html", lambda *_, **__: "<p>film</p>")
+
+
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages are without film and figures: what takes long, and is seen in other tests."""

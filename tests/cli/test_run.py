@@ -201,7 +201,10 @@ def in_time(hyperflex_json):
     return call
 
 
-@pytest.mark.parametrize(("stuck", "message"), [(False, "the torque was switched off"), (True, "did not confirm")])
+@pytest.mark.parametrize(
+    ("stuck", "message"),
+    [(False, "the torque was switched off"), pytest.param(True, "did not confirm", marks=pytest.mark.nightly)],
+)
 def test_ctrl_c_keeps_the_log_and_tells_of_the_torque(in_time, plan, tmp_path, monkeypatch, stuck, message):
     notes, tell = tmp_path / "notes", output.note
 

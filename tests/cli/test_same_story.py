@@ -23,7 +23,9 @@ def text_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", re.sub(r"(?s)<(style|script).*?</\1>", " ", page))).split())
 
 
-@pytest.mark.parametrize("name", ["held", pytest.param("ratios", marks=pytest.mark.nightly), "wrong"])
+@pytest.mark.parametrize(
+    "name", ["wrong", *(pytest.param(case, marks=pytest.mark.nightly) for case in ("held", "ratios"))]
+)
 def test_print_json_page_and_exit_code_tell_the_same(hyperflex, tmp_path, monkeypatch, name):
     exit_code, grade, free, factor, words = CASES[name]
     t = np.arange(300) / 50.0

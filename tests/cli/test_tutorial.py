@@ -67,6 +67,7 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     assert (filmed / "seen.mp4").stat().st_size > 0
 
 
+@pytest.mark.nightly
 def test_the_film_is_followed_live_as_the_page_says(hyperflex, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "swing.mp4").write_bytes(twin.BUNDLED.read_bytes())

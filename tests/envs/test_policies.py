@@ -23,8 +23,8 @@ SWING, CAST = "hyperflex/Swing-v0", "hyperflex/Cast-v0"
 
 def test_rules_swing_better_than_chance_and_with_either_action():
     chance = score_policy(lambda env: lambda _: env.action_space.sample(), SWING, seeds=[0, 1])
-    again = score_policy(lambda env: lambda _: env.action_space.sample(), SWING, seeds=[0, 1])
-    np.testing.assert_array_equal(chance.returns, again.returns)
+    again = score_policy(lambda env: lambda _: env.action_space.sample(), SWING, seeds=[1])
+    assert chance.returns[1:].tolist() == again.returns.tolist()
     crossing = score_policy(CrossingPolicy, SWING, seeds=[1], action="timing")
     pumping = [score_policy(PumpingPolicy, SWING, seeds=[1], action=kind).mean for kind in ("timing", "acceleration")]
     assert chance.mean < 80.0 < crossing.mean < pumping[0]

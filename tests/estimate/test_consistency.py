@@ -42,7 +42,9 @@ def test_where_the_model_is_right(moved):
             assert abs(pairs.mean()) < 4.0 / np.sqrt(pairs.size)
 
 
-@pytest.mark.parametrize("moved", [False, True], ids=["free swings", "casts"])
+@pytest.mark.parametrize(
+    "moved", [pytest.param(False, marks=pytest.mark.nightly, id="free swings"), pytest.param(True, id="casts")]
+)
 def test_with_a_finer_truth(moved):
     """100 links for 50, undisturbed, whose differences come in bursts: single runs hold 67 to 99 %, 86 % on average."""
     runs = [
@@ -55,7 +57,7 @@ def test_with_a_finer_truth(moved):
         assert held > 0.7, name
 
 
-@pytest.mark.parametrize("frames", [7.5, 30.0])
+@pytest.mark.parametrize("frames", [7.5, pytest.param(30.0, marks=pytest.mark.nightly)])
 def test_starts_with_a_wrong_length(frames):
     """1 % off, from random shapes, at 7.5 frames/s too: always finite, and the tip is right a second later."""
     for seed in range(4):
@@ -66,7 +68,9 @@ def test_starts_with_a_wrong_length(frames):
         assert found.rms("tip", 1.0) < 5e-3
 
 
-@pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
+@pytest.mark.parametrize(
+    "moved", [pytest.param(False, id="free swing"), pytest.param(True, marks=pytest.mark.nightly, id="cast")]
+)
 def test_joint_friction_near_its_bound(moved):
     """No estimate is surer than the Cramer-Rao bound; this one, which has to allow for disturbances, nearly so."""
     truth = disturbed(moved=moved, n=25, duration=5.2, at=0.1)

@@ -218,7 +218,7 @@ def test_a_shadow_that_is_less_dark_is_not_taken_for_the_rope():
     np.testing.assert_allclose(view.points[:, 3, 0] + found.offsets * view.normals[:, 3, 0], 100.0, atol=0.2)
 
 
-@pytest.mark.parametrize("hidden", [0.03, 0.09])
+@pytest.mark.parametrize("hidden", [0.03, pytest.param(0.09, marks=pytest.mark.nightly)])
 def test_where_a_hidden_rope_seems_to_end_is_not_its_end(hidden, tmp_path):
     """The wall is painted over the end of the rope, in all frames: the tip is as stated, and doubted."""
     tracker, motion = bare(), RopeMotion.from_trajectory(free_swing(3, 2.0))

@@ -145,7 +145,7 @@ def test_lengths_are_reported_for_the_rope_and_do_not_change_positions(swing):
     assert f"arc_lengths {found.arc_lengths[0]:.5g},{found.arc_lengths[1]:.5g}" in said
 
 
-@pytest.mark.parametrize("timing", [{"exposure": 30.0}, {"readout": 0.04}])
+@pytest.mark.parametrize("timing", [pytest.param({"exposure": 30.0}, marks=pytest.mark.nightly), {"readout": 0.04}])
 def test_times_longer_than_the_frame_interval_are_refused(swing, timing):
     name = next(iter(timing))
     with pytest.raises(InvalidInput, match=f"{name} is longer than the time from frame to frame.*at most 0.033"):

@@ -277,7 +277,15 @@ EXITS = {
 }
 
 
-@pytest.mark.parametrize("way", EXITS)
+def exits():
+    """All ends with one make; with the others one, and the rest nightly: a program ends alike whatever its motor is."""
+    for made in MAKES:
+        for way in EXITS:
+            marks = [pytest.mark.nightly] * (made is not MAKES[0] and way != "close")
+            yield pytest.param(made, way, id=f"{made.name}-{way}", marks=marks)
+
+
+@pytest.mark.parametrize(("make", "way"), [*exits()], indirect=["make"])
 def test_every_end_of_a_program_switches_the_torque_off(host, motor, link, way):
     process = host(way)
     EXITS[way](process)

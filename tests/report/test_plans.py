@@ -67,6 +67,13 @@ PAGES = {  # a report, its figures, and what the page says
 }
 
 
+@pytest.fixture
+def unseen(monkeypatch):
+    """Figures are made, but not turned into pixels, nor the run into a film: the test of pages does that."""
+    monkeypatch.setattr(plan_report, "png", lambda _: b"\x89PNG")
+    monkeypatch.setattr(plan_report, "player_html", lambda *_, **__: "<p>film</p>")
+
+
 @pytest.mark.parametrize(("made", "figures", "values"), PAGES.values(), ids=PAGES.keys())
 def test_the_page_of_a_plan_states_its_kind(tmp_path, made, figures, values):
     files = made().write(tmp_path)
@@ -86,6 +93,7 @@ def test_a_plan_without_moves_is_a_page_with_the_reason(tmp_path, kind, made):
     assert unreachable().measure_holding_force() is None
 
 
+@pytest.mark.usefixtures("unseen")
 @pytest.mark.parametrize(
     ("made", "reason"),
     [
@@ -104,6 +112,7 @@ def test_a_plan_that_fails_reports_it_first(tmp_path, made, reason):
     assert "verified by simulation" not in page
 
 
+@pytest.mark.usefixtures("unseen")
 @pytest.mark.parametrize("made", [late, stopped, lambda: stopped(None)], ids=["late", "stopped", "no throw"])
 def test_a_search_that_did_not_end_invents_no_results_and_advises_to_continue(tmp_path, made):
     plan = made()
@@ -189,6 +198,7 @@ def test_warnings(monkeypatch):
     assert f"weight at the arm makes {weight:.2g} N m" in WhipReport(whip).warning
 
 
+@pytest.mark.usefixtures("unseen")
 def test_a_plan_that_failed_with_shorter_links_first_shows_that_run(tmp_path):
     fails = replace(planned(winds=False), finer_outcome=planned(winds=False).outcome)
     plan = replace(fails, outcome=None)

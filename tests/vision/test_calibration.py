@@ -33,7 +33,12 @@ def parallel(lean):
 
 
 @pytest.mark.parametrize(
-    ("board", "legacy"), [(CHARUCO, False), (CHARUCO, True), (CHESSBOARD, False)], ids=["new", "legacy", "chessboard"]
+    ("board", "legacy"),
+    [
+        pytest.param(CHARUCO, False, marks=pytest.mark.nightly, id="new"),  # in the gate: the command on a video
+        pytest.param(CHARUCO, True, id="legacy"),
+        pytest.param(CHESSBOARD, False, id="chessboard"),
+    ],
 )
 def test_camera_and_scale_are_found(board, legacy):
     """Reprojection below 0.3 px and the scale in the plane within 0.1 %: the acceptance figures."""
@@ -69,7 +74,10 @@ REFUSED = {  # pictures, the board that is declared, and what is said
 }
 
 
-@pytest.mark.parametrize(("views", "board", "message"), REFUSED.values(), ids=REFUSED.keys())
+@pytest.mark.parametrize(
+    ("views", "board", "message"),
+    [pytest.param(*each, id=name, marks=[pytest.mark.nightly] * (name == "facing")) for name, each in REFUSED.items()],
+)
 def test_views_that_do_not_fit_are_refused(views, board, message):
     refuses(message, calibrate_camera, views(), Board(*board))
 

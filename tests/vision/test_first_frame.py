@@ -57,19 +57,17 @@ def bars(count, width):
     return tuple(thing(arc, (-0.3, -0.1), (0.3, 0.1), width) for arc in np.linspace(0.2, 0.85, count))
 
 
+BRIGHT = {"rope_colour": (230.0, 230.0, 230.0), "background": (50.0, 50.0, 60.0), "clutter": 8, "seed": 2}
+RED = {"rope_colour": (40.0, 40.0, 200.0), "background": (110.0, 130.0, 120.0)}
+
+
 @pytest.mark.parametrize(
     "scene",
     [
-        {"clutter": 8, "shadow": (0.1, -0.05, 0.3), "seed": 1},
-        {"rope_colour": (230.0, 230.0, 230.0), "background": (50.0, 50.0, 60.0), "clutter": 8, "seed": 2},
-        {
-            "rope_colour": (40.0, 40.0, 200.0),
-            "background": (110.0, 130.0, 120.0),
-            "wall_texture": 12.0,
-            "rope_texture": 0.2,
-        },
+        pytest.param({"clutter": 8, "shadow": (0.1, -0.05, 0.3), "seed": 1}, id="dark"),
+        pytest.param(BRIGHT, id="bright", marks=pytest.mark.nightly),  # in the gate: in dim light
+        pytest.param(RED | {"wall_texture": 12.0, "rope_texture": 0.2}, id="coloured"),
     ],
-    ids=["dark", "bright", "coloured"],
 )
 def test_a_bent_rope_is_found(scene):
     """Within half a pixel (half the spacing of points), its end within two, angles of links within 2 degrees."""
@@ -102,7 +100,10 @@ HARD = {
 }
 
 
-@pytest.mark.parametrize(("motion", "scene"), HARD.values(), ids=HARD.keys())
+@pytest.mark.parametrize(
+    ("motion", "scene"),
+    [pytest.param(*each, id=name, marks=[pytest.mark.nightly] * (name == "it moves")) for name, each in HARD.items()],
+)
 def test_a_rope_is_found_to_two_pixels_though(motion, scene):
     image, truth = shown(motion, **scene)
     assert max(off(find_rope(image, truth[0], tone=scene.get("tone")).curve, truth)) < 2.0
@@ -251,7 +252,10 @@ def second(motion):
         (Reason.NOTHING, bent(), {"rope_width": 0.0, "clutter": 4}, None),
         (Reason.NOTHING, bent(), {"rope_colour": (175.0, 180.0, 180.0), "wall_texture": 10.0}, None),
         (Reason.TWO, bent(), {"occluders": second(bent(-0.5, 0.3))}, None),
-        (Reason.TWO, bent(), {"occluders": (Occluder((0.0, 0.0), (0.05, -0.9), 0.01, (45.0, 45.0, 45.0)),)}, None),
+        pytest.param(
+            *(Reason.TWO, bent(), {"occluders": (Occluder((0.0, 0.0), (0.05, -0.9), 0.01, (45.0, 45.0, 45.0)),)}, None),
+            marks=pytest.mark.nightly,
+        ),
         (Reason.OUTSIDE, bent(1.2, 0.9), {}, None),
         (Reason.LENGTH, bent(), {}, 320.0),
         (Reason.LENGTH, bent(), {}, 180.0),
