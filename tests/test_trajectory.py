@@ -25,12 +25,8 @@ def made_up(seed: int = 1, **changes) -> Trajectory:
     base = np.stack([0.1 * t, -0.2 * t**2], axis=1)
     rope = Rope.uniform(length=1.0, mass=0.3, n_links=LINKS, friction=1e-3).replace(length=LENGTH, com=LENGTH / 2)
     setup = Setup(rope=rope, arm=Arm(length=0.1), motion=arm_swings(), duration=0.6)
-    parts = {
-        "t": t,
-        "q": q,
-        "qd": qd,
-        "qdd": qdd,
-        "base": base,
+    parts = {"t": t, "q": q, "qd": qd, "qdd": qdd, "base": base, "setup": setup}
+    parts |= {
         "base_velocity": np.stack([np.full_like(t, 0.1), -0.4 * t], axis=1),
         "arm_angle": t - 1.0,
         "arm_rate": np.ones_like(t),
@@ -39,7 +35,6 @@ def made_up(seed: int = 1, **changes) -> Trajectory:
         "dissipated_energy": t**2,
         "motor_work": np.sin(t),
         "motor_torque": np.cos(t),
-        "setup": setup,
         "state": State(
             0.6, q[-1], qd[-1], 0.05, 0.5, 0.25, {"table": rng.uniform(size=(2, 3)), "order": 6, "err": 0.1}
         ),

@@ -88,9 +88,8 @@ def test_a_plan_is_followed_where_nothing_disturbs(recheck_time):
     rule = PumpingRule(MODEL, wanted, rests=plan, arrival_time=reached)
     swung = run_closed_loop(TrueState(ROPE, ARM), rule, MODEL, duration=reached, recheck_time=recheck_time)
     t, x = reach(swung.motion, 6.0)
-    assert (
-        control.arrival_time(t, x[None], wanted)[0] < reached + 0.02
-    )  # not later than planned, within planning's tolerance
+    # not later than planned, within planning's tolerance
+    assert control.arrival_time(t, x[None], wanted)[0] < reached + 0.02
 
 
 @pytest.mark.parametrize("planned", [True, False])

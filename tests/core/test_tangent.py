@@ -35,17 +35,8 @@ def random_direction(n: int, seed: int, *, parameters: bool) -> Direction:
     it = Direction(n)
     it.q, it.w, it.base = rng.normal(size=n), rng.normal(size=n), rng.normal(size=7)
     if parameters:
-        sizes = {
-            "length": 0.1,
-            "mass": 0.01,
-            "com": 0.1,
-            "inertia": 1e-5,
-            "viscous": 1e-3,
-            "stiffness": 0.05,
-            "rest": 1,
-            "drag": 1e-3,
-        }
-        it.links = {name: size * rng.normal(size=n) for name, size in sizes.items()}
+        sizes = (0.1, 0.01, 0.1, 1e-5, 1e-3, 0.05, 1.0, 1e-3)
+        it.links = {name: size * rng.normal(size=n) for name, size in zip(LINKS, sizes, strict=True)}
         it.tip_mass, it.gx, it.gy = 0.01 * rng.normal(), *rng.normal(size=2)
         it.torque, it.stretch = 0.01 * rng.normal(), rng.normal()
     return it
@@ -84,15 +75,8 @@ def seeds_of(links: Any, it: Direction) -> Real:
     """A direction's seeds (n, SEEDS): the kernels know m a and J + m a^2."""
     seeds = np.zeros((len(it.q), tg.SEEDS))
     change = it.links
-    for slot, name in (
-        (tg.LENGTH, "length"),
-        (tg.MASS, "mass"),
-        (tg.VISCOUS, "viscous"),
-        (tg.STIFFNESS, "stiffness"),
-        (tg.REST, "rest"),
-        (tg.DRAG, "drag"),
-    ):
-        seeds[:, slot] = change[name]
+    for name in ("length", "mass", "viscous", "stiffness", "rest", "drag"):
+        seeds[:, getattr(tg, name.upper())] = change[name]
     seeds[:, tg.MA] = links.com * change["mass"] + links.mass * change["com"]
     seeds[:, tg.INERTIA] = change["inertia"] + links.com**2 * change["mass"]
     seeds[:, tg.INERTIA] += 2.0 * links.mass * links.com * change["com"]

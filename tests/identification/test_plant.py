@@ -21,21 +21,8 @@ ARCS = np.array([0.0, 0.11, 0.31, 0.6])
 ARM, MOTION = Arm(0.1, pivot=(0.3, -0.2)), arm_swings(t_move=0.5, t_rest=0.3)
 T = np.array([0.2, 0.31, 0.4, 0.62, 0.9])
 STATE = np.array([0.3, 0.5, 0.9, 1.0, -2.0, 0.5])
-WORDS = [
-    "inertia",
-    "com[1]",
-    "mass:shared",
-    "length",
-    "friction:factor",
-    "friction:taper",
-    "stiffness[2]",
-    "tip_mass",
-    "gravity_angle",
-    "delay",
-    "origin_x",
-    "origin_y",
-    "arc",
-]
+WORDS = ["inertia", "com[1]", "mass:shared", "length", "friction:factor", "friction:taper", "stiffness[2]"]
+WORDS += ["tip_mass", "gravity_angle", "delay", "origin_x", "origin_y", "arc"]
 
 
 def plant(words: list[str], *, places: bool) -> Plant:
@@ -46,16 +33,8 @@ def plant(words: list[str], *, places: bool) -> Plant:
 def test_places_are_those_of_the_joints_and_the_points_between():
     it = plant(["friction"], places=True)
     seen = it.predict(it.parameters.start, T, STATE)
-    run = simulate(
-        ROPE,
-        MOTION.shifted(-T[0]),
-        arm=ARM,
-        duration=T[-1] - T[0],
-        t_eval=T - T[0],
-        q0=STATE[:3],
-        qd0=STATE[3:],
-        tol=1e-9,
-    )
+    t, start = T - T[0], {"q0": STATE[:3], "qd0": STATE[3:]}
+    run = simulate(ROPE, MOTION.shifted(-T[0]), arm=ARM, duration=t[-1], t_eval=t, tol=1e-9, **start)
     joints = run.joints  # (T, n + 1, 2), the first joint first
     between = [joints[:, 0], joints[:, 0] + 0.11 / 0.2 * (joints[:, 1] - joints[:, 0])]
     between += [joints[:, 1] + 0.11 / 0.25 * (joints[:, 2] - joints[:, 1]), joints[:, 3]]
