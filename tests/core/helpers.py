@@ -61,3 +61,8 @@ def scene_of(setup: hf.Setup) -> Scene:
         for kind, given in ((kernels.Chain, setup.chain()), (Drive, setup.drive()))
     )
     return Scene(chain, drive, setup.contacts(), np.zeros(2))
+
+
+def rise(values: Real) -> float:
+    """By how much values (T,) rise at most above what they were before."""
+    return float((values - np.minimum.accumulate(values)).max())

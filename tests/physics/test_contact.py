@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from tests.core.helpers import rise
 from tests.reference.random_throws import draw
 from tests.reference.wrapping import capstan, laid, slipped
 from tests.refusals import refuses
@@ -80,11 +81,6 @@ def throws(seed: int) -> tuple[hf.Rope, dict[str, object]]:
     side = rng.choice([-1.0, 1.0])
     q0 = side * rng.uniform(1.5, 2.5) + rng.normal(0.0, 0.2) * np.linspace(0.0, 1.0, 30)
     return rope, {"pegs": pegs, "q0": q0, "duration": 1.0}
-
-
-def rise(values: np.ndarray) -> float:
-    """By how much values (T,) rise at most above what they were before."""
-    return float((values - np.minimum.accumulate(values)).max())
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -11,15 +11,10 @@ from hyperflex.core.contact.memory import new_contact_memory, save_memory, save_
 from hyperflex.core.contact.run import new_contact_workspace, try_step
 from hyperflex.model import DEFAULT_TOL
 from hyperflex.simulation.contact import COARSE_TOL
-from tests.core.helpers import scene_of
+from tests.core.helpers import rise, scene_of
 from tests.reference.random_throws import draw
 
 FAR = hf.Peg(50.0, 50.0, 0.05)
-
-
-def rise(values: np.ndarray) -> float:
-    """By how much values (T,) rise at most above what they were before."""
-    return float((values - np.minimum.accumulate(values)).max())
 
 
 @pytest.mark.parametrize("n", [1, 8])

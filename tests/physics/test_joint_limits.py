@@ -7,6 +7,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import SimulationError
+from tests.core.helpers import rise
 from tests.refusals import refuses
 
 PASSED = 1e-3  # rad, the project's goal
@@ -17,11 +18,6 @@ def past(run: hf.Trajectory) -> float:
     rope = run.setup.rope
     bend = np.diff(run.q, axis=1, prepend=run.arm_angle[:, None]) - rope.rest_angle
     return float((np.abs(bend) - rope.max_bend).max())
-
-
-def rise(values: np.ndarray) -> float:
-    """By how much values (T,) rise at most above what they were before."""
-    return float((values - np.minimum.accumulate(values)).max())
 
 
 def test_a_rod_that_falls_on_its_limit_stays_there():

@@ -11,7 +11,7 @@ from hyperflex.core.chain.drive import segment
 from hyperflex.core.contact.memory import new_contact_memory
 from hyperflex.core.contact.run import new_contact_workspace, try_step
 from hyperflex.winding import measure_winding, rope_slip
-from tests.core.helpers import scene_of
+from tests.core.helpers import rise, scene_of
 from tests.reference.wrapping import ARM, laid
 
 RADIUS, WEIGHT, GRAVITY = 0.05, 0.1, 9.81  # m, kg at the tip, m/s^2
@@ -28,11 +28,6 @@ def hung(tail: float = 0.15, mu: float = 0.2, **axle: float) -> tuple[hf.Rope, h
     length = TOP + math.pi * AXIS + tail
     rope = hf.Rope.uniform(length, 1e-4, round(length / 0.005), friction=1e-5, tip_mass=WEIGHT, gravity=(0.0, GRAVITY))
     return rope, hf.Peg(0.0, 0.0, RADIUS, mu, **axle), laid(rope.length, (-AXIS, TOP), AXIS, math.pi)
-
-
-def rise(values: np.ndarray) -> float:
-    """By how much values (T,) rise at most above what they were before."""
-    return float((values - np.minimum.accumulate(values)).max())
 
 
 @pytest.mark.parametrize(("sense", "ratio"), [(1.0, math.exp(0.2 * math.pi)), (-1.0, math.exp(-0.2 * math.pi))])
