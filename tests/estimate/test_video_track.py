@@ -11,22 +11,9 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate import (
-    EstimatedParameter,
-    MarkerMeasurement,
-    RopeFilter,
-    RopeTracker,
-    VideoTrack,
-    track_video,
-)
+from hyperflex.estimate import EstimatedParameter, MarkerMeasurement, RopeFilter, RopeTracker, VideoTrack, track_video
 from hyperflex.files import read_netcdf
-from hyperflex.vision import (
-    Camera,
-    MarkerColour,
-    MarkerDetector,
-    VideoReader,
-    VideoWriter,
-)
+from hyperflex.vision import Camera, MarkerColour, MarkerDetector, VideoReader, VideoWriter
 from tests.estimate.filmed import ARCS, facing, film_swing
 from tests.estimate.runs import free_swing, rope
 from tests.vision.test_video import UPRIGHT

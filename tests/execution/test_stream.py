@@ -161,8 +161,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize(
-    "number",
-    [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, pytest.param(signal.SIGQUIT, marks=pytest.mark.nightly)],
+    "number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, pytest.param(signal.SIGQUIT, marks=pytest.mark.nightly)]
 )
 def test_the_torque_is_off_when_the_program_ends_by_a_signal(tmp_path: Path, number: signal.Signals) -> None:
     """Those that are typed at a terminal go to all processes of the program."""

@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.vision import (
-    Camera,
-    Occluder,
-    Renderer,
-    RopeMotion,
-    Scene,
-    VideoReader,
-    frame_times,
-    random_occlusion,
-)
+from hyperflex.vision import Camera, Occluder, Renderer, RopeMotion, Scene, VideoReader, frame_times, random_occlusion
 from tests.refusals import refuses
 from tests.vision.ropes import ARCS, camera, sliding, swinging
 
