@@ -3,14 +3,13 @@
 import itertools
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import replace
+from multiprocessing.connection import wait
 from pathlib import Path
 
 import numpy as np
@@ -487,65 +486,14 @@ def test_an_estimator_that_cannot_begin_reports_why(video, tmp_path):
     refuses("does not run", source.wait_until_found, 1.0)
 
 
-PARENT = """
-import os, signal, sys, time
-import numpy as np
-from hyperflex.estimate import CameraStateSource, TrackingTask
-from hyperflex.model import Rope
-from hyperflex.vision import MarkerColour, read_camera
-
-if __name__ == "__main__":
-    folder = sys.argv[1]
-    task = TrackingTask(
-        Rope.from_toml(folder + "/rope.toml"), np.linspace(0.25, 2.0, 8), read_camera(folder + "/camera.toml"),
-        [MarkerColour([float(v) for v in sys.argv[2].split(",")])],
-    )
-    source = CameraStateSource(folder + "/swing.mp4", task)
-    source.__enter__()
-    print(source.pid, flush=True)
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-def check_ended(pid: int) -> None:
-    until = time.monotonic() + 10.0
-    while time.monotonic() < until and alive(pid):
-        time.sleep(0.05)
-    assert not alive(pid)
-
-
 def test_an_estimator_ends_by_itself_if_nobody_listens(video, pictures, tmp_path):
-    """Its video goes on for a minute."""
+    """Its video goes on for a minute. That children of a killed program get to know it: tests/execution/test_stream."""
     with VideoWriter(tmp_path / "slow.mp4", (640, 480)) as slow:
         for frame, t in zip(pictures[:2], (0.0, 60.0), strict=True):
             slow.write(frame.image, t)
     with CameraStateSource(str(tmp_path / "slow.mp4"), task(video)) as source:
-        pid = source.pid
-        assert alive(pid)
         source._child.link.close()  # as the system does when the parent is killed
-        check_ended(pid)
-
-
-@pytest.mark.nightly
-def test_nothing_is_left_of_a_killed_parent(video, tmp_path):
-    folder = video[0].parent
-    rope(20).to_toml(folder / "rope.toml")
-    facing().write(folder / "camera.toml")
-    program = tmp_path / "parent.py"
-    program.write_text(PARENT)
-    colour = ",".join(map(str, video[1].bgr))
-    done = subprocess.run(
-        [sys.executable, str(program), str(folder), colour], capture_output=True, text=True, check=False, timeout=120
-    )
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    check_ended(int(done.stdout))
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
+        assert wait([source._child._process.sentinel], 10.0), "it outlives its parent"
 
 
 def test_the_motion_reaches_the_estimator():

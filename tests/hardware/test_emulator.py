@@ -2,11 +2,9 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from functools import partial
-from pathlib import Path
+from multiprocessing.connection import wait
 
 import numpy as np
 import pytest
@@ -93,46 +91,11 @@ def test_a_motion_streamed_to_an_emulated_drive_with_a_bad_wire(make: str) -> No
     assert seen.column("enabled")[-1] == 0.0
 
 
-PARENT = """
-import time, hyperflex as hf
-from hyperflex.hardware.emulate import Emulator, MotorModel
-from tests.hardware.echo import Echo
-if __name__ == "__main__":
-    with Emulator(Echo, MotorModel()) as emulator:
-        print(emulator.pid, flush=True)
-        time.sleep(60.0)
-"""
-
-
-def check_ended(number: int) -> None:
-    until = time.monotonic() + 20.0
-    while time.monotonic() < until:
-        try:
-            os.kill(number, 0)
-        except ProcessLookupError:
-            return
-        time.sleep(0.05)
-    pytest.fail("the emulator outlives its parent")
-
-
 def test_an_emulator_ends_if_nobody_listens() -> None:
+    """That children of a killed program get to know it: tests/execution/test_stream."""
     with Emulator(Echo, MotorModel()) as emulator:
-        number = emulator.pid
-        os.kill(number, 0)
         emulator._child.link.close()  # as the system does when the parent is killed
-        check_ended(number)
-
-
-@pytest.mark.nightly
-def test_an_emulator_ends_with_a_parent_that_is_killed(tmp_path) -> None:
-    script = tmp_path / "parent.py"
-    script.write_text(PARENT)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
-    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, env=environment) as parent:
-        number = int(parent.stdout.readline())
-        os.kill(number, 0)
-        parent.send_signal(signal.SIGKILL)
-    check_ended(number)
+        assert wait([emulator._child._process.sentinel], 20.0), "it outlives its parent"
 
 
 def test_a_device_that_cannot_be_made_is_reported_to_the_parent() -> None:
