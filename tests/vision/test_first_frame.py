@@ -19,7 +19,7 @@ from hyperflex.vision import (
 )
 from hyperflex.vision.first_frame import _check_beyond, _check_end, _check_seen
 from hyperflex.vision.look import Cover, rope_along
-from hyperflex.vision.ridges import Mixture, Path, Ridges, _apart, _best_of_cells
+from hyperflex.vision.ridges import Mixture, Path, Ridges, _apart
 from tests.refusals import refuses
 
 LINKS, LENGTH = 60, 1.0  # m
@@ -185,15 +185,6 @@ def test_a_wall_that_the_rope_is_before_elsewhere_hides_no_end():
     _check_beyond(seen)
     seen.contrast[200:] = 0.0
     no_rope(Reason.END, "the wall changes there by", _check_beyond, seen)
-
-
-def test_the_places_on_a_wide_thing_do_not_crowd_out_a_thin_rope():
-    """441 places on a thing 16 px wide are better than the one on a rope 2 px wide; 50 candidates are kept."""
-    wide = np.stack(np.meshgrid(*2 * (np.arange(21.0),)), axis=-1).reshape(-1, 1, 2)
-    ahead = np.concatenate([wide, [[[100.0, 100.0]]]])
-    size, total = np.full((442, 1), 3.0), np.full((442, 1), 2.0)
-    size[-1], total[-1] = 0.0, 1.0
-    assert 441 in _best_of_cells(ahead, np.zeros((442, 1)), size, total, 50)[0]
 
 
 def drawn(*bands):
