@@ -1,6 +1,7 @@
 """Swings through contact, for targets that stop each free swing."""
 
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hyperflex.planning import MotorLimits, Problem, SearchOptions, plan_cast
 from hyperflex.planning.clearance import sampled_obstacle_gaps
 from hyperflex.planning.feasibility import longest_time
 from hyperflex.planning.moves import Moves
+from hyperflex.planning.planner import Verified
 from hyperflex.planning.swings import Strike
 from hyperflex.planning.swings_in_contact import SwingsInContact
 from hyperflex.planning.tasks.wind import WindTask
@@ -91,6 +93,31 @@ def test_a_rope_that_was_measured_is_not_cast_from_rest(problem):
         task = WindTask(problem, PEG, SearchOptions(threads=1), seen=seen, anew=anew)
         task.search.passes = 1
         assert task._stopped == anew
+
+
+@pytest.mark.parametrize(("failures", "part"), [(0, 0.8), (3, 0.5), (15, 0.2)])
+def test_swings_of_a_kind_that_fails_get_less_time(problem, monkeypatch, failures, part):
+    """Each draw takes a second of a clock that counts."""
+    one, drawn = Strike(Moves(1, np.array([-1.5]), np.array([0.1])), 1.0, 1.0, through_contact=True), list[bool]()
+
+    class Counting(WindTask):
+        def _free(self, found, budget):
+            drawn.append(False)
+            return [one]
+
+        def _through_contact(self, found, budget):
+            drawn.append(True)
+            return [one]
+
+    failed = Verified(one, None, None, "it comes off", -1.0)
+    monkeypatch.setattr("hyperflex.planning.tasks.wind.verify_members", lambda *given: failed)
+    task, budget = Counting(problem, PEG, SearchOptions(threads=1)), Budget(1e6, clock=count().__next__)
+    task.search.passes = 1  # no free swing has wound the rope
+    for _ in range(failures):
+        assert task.verify(one, budget).message
+    for _ in range(200):
+        task.sample([], budget)
+    assert np.mean(drawn) == pytest.approx(part, abs=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -29,6 +29,8 @@ from hyperflex.planning.swings import MIN_SPEED, State, Strike, Swing, SwingSear
 from hyperflex.planning.swings_in_contact import SwingsInContact
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
+# Time for samples of swings through contact, over that of free ones, while no free swing has wound the rope
+THROUGH = 4.0
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
 # and the rest before it, in periods, in which a short tail comes to rest. Of 461 swings that struck 43 targets 53 wound
 # with the first, 95 with one of the first eight of these and 100 with any of 15 without a rest
@@ -112,6 +114,7 @@ class WindTask(Task):
         self._samples = self._draws = 0
         self._anew = anew or not seen
         self._winds_freely = self._winds_on = False  # whether the rope winds after free flight, and through contact
+        self._spent, self._failed = [0.0, 0.0], [0, 0]  # s, and failed verifications: of free swings, through contact
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
@@ -126,16 +129,16 @@ class WindTask(Task):
             elif self._again:
                 new, self._again = self._again, []
             else:
-                self._samples += 1
-                strikes = [one for one in found if isinstance(one, Strike)]
-                pumped = self._stopped and self._samples % 5 > 0
+                strikes, pumped, before = [one for one in found if isinstance(one, Strike)], self._pumps, budget.elapsed
                 some = [one for one in strikes if one.through_contact == pumped]
                 new = self._through_contact(some, budget) if pumped else self._free(some, budget)
+                self._spent[pumped] += budget.elapsed - before
         self._count()
         return list(new)
 
     def _free(self, found: list[Strike], budget: Budget) -> list[Strike]:
         """Return free swings that strike: by turns from the beam search, near the best ones, and with other ends."""
+        self._samples += 1
         best, wound = self._some(found), self._some([one for one in found if one.winds])
         if wound and self._samples % 3 == 0:
             return [self.other_ends(wound[self.search.random.integers(len(wound))])]
@@ -149,6 +152,15 @@ class WindTask(Task):
     def _stopped(self) -> bool:
         """Whether the beam search has begun again, and no free swing wound the rope before others did."""
         return self._anew and self.search.passes > 0 and (self._winds_on or not self._winds_freely)
+
+    @property
+    def _pumps(self) -> bool:
+        """Whether to sample swings through contact next: they get THROUGH times the time of free ones.
+
+        The share of either falls with its failed verifications, as 1 / (1 + k): swings of one kind mostly fail alike.
+        """
+        free, through = (spent * (1 + failed) for spent, failed in zip(self._spent, self._failed, strict=True))
+        return self._stopped and through <= THROUGH * free
 
     def _through_contact(self, found: list[Strike], budget: Budget) -> list[Strike]:
         """Return swings in contact that nearly wind: by turns from the beam search, near the best, with other ends."""
@@ -301,6 +313,7 @@ class WindTask(Task):
         most, seen = self.pumping.problem.time, found.outcome
         if isinstance(one, Strike) and one.through_contact and not found.message and seen.strike_time > most:
             found = replace(found, message=f"it strikes at {seen.strike_time:.2f} s, {most:.2f} s allowed", margin=-1.0)
+        self._failed[isinstance(one, Strike) and one.through_contact] += bool(found.message)
         if found.message or not self.scenarios:
             return found
         values = self._values(one.moves, self.scenarios, budget)
