@@ -1,7 +1,6 @@
 """Swings through contact, for targets that stop each free swing."""
 
 from dataclasses import replace
-from itertools import count
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from hyperflex.planning.moves import Moves
 from hyperflex.planning.planner import Verified
 from hyperflex.planning.swings import Strike
 from hyperflex.planning.swings_in_contact import SwingsInContact
-from hyperflex.planning.tasks.wind import WindTask
+from hyperflex.planning.tasks.wind import THROUGH, WindTask
 from tests.refusals import refuses
 
 ROPE, ARM = hf.Rope.uniform(0.8, 0.04, 20, 0.003, friction=1e-4), hf.Arm(length=0.08)
@@ -95,29 +94,29 @@ def test_a_rope_that_was_measured_is_not_cast_from_rest(problem):
         assert task._stopped == anew
 
 
-@pytest.mark.parametrize(("failures", "part"), [(0, 0.8), (3, 0.5), (15, 0.2)])
-def test_swings_of_a_kind_that_fails_get_less_time(problem, monkeypatch, failures, part):
-    """Each draw takes a second of a clock that counts."""
-    one, drawn = Strike(Moves(1, np.array([-1.5]), np.array([0.1])), 1.0, 1.0, through_contact=True), list[bool]()
+@pytest.mark.parametrize("dear", ["draw", "verification"])
+def test_free_swings_and_those_through_contact_share_the_time(problem, monkeypatch, dear):
+    """What is dear takes 30 s through contact, all else 1 s."""
+    free, pumped = (Strike(Moves(1, np.full(1, -1.5), np.full(1, 0.1)), 1.0, 1.0, through_contact=k) for k in (0, 1))
+    now, spent = [0.0], {free: 0.0, pumped: 0.0}
 
-    class Counting(WindTask):
-        def _free(self, found, budget):
-            drawn.append(False)
-            return [one]
+    def step(one, what):
+        seconds = 30.0 if one is pumped and what == dear else 1.0
+        now[0] += seconds
+        spent[one] += seconds
+        return [one] if what == "draw" else Verified(one, None, None, "it comes off", -1.0)
 
-        def _through_contact(self, found, budget):
-            drawn.append(True)
-            return [one]
-
-    failed = Verified(one, None, None, "it comes off", -1.0)
-    monkeypatch.setattr("hyperflex.planning.tasks.wind.verify_members", lambda *given: failed)
-    task, budget = Counting(problem, PEG, SearchOptions(threads=1)), Budget(1e6, clock=count().__next__)
-    task.search.passes = 1  # no free swing has wound the rope
-    for _ in range(failures):
-        assert task.verify(one, budget).message
-    for _ in range(200):
-        task.sample([], budget)
-    assert np.mean(drawn) == pytest.approx(part, abs=0.02)
+    monkeypatch.setattr(WindTask, "_free", lambda *given: step(free, "draw"))
+    monkeypatch.setattr(WindTask, "_through_contact", lambda *given: step(pumped, "draw"))
+    monkeypatch.setattr("hyperflex.planning.tasks.wind.verify_members", lambda *given: step(given[3], "verification"))
+    task, budget = WindTask(problem, PEG, SearchOptions(threads=1)), Budget(1e6, clock=lambda: now[0])
+    assert [task.sample([], budget) for _ in range(50)] == [[free]] * 50  # the target does not stop free swings
+    task.search.passes, spent[free], drawn = 1, 0.0, []
+    for _ in range(500):
+        drawn += task.sample([], budget)
+        task.verify(drawn[-1], budget)
+    assert free in drawn[:10]  # the time before does not count
+    assert spent[pumped] / spent[free] == pytest.approx(THROUGH, rel=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from hyperflex.planning.swings import MIN_SPEED, State, Strike, Swing, SwingSear
 from hyperflex.planning.swings_in_contact import SwingsInContact
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
-# Time for samples of swings through contact, over that of free ones, while no free swing has wound the rope
+# Time for swings through contact, over that for free ones, while the target stops these
 THROUGH = 4.0
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
 # and the rest before it, in periods, in which a short tail comes to rest. Of 461 swings that struck 43 targets 53 wound
@@ -114,10 +114,13 @@ class WindTask(Task):
         self._samples = self._draws = 0
         self._anew = anew or not seen
         self._winds_freely = self._winds_on = False  # whether the rope winds after free flight, and through contact
-        self._spent, self._failed = [0.0, 0.0], [0, 0]  # s, and failed verifications: of free swings, through contact
+        self._spent = [0.0, 0.0]  # s, since the target stops free swings: on these, and on swings through contact
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
+        """Return swings that strike: those given, then free ones, and through contact where the target stops these.
+
+        Both kinds share the time, also that of their rollouts and verifications.
+        """
         new: Sequence[Strike] = ()
         while not new:
             self._count()
@@ -129,10 +132,11 @@ class WindTask(Task):
             elif self._again:
                 new, self._again = self._again, []
             else:
-                strikes, pumped, before = [one for one in found if isinstance(one, Strike)], self._pumps, budget.elapsed
-                some = [one for one in strikes if one.through_contact == pumped]
-                new = self._through_contact(some, budget) if pumped else self._free(some, budget)
-                self._spent[pumped] += budget.elapsed - before
+                through = self._stopped and self._spent[True] <= THROUGH * self._spent[False]
+                some = [one for one in found if isinstance(one, Strike) and one.through_contact == through]
+                before = budget.elapsed
+                new = self._through_contact(some, budget) if through else self._free(some, budget)
+                self._charge([through], budget.elapsed - before)
         self._count()
         return list(new)
 
@@ -153,14 +157,10 @@ class WindTask(Task):
         """Whether the beam search has begun again, and no free swing wound the rope before others did."""
         return self._anew and self.search.passes > 0 and (self._winds_on or not self._winds_freely)
 
-    @property
-    def _pumps(self) -> bool:
-        """Whether to sample swings through contact next: they get THROUGH times the time of free ones.
-
-        The share of either falls with its failed verifications, as 1 / (1 + k): swings of one kind mostly fail alike.
-        """
-        free, through = (spent * (1 + failed) for spent, failed in zip(self._spent, self._failed, strict=True))
-        return self._stopped and through <= THROUGH * free
+    def _charge(self, through: Sequence[bool], seconds: float) -> None:
+        """Charge the time of a step to its swings, each `through` contact or free."""
+        for each in through if self._stopped else ():
+            self._spent[each] += seconds / len(through)
 
     def _through_contact(self, found: list[Strike], budget: Budget) -> list[Strike]:
         """Return swings in contact that nearly wind: by turns from the beam search, near the best, with other ends."""
@@ -187,12 +187,12 @@ class WindTask(Task):
 
         A strike whose rope winds with the first last moves, but does not stay, is tried with others later.
         """
-        swings = [one for one in some if isinstance(one, Strike)]
+        swings, before = [one for one in some if isinstance(one, Strike)], budget.elapsed
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
         states = [one.states[0] if one.through_contact else one.states[0].cut(self._cuts) for one, _ in pairs]
         sweeping = [not (one.through_contact or one.given) for one, _ in pairs]
         wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping)
-        found, good, required = list[Strike](), list[Strike](), self.problem.criteria.turns
+        found, good, required = list[Candidate](), list[Strike](), self.problem.criteria.turns
         reached = (wound.most >= required).astype(int) + np.isfinite(wound.slip) + (wound.turns >= required)
         self.furthest = max(self.furthest, int(reached.max(initial=0)))
         self.most_turns = max(self.most_turns, float(wound.most.max(initial=0.0)))
@@ -210,7 +210,9 @@ class WindTask(Task):
             found.append(tried)
             if not one.follow and winds and one.tried + len(rows) < len(FINISHES):
                 self._again.append(replace(one, tried=one.tried + len(rows), score=math.inf))
-        return found + self._confirmed(good, budget)
+        found += self._confirmed(good, budget)
+        self._charge([one.through_contact for one in swings], budget.elapsed - before)
+        return found
 
     def _wind(
         self,
@@ -299,6 +301,13 @@ class WindTask(Task):
         A rope that is wound in the end, but slips or loses turns while it is watched, as it still swings, is given
         time to settle once: the `periods` of rollouts.
         """
+        before = budget.elapsed
+        try:
+            return self._verified(one, budget)
+        finally:
+            self._charge([isinstance(one, Strike) and one.through_contact], budget.elapsed - before)
+
+    def _verified(self, one: Candidate, budget: Budget) -> Verified:
         pieces, problem, since = self.options.pieces, self.problem, 0.0
         if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
             since, q, qd = last.states[0]
@@ -313,7 +322,6 @@ class WindTask(Task):
         most, seen = self.pumping.problem.time, found.outcome
         if isinstance(one, Strike) and one.through_contact and not found.message and seen.strike_time > most:
             found = replace(found, message=f"it strikes at {seen.strike_time:.2f} s, {most:.2f} s allowed", margin=-1.0)
-        self._failed[isinstance(one, Strike) and one.through_contact] += bool(found.message)
         if found.message or not self.scenarios:
             return found
         values = self._values(one.moves, self.scenarios, budget)
