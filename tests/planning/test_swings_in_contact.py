@@ -115,7 +115,7 @@ def test_free_swings_and_those_through_contact_share_the_time(problem, monkeypat
     for _ in range(500):
         drawn += task.sample([], budget)
         task.verify(drawn[-1], budget)
-    assert free in drawn[:10]  # the time before does not count
+    assert free in drawn[:3]  # the time before does not count
     assert spent[pumped] / spent[free] == pytest.approx(THROUGH, rel=0.1)
 
 
