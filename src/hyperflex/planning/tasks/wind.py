@@ -29,8 +29,6 @@ from hyperflex.planning.swings import MIN_SPEED, State, Strike, Swing, SwingSear
 from hyperflex.planning.swings_in_contact import SwingsInContact
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
-# Time for swings through contact, over that for free ones, while the target stops these
-THROUGH = 4.0
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
 # and the rest before it, in periods, in which a short tail comes to rest. Of 461 swings that struck 43 targets 53 wound
 # with the first, 95 with one of the first eight of these and 100 with any of 15 without a rest
@@ -119,7 +117,7 @@ class WindTask(Task):
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return swings that strike: those given, then free ones, and through contact where the target stops these.
 
-        Both kinds share the time, also that of their rollouts and verifications.
+        Both kinds get the same time, also for their rollouts and verifications.
         """
         new: Sequence[Strike] = ()
         while not new:
@@ -132,7 +130,7 @@ class WindTask(Task):
             elif self._again:
                 new, self._again = self._again, []
             else:
-                through = self._stopped and self._spent[True] <= THROUGH * self._spent[False]
+                through = self._stopped and self._spent[True] <= self._spent[False]
                 some = [one for one in found if isinstance(one, Strike) and one.through_contact == through]
                 before = budget.elapsed
                 new = self._through_contact(some, budget) if through else self._free(some, budget)
