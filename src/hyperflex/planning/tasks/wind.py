@@ -306,6 +306,7 @@ class WindTask(Task):
             self._charge([isinstance(one, Strike) and one.through_contact], budget.elapsed - before)
 
     def _verified(self, one: Candidate, budget: Budget) -> Verified:
+        """Verify moves; see :meth:`verify`, which charges the time to their kind of swing."""
         pieces, problem, since = self.options.pieces, self.problem, 0.0
         if isinstance(one, Strike) and one.swing and (last := one.swing.last_of(self.search.seen)):
             since, q, qd = last.states[0]
