@@ -11,7 +11,7 @@ python -m benchmarks.casting --outside           targets called out of reach, ea
 For each target: a plan of hyperflex (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
 rule (half turns as the tip passes below the shaft), both until the rope strikes the target; the arm then finishes its
 half turn and rests. Each motion is run with 2.5 times the links, half the library's contact step and a fifth of its
-tolerance; the planner's own verifications use the library's values, and 0.1 mm for those with shorter links. A rope is
+tolerance; the planner's own verifications use twice the step and ten times the tolerance of the library. A rope is
 wound if it makes 1.25 turns from the arm's tip to its end, and held if it slips by less than 5 mm in the next 2 s. A
 slow pull at the arm's end then measures the load that it holds. All simulated. BLOCK targets are planned one after the
 other, on all cores, and then checked. Rows are kept in casting.jsonl: the same command continues an interrupted run.
@@ -41,6 +41,7 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.paper import T_REST, casting_arm
 from hyperflex.planning import (
+    Accuracy,
     CastOutcome,
     CastPlan,
     MotorLimits,
@@ -55,7 +56,7 @@ from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
 RESULTS = Path(__file__).parent / "results"
 LINKS = 50
 FINER = 2.5  # times the links in the independent check
-STEP, TOL = 0.5 * DEFAULT_CONTACT_STEP, 0.2 * DEFAULT_TOL  # s, m, of the independent check
+ACCURATE = Accuracy(0.2 * DEFAULT_TOL, 0.5 * DEFAULT_CONTACT_STEP)  # of the independent check
 FRICTION = 5e-4  # N m s/rad, of each joint of LINKS links
 TIP = {"nominal": 0.0, "weighted": 0.02}  # kg
 SEED = 7  # of the targets
@@ -265,7 +266,7 @@ def checked(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
     fine = problem(rope, FINER)
-    cast = verify_cast(fine, peg, motion, tol=TOL, contact_step=STEP, time_budget=LONGEST)
+    cast = verify_cast(fine, peg, motion, accuracy=ACCURATE, time_budget=LONGEST)
     row = {
         "success": cast.success,
         "wound": cast.wound,

@@ -29,7 +29,7 @@ from hyperflex import files
 from hyperflex.budget import Budget
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
-from hyperflex.planning import MotorLimits, Problem, check_feasibility, plan_cast, verify_cast
+from hyperflex.planning import Accuracy, MotorLimits, Problem, check_feasibility, plan_cast, verify_cast
 
 RESULTS = Path(__file__).parent / "results"
 SECONDS = 40.0  # s of processor time for a plan
@@ -88,7 +88,7 @@ def held(seed: int, number: int, peg: hf.Peg, plan: hf.CastPlan) -> bool:
     """Whether a plan succeeds in the independent run."""
     finer = Problem(*rope_and_arm(seed, number, FINER), MotorLimits())
     motion = plan.required(plan.motion, "motion")
-    outcome = verify_cast(finer, peg, motion, tol=0.2 * DEFAULT_TOL, contact_step=0.5 * DEFAULT_CONTACT_STEP)
+    outcome = verify_cast(finer, peg, motion, accuracy=Accuracy(0.2 * DEFAULT_TOL, 0.5 * DEFAULT_CONTACT_STEP))
     return outcome.success
 
 

@@ -10,7 +10,7 @@ from hyperflex.budget import Budget
 from hyperflex.cli.app import run
 from hyperflex.cli.plan import Source
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
+from hyperflex.planning import Accuracy, Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
 from hyperflex.planning.clearance import way_gaps
 from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.rollouts import RolloutBatch, simulate_contact
@@ -226,6 +226,6 @@ def test_a_cast_behind_a_peg_is_found_and_touches_both():
         assert abs(gap.min()) < 2e-4
         at.append(int((gap < 2e-4).argmax()))
     assert at[0] < at[1]
-    finer = verify_cast(plan.problem.cut(2), TARGET, plan.motion, tol=0.2 * hf.model.DEFAULT_TOL, contact_step=1e-4)
+    finer = verify_cast(plan.problem.cut(2), TARGET, plan.motion, accuracy=Accuracy(0.2 * hf.model.DEFAULT_TOL, 1e-4))
     assert finer.success, finer.message
     assert finer.runs_behind == (True,)

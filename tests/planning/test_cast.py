@@ -14,6 +14,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.planning import (
+    Accuracy,
     Moves,
     casting,
     estimate_success_probability,
@@ -54,10 +55,10 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     assert cast.margin >= 0.0
     assert cast.runs > 0
     finer = hf.Problem(hf.with_links(CORD, 38), ARM)
-    assert verify_cast(finer, PEG, cast.motion, contact_step=1e-4).success
+    assert verify_cast(finer, PEG, cast.motion, accuracy=Accuracy(contact_step=1e-4)).success
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
     planned, shorter = (each.run.rope.length.min() / (PEG.radius + CORD.radius) for each in cast.outcomes)
-    assert planned <= 0.3 < shorter <= 0.5  # links near the peg, in radii of the rope's axis on it
+    assert 1.5 * shorter <= planned <= 0.5  # links near the peg, in radii of the rope's axis on it
 
 
 def test_a_plan_continues_from_states_that_were_measured(cast):
@@ -390,7 +391,7 @@ def test_a_wound_rope_that_loses_turns_as_it_swings_is_given_time_to_settle():
 def test_a_wound_rope_that_still_swings_in_a_verified_run_is_given_time_to_settle(monkeypatch):
     who, moves = known.problem(), known.WINDS.then(1.5, 0.5)
     hurried = verify_cast(who, known.PEG, moves.motion(who.limits))
-    assert "1.22 remain while it is watched" in hurried.message
+    assert re.search(r"turns 1\.2\d remain while it is watched", hurried.message)
     found = WindTask(who, known.PEG, hf.SearchOptions(threads=1)).verify(Candidate(moves, 1.0, 1.0), Budget(threads=1))
     assert not found.message
     assert found.candidate.moves.dwell == pytest.approx(rollouts.MODEL.periods * who.period)
@@ -403,7 +404,7 @@ def test_a_wound_rope_that_still_swings_in_a_verified_run_is_given_time_to_settl
 
     monkeypatch.setattr("hyperflex.planning.tasks.wind.verify_members", out_of_time)
     found = WindTask(who, known.PEG, hf.SearchOptions(threads=1)).verify(Candidate(moves, 1.0, 1.0), Budget(threads=1))
-    assert found.message.startswith("with shorter links of 2.68 turns 1.22 remain")
+    assert found.message == hurried.message
     assert found.candidate.moves.dwell == 0.0
 
 

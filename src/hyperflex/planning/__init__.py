@@ -58,5 +58,6 @@ if TYPE_CHECKING:
         simulate_impact,
     )
     from hyperflex.planning.uncertainty import RopePosterior, Scenario, Uncertainty, scaled_rope
+    from hyperflex.planning.verification import Accuracy
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -17,7 +17,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Flags
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, FINE, Peg, divided
+from hyperflex.model import Peg, divided
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import SearchOptions, WindCriteria
 from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast
@@ -25,14 +25,10 @@ from hyperflex.planning.planner import Candidate, Verified
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_scores
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
+from hyperflex.planning.verification import PLANNED
 
-# m, tolerance of runs with shorter links, which check the length of links alone: those of three casts of ropes with dry
-# friction took 0.5, 0.6 and 0.8 of the time with the usual one, and wound as often
-FINER_TOL = 1e-4
-# Longest link near the peg in these runs, in radii of the rope's axis on it; the run as planned has 0.3. Two casts of
-# long ropes took 0.4 and 0.8 of the time that they take with 0.3. A rope of such links holds up to 7 % less than the
-# capstan equation allows (friction 0.5, two turns), and up to 3 % less with 0.3
-FINER_RATIO = 0.5
+# Runs with shorter links check the length of links alone: near the peg theirs are shorter by a third at least
+FINER = PLANNED._replace(ratio=1.0 / 3.0)
 SAME_PASS = 0.25  # periods, by which strikes in one pass differ at most: the next pass is half a period later
 COUNTED = 8  # samples of an estimate that are simulated at once
 STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
@@ -78,13 +74,12 @@ def verify_members(
     `since` is the time there, s.
     """
     motion, share = one.moves.motion(problem.limits, since), budget.share(0.75)
-    step = DEFAULT_CONTACT_STEP
-    members = [(problem, DEFAULT_TOL, step, FINE), *((each, FINER_TOL, 2.0 * step, FINER_RATIO) for each in finer)]
+    members = [(problem, PLANNED), *((each, FINER) for each in finer)]
     failed = list[int]()
 
     def run(k: int) -> CastOutcome:
-        which, tol, step, ratio = members[k]
-        outcome = verify_cast(which, peg, motion, tol=tol, contact_step=step, ratio=ratio, time_budget=share)
+        which, accuracy = members[k]
+        outcome = verify_cast(which, peg, motion, accuracy=accuracy, time_budget=share)
         outcome = require_holding_force(outcome, peg, problem.criteria, share)
         if not outcome.success:
             failed.append(k)
@@ -92,22 +87,21 @@ def verify_members(
         return outcome
 
     with ThreadPoolExecutor(min(2, budget.threads)) as pool:
-        order = 1, 0  # most fail with shorter links, and that run takes less time
-        found = dict(zip(order, pool.map(run, order), strict=True))
+        found = list(pool.map(run, range(2)))
     budget.check()
     if failed and failed[0] == 0:
         return Verified(one, found[0], None, found[0].message, -1.0)
     more = len(members) > 2
     second = found[1] if failed else repeatable(found[0], found[1], SAME_PASS * problem.period if more else SPARE.delay)
-    late, links = any(each.strike_time > each.touch_time for each in found.values()), "shorter"
+    late, links = any(each.strike_time > each.touch_time for each in found), "shorter"
     apart = abs(found[1].strike_time - found[0].strike_time) > SPARE.delay
     if not second.message and more and (late or apart):
-        found[2] = repeatable(found[1 if apart else 0], run(2))
+        found.append(repeatable(found[1 if apart else 0], run(2)))
         budget.check()
         second, links = (found[2], "other") if found[2].message else (second, links)
     first = None if 0 in failed else found[0]  # it did not end
     message = f"with {links} links {second.message}" if second.message else ""
-    return Verified(one, first, second, message, -1.0 if message else margin(problem.criteria, *found.values()))
+    return Verified(one, first, second, message, -1.0 if message else margin(problem.criteria, *found))
 
 
 def repeatable(first: CastOutcome, finer: CastOutcome, most: float = SPARE.delay) -> CastOutcome:

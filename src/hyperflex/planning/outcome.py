@@ -11,12 +11,14 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array, Flags
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, FINE, Peg, named
+from hyperflex.model import Peg, named
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import way_gaps
 from hyperflex.planning.options import MEAN_TIME, WindCriteria
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import (
+    PLANNED,
+    Accuracy,
     clearances,
     folded_flat,
     greatest_bend,
@@ -183,9 +185,7 @@ def verify_cast(
     peg: Peg,
     motion: Motion,
     *,
-    tol: float = DEFAULT_TOL,
-    contact_step: float = DEFAULT_CONTACT_STEP,
-    ratio: float = FINE,
+    accuracy: Accuracy = PLANNED,
     time_budget: float | Budget | None = None,
 ) -> CastOutcome:
     """Simulate a motion from rest with a peg, and evaluate the outcome.
@@ -196,17 +196,15 @@ def verify_cast(
     ----------
     motion : Motion
         With an end: the arm's stop, or that of the rest after it.
-    tol, contact_step : float
-        As for :func:`hyperflex.simulate`, m and s.
-    ratio : float
-        As for :func:`hyperflex.refine_rope`.
+    accuracy : Accuracy
+        Tolerance, step in contact, and length of the links near the peg.
     time_budget : float or Budget, optional
         Time of the run by the clock, s; a run that takes more has failed.
     """
     budget, criteria = Budget.of(time_budget), problem.criteria
     end = motion.end
     duration = end + criteria.settle + criteria.watch
-    setup = verified_setup(problem, motion, duration, (peg,), tol=tol, contact_step=contact_step, ratio=ratio)
+    setup = verified_setup(problem, motion, duration, (peg,), accuracy)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
     try:

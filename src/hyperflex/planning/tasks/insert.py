@@ -40,7 +40,7 @@ from hyperflex.planning.tasks.tip import (
     verified_run,
 )
 from hyperflex.planning.uncertainty import Uncertainty
-from hyperflex.planning.verification import at_limits, limit_bend
+from hyperflex.planning.verification import Accuracy, at_limits, limit_bend
 from hyperflex.trajectory import Trajectory
 
 
@@ -376,8 +376,8 @@ def verify_insert(
     on a wall from the start, or the tip does not go through; raises OutOfTime if it does not end within the budget.
     """
     step = DEFAULT_CONTACT_STEP * (0.5 if tighter > 1.0 else 1.0)
-    accuracy = {"tol": DEFAULT_TOL / tighter, "contact_step": step}
-    run = verified_run(problem, motion, sample_times(near), budget, slot.walls, **accuracy)
+    accuracy = Accuracy(DEFAULT_TOL / tighter, step)
+    run = verified_run(problem, motion, sample_times(near), budget, slot.walls, accuracy=accuracy)
     return None if run is None else evaluate_insert(problem, slot, run, near)
 
 

@@ -32,7 +32,7 @@ from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, check_start, free_sides, starts_outside
 from hyperflex.planning.shooting import shoot
 from hyperflex.planning.uncertainty import scaled_rope
-from hyperflex.planning.verification import verified_setup
+from hyperflex.planning.verification import Accuracy, verified_setup
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
@@ -570,14 +570,20 @@ def sample_times(near: float) -> Array:
 
 
 def verified_run(
-    problem: Problem, motion: Motion, t: Array, budget: Budget | None, walls: tuple[Wall, ...] = (), **accuracy: float
+    problem: Problem,
+    motion: Motion,
+    t: Array,
+    budget: Budget | None,
+    walls: tuple[Wall, ...] = (),
+    *,
+    accuracy: Accuracy,
 ) -> Trajectory | None:
     """Simulate a motion from rest with obstacles and `walls`, with samples at times t (T,), s.
 
-    `accuracy` is that of :func:`verified_setup`. Returns None if the run fails or begins in an obstacle; raises
+    Returns None if the run fails or begins in an obstacle; raises
     OutOfTime if it does not end within the budget.
     """
-    setup = verified_setup(problem, motion, float(t[-1]), walls, **accuracy)
+    setup = verified_setup(problem, motion, float(t[-1]), walls, accuracy)
     try:
         return simulate(setup, t_eval=t, time_budget=budget) if starts_outside(setup) else None
     except SimulationError as failed:

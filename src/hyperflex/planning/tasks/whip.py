@@ -52,7 +52,7 @@ from hyperflex.planning.tasks.tip import (
     touches,
     verified_run,
 )
-from hyperflex.planning.verification import limit_bend
+from hyperflex.planning.verification import Accuracy, limit_bend
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import closest_points
@@ -522,7 +522,7 @@ def verify_whip(
     OutOfTime if it does not end within the budget. `tol` is the tolerance, m.
     """
     t = sample_times(near)
-    run = verified_run(replace(problem, obstacles=()), motion, t, budget, tol=tol)
+    run = verified_run(replace(problem, obstacles=()), motion, t, budget, accuracy=Accuracy(tol))
     if run is None:
         return None
     found, touched, touch = find_peaks(run.t, run.tip[None], run.tip_velocity[None]), math.inf, ""
@@ -531,7 +531,7 @@ def verify_whip(
     if not about.any():
         return None
     if problem.obstacles:
-        run = verified_run(problem, motion, np.union1d(t, found.t[about]), budget, tol=tol)
+        run = verified_run(problem, motion, np.union1d(t, found.t[about]), budget, accuracy=Accuracy(tol))
         if run is None:
             return None
         rows, which = touches(run, problem.obstacles)
