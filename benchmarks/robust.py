@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
-from benchmarks.casting import FINER, SEED, STEP, TIP, TOL, problem, target, targets
+from benchmarks.casting import ACCURATE, FINER, SEED, TIP, problem, target, targets
 from benchmarks.robust_page import page
 
 import hyperflex as hf
@@ -261,9 +261,7 @@ class Case:
 
         def one(world: Scenario) -> tuple[bool, bool]:
             one = replace(known, rope=world.rope)
-            cast = verify_cast(
-                one, world.peg, world.executed_motion(throw.motion(known.limits)), tol=TOL, contact_step=STEP
-            )
+            cast = verify_cast(one, world.peg, world.executed_motion(throw.motion(known.limits)), accuracy=ACCURATE)
             return cast.wound and cast.clearance > known.clearance, cast.success
 
         found = self.each(one, self.worlds(count, known))
