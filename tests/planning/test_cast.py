@@ -58,7 +58,8 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     assert verify_cast(finer, PEG, cast.motion, accuracy=Accuracy(contact_step=1e-4)).success
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
     planned, shorter = (each.run.rope.length.min() / (PEG.radius + CORD.radius) for each in cast.outcomes)
-    assert 1.5 * shorter <= planned <= 0.5  # links near the peg, in radii of the rope's axis on it
+    assert shorter <= planned <= 0.3  # links near the peg, in radii of the rope's axis on it
+    assert cast.finer_outcome.n_links > cast.outcome.n_links
 
 
 def test_a_plan_continues_from_states_that_were_measured(cast):

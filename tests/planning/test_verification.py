@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.planning import Accuracy, MotorLimits, Moves, Problem, verify_cast
+from hyperflex.planning import MotorLimits, Moves, Problem, verify_cast
 from hyperflex.planning.clearance import FINE, rope_clearance
 from hyperflex.planning.feasibility import check_feasibility
 from hyperflex.planning.tasks.whip import TipTarget, verify_whip
@@ -135,9 +135,7 @@ def test_the_torque_of_a_blow_is_reported():
 def test_contact_is_required_and_reported():
     """2.36 turns, 850 degrees, of which 616 lie on the peg all through the watch: the rest is straight or hangs."""
     seen, motion = planned().outcome, WINDS.motion(problem().limits)
-    short = verify_cast(problem(), PEG, motion, accuracy=Accuracy())
-    assert np.degrees(short.contact_angle) == pytest.approx(616, abs=3)  # 643 at its end
-    assert seen.contact_angle == pytest.approx(short.contact_angle, abs=0.5)  # a link of the run as planned
+    assert np.degrees(seen.contact_angle) == pytest.approx(616, abs=3)  # 643 at its end
     assert 0.25 < abs(seen.turns) - seen.contact_angle / (2.0 * np.pi) < 0.8
     assert verify_cast(replace(problem(), criteria=hf.WindCriteria(contact=10.5)), PEG, motion).success
     more = verify_cast(replace(problem(), criteria=hf.WindCriteria(contact=12.0)), PEG, motion)

@@ -25,10 +25,7 @@ from hyperflex.planning.planner import Candidate, Verified
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_scores
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
-from hyperflex.planning.verification import PLANNED
 
-# Runs with shorter links check the length of links alone: near the peg theirs are shorter by a third at least
-FINER = PLANNED._replace(ratio=1.0 / 3.0)
 SAME_PASS = 0.25  # periods, by which strikes in one pass differ at most: the next pass is half a period later
 COUNTED = 8  # samples of an estimate that are simulated at once
 STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
@@ -74,12 +71,11 @@ def verify_members(
     `since` is the time there, s.
     """
     motion, share = one.moves.motion(problem.limits, since), budget.share(0.75)
-    members = [(problem, PLANNED), *((each, FINER) for each in finer)]
+    members = problem, *finer
     failed = list[int]()
 
     def run(k: int) -> CastOutcome:
-        which, accuracy = members[k]
-        outcome = verify_cast(which, peg, motion, accuracy=accuracy, time_budget=share)
+        outcome = verify_cast(members[k], peg, motion, time_budget=share)
         outcome = require_holding_force(outcome, peg, problem.criteria, share)
         if not outcome.success:
             failed.append(k)

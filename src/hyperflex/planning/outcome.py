@@ -17,7 +17,7 @@ from hyperflex.planning.clearance import way_gaps
 from hyperflex.planning.options import MEAN_TIME, WindCriteria
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.verification import (
-    PLANNED,
+    OF_CASTS,
     Accuracy,
     clearances,
     folded_flat,
@@ -185,7 +185,7 @@ def verify_cast(
     peg: Peg,
     motion: Motion,
     *,
-    accuracy: Accuracy = PLANNED,
+    accuracy: Accuracy = OF_CASTS,
     time_budget: float | Budget | None = None,
 ) -> CastOutcome:
     """Simulate a motion from rest with a peg, and evaluate the outcome.
