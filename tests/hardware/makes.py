@@ -70,7 +70,7 @@ MAKES = [
         resolution=1e-5,
         fine=4e-3,  # half a thousandth of a turn/s
         # CAN controllers check frames and drop damaged ones; the text on an adapter's port has no check of its own.
-        # A request and its reply, both late, stay with a busy machine's pauses within the 20 ms in which a late frame
+        # A request and its reply, both late, stay with a busy machine's pauses within the 18 ms in which a late frame
         # is known as one.
         faults=WireFaults(lost=0.02, late=0.05, delay=0.006, seed=3),
     ),

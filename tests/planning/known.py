@@ -14,6 +14,7 @@ from hyperflex.planning.outcome import verify_cast
 from hyperflex.planning.plan import CastPlan
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, Strikes, fly_to_strikes
+from hyperflex.planning.verification import CAST_ACCURACY
 
 PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -33,7 +34,7 @@ def problem() -> Problem:
 def planned(winds: bool = True) -> CastPlan:
     """Return a plan that succeeds, or one whose rope misses."""
     begin, who, moves = time.monotonic(), problem(), WINDS if winds else SHORT
-    cast = verify_cast(who, PEG, moves.motion(who.limits))
+    cast = verify_cast(who, PEG, moves.motion(who.limits), accuracy=CAST_ACCURACY)
     finer = cast if winds else None  # the run with finer links is not what is tested here
     seconds = time.monotonic() - begin
     return CastPlan(who, PEG, check_feasibility(who, PEG), moves, cast, finer, cast.message, 1, seconds, margin=0.5)

@@ -18,7 +18,9 @@ from hyperflex.hardware.drive import CONFIRM, SILENCE, SLACK, Goal, NoReply, Rea
 from hyperflex.hardware.serial_port import open_problem
 from hyperflex.model import MotorLimits
 
-LATEST = 0.4 * SILENCE  # s after its request at which a frame counts as lost; two in a row do not stop the drive
+# s after its request at which a frame counts as lost: adapters and busy hosts delay frames by some ms, and two that are
+# lost in a row must not stop the drive
+LATEST = 0.36 * SILENCE
 FIRST_HEARTBEAT = 1.0  # s for the first one after the bus was opened
 
 
@@ -118,7 +120,7 @@ class ODriveLink:
     the arm at rest, it sends nothing for a little longer than the watchdog's time. An axis that is not disarmed by then
     is refused.
 
-    Frames bear no number. After one that is missing, nothing is asked for until it has come, or 20 ms have passed and a
+    Frames bear no number. After one that is missing, nothing is asked for until it has come, or 18 ms have passed and a
     message has come that was asked for later, while goals are still sent. So a late frame never passes for a newer one,
     as long as frames of the axis keep their order.
 

@@ -20,7 +20,7 @@ from hyperflex.planning.feasibility import Feasibility
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.outcome import CastOutcome, HoldingForce, measure_holding_force
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.verification import OF_CASTS, verified_setup
+from hyperflex.planning.verification import CAST_ACCURACY, verified_setup
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 
@@ -317,7 +317,7 @@ class CastPlan(Plan):
         """Return the set-up of the verified run, with links refined near the target, and joint limits."""
         motion, criteria = self.required(self.motion, "motion"), self.problem.criteria
         end = motion.end + criteria.settle + criteria.watch
-        return verified_setup(self.problem, motion, end, (self.target,), OF_CASTS)
+        return verified_setup(self.problem, motion, end, (self.target,), CAST_ACCURACY)
 
     def measure_holding_force(self) -> HoldingForce | None:
         """Pull at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""

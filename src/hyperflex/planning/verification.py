@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.checks import Array, Flags
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, FINE, Peg, Rope, Setup, Wall, cuts
 from hyperflex.motion import Motion
@@ -32,10 +33,11 @@ class Accuracy(NamedTuple):
 
 
 USUAL = Accuracy()
-# Of a cast. 29 casts of 12 random ropes ended as with the usual tolerance and step, in 0.74 of the time. Links of up to
-# 0.5 radii take half of that time, but three of 25 such casts came off the peg in MuJoCo, where casts of the same three
-# targets with the usual links held
-OF_CASTS = Accuracy(tol=1e-4, contact_step=4e-4)
+# Of both runs that verify a cast. 29 casts of 12 random ropes had the usual outcomes, in 0.74 of the time. With a greater
+# tolerance joints no longer stick exactly (simulation.contact.COARSE_TOL), and peaks of the torque need steps below
+# 0.5 ms. With links of up to 0.5 radii casts took half as long, but three of 25 came off the peg in MuJoCo; casts of
+# the same three targets with the usual links held
+CAST_ACCURACY = Accuracy(tol=1e-4, contact_step=4e-4)
 
 
 def limit_bend(rope: Rope) -> Rope:
@@ -61,11 +63,12 @@ def verified_setup(
     pegs: tuple[Peg | Wall, ...] = (),
     accuracy: Accuracy = USUAL,
 ) -> Setup:
-    """Return what is simulated to verify a motion of `duration`, s, from rest.
+    """Return what is simulated to verify a motion of `duration`, s, from rest, with an `accuracy`.
 
     Links are refined near `pegs`, and near those that the rope is to run behind. The set-up's obstacles, which are not
     to be touched, are there as well.
     """
+    checks.instance("accuracy", accuracy, Accuracy)
     pegs = (*pegs, *problem.criteria.behind)
     arm, beside = problem.arm, (*pegs, *problem.obstacles)
     fine = problem.cut(cuts(problem.rope, pegs, arm=arm, ratio=accuracy.ratio))

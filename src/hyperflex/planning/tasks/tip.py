@@ -580,8 +580,7 @@ def verified_run(
 ) -> Trajectory | None:
     """Simulate a motion from rest with obstacles and `walls`, with samples at times t (T,), s.
 
-    Returns None if the run fails or begins in an obstacle; raises
-    OutOfTime if it does not end within the budget.
+    Returns None if the run fails or begins in an obstacle; raises OutOfTime if it does not end within the budget.
     """
     setup = verified_setup(problem, motion, float(t[-1]), walls, accuracy)
     try:
