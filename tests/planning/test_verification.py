@@ -111,7 +111,7 @@ def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path):
 
 
 def test_torque_is_that_of_all_steps():
-    """And not of samples 10 ms apart: against those 0.2 ms apart, as long as a step, about the greatest."""
+    """And not of samples 10 ms apart: against those 0.2 ms apart, half as long as a step, about the greatest."""
     seen = planned().outcome
     assert seen.torque_peak > 1.1 * np.abs(seen.run.motor_torque).max()  # a blow between two samples
     about = seen.run.attrs["torque_peak_time"], seen.run.attrs["torque_mean_time"]
