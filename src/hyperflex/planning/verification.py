@@ -33,7 +33,7 @@ class Accuracy(NamedTuple):
 
 
 USUAL = Accuracy()
-# Of both runs that verify a cast. 29 casts of 12 random ropes had the usual outcomes, in 0.74 of the time. With more
+# Of the runs that verify a cast. 29 casts of 12 random ropes had the usual outcomes, in 0.74 of the time. With more
 # tolerance joints no longer stick exactly (simulation.contact.COARSE_TOL), and peaks of the torque need steps below
 # 0.5 ms. With links of up to 0.5 radii casts took half as long, but three of 25 came off the peg in MuJoCo; casts of
 # the same three targets with the usual links held
