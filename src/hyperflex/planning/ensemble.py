@@ -27,9 +27,9 @@ from hyperflex.planning.rollouts import RolloutBatch, WindingScores, winding_sco
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.verification import CAST_ACCURACY
 
-# Of runs with shorter links; near the peg they may be longer than the 0.3 radii of the run as planned. Two casts of long
-# ropes took 0.4 and 0.8 of the time that they take with 0.3. A rope of such links holds up to 7 % less than the capstan
-# equation allows (friction 0.5, two turns), and up to 3 % less with 0.3
+# Of runs with shorter links; near the peg they may be longer than the 0.3 radii of the run as planned. Casts of two
+# long ropes took 0.4 and 0.8 of the time that they take with 0.3. A rope of such links holds up to 7 % less than the
+# capstan equation allows (friction 0.5, two turns), and up to 3 % less with 0.3
 FINER = CAST_ACCURACY._replace(ratio=0.5)
 SAME_PASS = 0.25  # periods, by which strikes in one pass differ at most: the next pass is half a period later
 COUNTED = 8  # samples of an estimate that are simulated at once
