@@ -69,7 +69,7 @@ def verify_members(
 ) -> Verified:
     """Verify moves on the rope as planned, and on the same with shorter links, in one or two ways.
 
-    Near the peg the latter may have the longer links: FINER takes less time, and tests the links of the whole rope.
+    Near the peg the run with shorter links may have the longer ones: it tests the links of the whole rope.
 
     The second way is for a rope that strikes the target at another time with shorter links, if in the same pass: then
     both ways must agree. And for a rope that comes off after its first touch and winds later: what it does in between
