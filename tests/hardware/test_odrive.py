@@ -12,7 +12,7 @@ import pytest
 
 from hyperflex.errors import DriveError
 from hyperflex.hardware import Drive, Goal, ODriveLink, odrive
-from hyperflex.hardware.drive import NoReply
+from hyperflex.hardware.drive import SILENCE, NoReply
 from hyperflex.hardware.emulate import ODriveDevice
 from hyperflex.model import MotorLimits
 from tests.hardware.wire import Wire, be_patient, light_arm, opened, try_open
@@ -235,6 +235,21 @@ def test_after_a_lost_frame_goals_are_sent_and_states_come_again(monkeypatch):
         time.sleep(0.5)
         link.patience = 0.3
         assert link.read().angle == 0.0
+
+
+def test_two_lost_frames_in_a_row_take_less_time_than_a_drive_allows_for_silence():
+    skipped = 0.0  # s; beside it the clock is a hundredth as fast, so that a busy host does not count
+    with (
+        Wire(axis()) as wire,
+        link_to(wire, clock=lambda: skipped + 0.01 * time.monotonic(), patience=0.05) as link,
+    ):
+        begin = link.clock()
+        wire.spoil = lambda reply: [] if b"t009" in reply else [reply]
+        for _ in range(2):
+            fails(NoReply, "no valid reply", link.read)
+            skipped += odrive.LATEST
+        wire.spoil, link.patience = lambda reply: [reply], 1.0
+        assert link.read().received - begin < SILENCE
 
 
 def test_without_heartbeat_nobody_knows_whether_it_is_armed(monkeypatch):
