@@ -101,7 +101,7 @@ CALLS: dict[str, Callable[[], partial[Any]]] = {
     "read_plan": lambda: partial(hf.read_plan, path="nowhere.toml"),
     "read_trajectory": lambda: partial(hf.read_trajectory, path="nowhere.nc"),
     "identify": lambda: partial(hf.identify, **FIT, options=hf.FitOptions(window=1.0, intervals=None)),
-    "fit_regression": lambda: partial(hf.fit_regression, rope=PENDULUM, **WAVE, names=("friction:shared",)),
+    "fit_regression": lambda: partial(hf.fit_regression, rope=PENDULUM, **WAVE),
     "compare_models": lambda: partial(hf.compare_models, **FIT),
     "estimate_initial_state": lambda: partial(
         hf.estimate_initial_state, recording=swing(), rope=PENDULUM, rates="rest", max_evaluations=5

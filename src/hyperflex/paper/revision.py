@@ -406,8 +406,8 @@ def _by_torques(measured: Recording, rope: Rope, at: Round, profile: RevisionPro
         qd = np.full(q.shape, np.nan)  # three successive samples make a rate: none at the ends
         qd[1:-1] = np.gradient(measured.data, measured.t, axis=0)[1:-1]
         q = measured.data if profile == "measured" else q
-    found = fit_regression(rope, q, qd, qdd).solve()
-    return np.maximum(found.values, 0.0), found.std
+    found = fit_regression(rope, q, qd, qdd)
+    return np.maximum([found.inertia, found.friction], 0.0), np.array(list(found.std.values()))
 
 
 def _by_response(measured: Recording, rope: Rope, at: Round, jacobian: AngleJacobian) -> tuple[Array, Array]:
