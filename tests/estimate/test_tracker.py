@@ -1,5 +1,6 @@
 """From a rendered video of a finer rope to its markers, and to the rope (simulated throughout)."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,11 +9,19 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import Interrupted, InvalidInput
-from hyperflex.estimate import MarkerMeasurement, Observations, RopeFilter, RopeTracker, track_video
+from hyperflex.estimate import (
+    MarkedCurveMeasurement,
+    MarkerMeasurement,
+    Observations,
+    RopeFilter,
+    RopeTracker,
+    track_video,
+)
 from hyperflex.files import read_netcdf
-from hyperflex.vision import Camera, MarkerColour, MarkerDetector, Truth, VideoReader
+from hyperflex.vision import Camera, MarkerColour, MarkerDetector, RopeLook, Truth, VideoReader
 from tests.estimate.filmed import ARCS, facing, film_swing
 from tests.estimate.runs import free_swing, rope
+from tests.refusals import refuses
 
 CAMERA, FRAMES = facing(exposure=0.005, readout=0.02), 62
 
@@ -100,3 +109,28 @@ def test_slow_motion_is_doubted(slower, said):
         estimator.update(Observations(float(t) * slower, pixels + 0.3 * rng.normal(size=pixels.shape), 0.3))
     assert bool(tracker.warning) == bool(said)
     assert all(words in tracker.warning for words in said)
+
+
+def test_frames_and_states_that_cannot_be_are_met(video, monkeypatch):
+    """A picture of another size is refused; if no rope can continue from the state, it is searched again."""
+    follower = tracker(*video)
+    with VideoReader(video[0]) as reader:
+        first, second, third = itertools.islice(reader, 3)
+    assert follower.look(first).state is not None
+    refuses("another size than the camera's", follower.look, replace(second, image=second.image[:100]))
+
+    def fail(_t):
+        raise hf.SimulationError("no rope", status="not finite", time=0.0)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(follower.estimator, "predict_to", fail)
+        found = follower.look(second)
+    assert found.state is not None
+    assert np.isnan(found.predicted).all()
+    assert follower.look(third).state is not None
+
+
+def test_points_that_are_not_those_of_the_filter_are_refused():
+    estimator, look = RopeFilter(rope(5), ARCS, camera=CAMERA), RopeLook(np.zeros(3), 4.0)
+    measurement = MarkedCurveMeasurement(look, np.ones(3, bool), MarkerDetector(MarkerColour(np.array([0, 0, 200.0]))))
+    refuses("other points than are measured.*3", RopeTracker, estimator, measurement)

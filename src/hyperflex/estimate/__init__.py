@@ -14,12 +14,10 @@ if TYPE_CHECKING:
     from hyperflex.estimate.live.state_source import CameraStateSource, TrackingTask
     from hyperflex.estimate.live.watch import LiveEstimate, Watch, WatchLog
     from hyperflex.estimate.measurements import (
-        BarMeasurement,
         BaseElsewhere,
         CurveMeasurement,
         MarkedCurveMeasurement,
         MarkerMeasurement,
-        bar_arc_lengths,
         curve_arc_lengths,
         marked_arc_lengths,
     )

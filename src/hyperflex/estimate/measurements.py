@@ -1,4 +1,4 @@
-"""Measurements of a rope in frames: identical markers, the bare rope, or a bar of its own colour on each link."""
+"""Measurements of a rope in frames: identical markers, the bare rope, or both."""
 
 from collections import defaultdict
 
@@ -15,8 +15,6 @@ from hyperflex.estimate.process import DISTURBANCES
 from hyperflex.estimate.tracker import LEAST_STD, Prediction, RopeTracker
 from hyperflex.model import Rope
 from hyperflex.vision import (
-    FLOOR,
-    BarDetector,
     Blobs,
     Camera,
     ClutterMap,
@@ -28,7 +26,6 @@ from hyperflex.vision import (
     RopeLook,
     assign_markers,
     find_rope,
-    link_angles,
     order_markers,
     view_curve,
 )
@@ -340,67 +337,3 @@ class MarkedCurveMeasurement(CurveMeasurement):
         if bare < 2.0 * self.markers.radius:
             pixels[np.flatnonzero(~self.marked)[-1]], self.end_seen = np.nan, 1.0
         return pixels, wide
-
-
-def bar_arc_lengths(spans: ArrayLike) -> Array:
-    """Return arc lengths (2 J,), m, of two points of each bar that are equivalent to its centre and its axis.
-
-    They are a radius of gyration, length / sqrt(12), to both sides of the centre: the errors of centre and axis of a
-    bar with straight edges are then independent errors of the two points.
-
-    Parameters
-    ----------
-    spans : (J, 2) array_like
-        Begin and end of the part of each bar that is usually seen, along the chain, m from the first joint. A bar may
-        reach beyond its joints, or begin under the bar before it.
-    """
-    ends = checks.array("spans", spans, (-1, 2), unit="m")
-    if (ends[:, 1] <= ends[:, 0]).any():
-        raise InvalidInput("a bar ends before it begins", got=ends, allowed="begin < end")
-    middle, reach = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / np.sqrt(12.0)
-    return np.stack([middle - reach, middle + reach], axis=1).ravel()
-
-
-class BarMeasurement:
-    """Measures a bar of its own colour on each link of a pendulum (a :class:`Measurement`).
-
-    Parameters
-    ----------
-    detector : BarDetector
-        Of the links, from the first joint on. The estimator's arc lengths are those of :func:`bar_arc_lengths`.
-
-    Notes
-    -----
-    Bars of different colours need no assignment and no gates. If more or less of a bar is seen than its span, half of
-    the difference counts as a standard deviation along it: another bar may cover one of its ends.
-    """
-
-    radius, end_seen = 0.0, 1.0
-
-    def __init__(self, detector: BarDetector) -> None:
-        self.detector = detector
-
-    @property
-    def count(self) -> int:
-        """Two points of each bar."""
-        return 2 * len(self.detector.colours)
-
-    def measure(
-        self, image: Image, tracker: RopeTracker, base: Array, expected: Prediction | None, arcs: Array
-    ) -> tuple[Array, Array]:
-        """Return two points of each bar seen in a frame."""
-        seen, sides = self.detector.find(image), np.full((len(self.detector.colours), 2), np.nan)
-        camera, declared = tracker.adjusted_camera, tracker.estimator.model.arc_lengths
-        if expected is not None:
-            sides = expected.pixels[1::2] - expected.pixels[::2]
-        angles = link_angles(seen, camera.project(base[None])[0], np.arctan2(sides[:, 0], sides[:, 1]))
-        along = np.stack([np.sin(angles), np.cos(angles)], axis=1)
-        across = np.stack([along[:, 1], -along[:, 0]], axis=1)
-        reach = 0.5 * np.diff(declared.reshape(-1, 2), axis=1)[:, 0] * camera.pixels_per_metre
-        pixels = np.repeat(seen.centres, 2, axis=0) + np.kron(reach[:, None] * along, [[-1.0], [1.0]])
-        pixels[np.isnan(pixels).any(axis=1)] = np.nan
-        missing = reach * np.sqrt(12.0) - seen.lengths
-        lengthwise = 2.0 * (FLOOR**2 + (0.5 * missing) ** 2)  # a point has half of the bar's information
-        sidewise = 2.0 * np.einsum("kc,kcd,kd->k", across, seen.covariances[:, :2, :2], across)
-        wide = np.einsum("k,kc,kd->kcd", lengthwise, along, along) + np.einsum("k,kc,kd->kcd", sidewise, across, across)
-        return pixels, np.repeat(wide + LEAST_STD**2 * np.eye(2), 2, axis=0)

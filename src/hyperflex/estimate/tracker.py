@@ -41,7 +41,7 @@ class Prediction(NamedTuple):
 
 
 class Measurement(Protocol):
-    """What is measured in frames: markers, bars, or anything else that gives places of points of the rope."""
+    """What is measured in frames: markers, a curve, or anything else that gives places of points of the rope."""
 
     @property
     def radius(self) -> float:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
         check_increasing,
         order_markers,
     )
-    from hyperflex.vision.bars import FLOOR, BarDetector, BarObservations, BarTrack, link_angles, track_bars
+    from hyperflex.vision.bars import BarDetector, BarObservations, BarTrack, link_angles, track_bars
     from hyperflex.vision.calibration import Board, BoardView, Calibration, calibrate_camera
     from hyperflex.vision.camera import Camera, PlaneView, read_camera
     from hyperflex.vision.colour import MarkerColour

@@ -17,7 +17,7 @@ from hyperflex.recording import Recording
 from hyperflex.vision.colour import surface
 from hyperflex.vision.video import Frame, Image, VideoReader, follow_video
 
-FLOOR = 0.3  # px, least standard deviation of a place along or across a bar: its ends are not straight edges
+FLOOR = 0.3  # px, least standard deviation of a place across a bar
 
 
 class BarObservations(NamedTuple):
@@ -31,8 +31,8 @@ class BarObservations(NamedTuple):
         Of the longer axis, rad, 0 along +u, positive towards +v (downwards), -pi/2 to pi/2: half turns are ambiguous.
     lengths : (J,) float64
         px, of a rectangle with the same moments.
-    covariances : (J, 3, 3) float64
-        Of centre and angle, px and rad.
+    stds : (J,) float64
+        Standard deviations of the angles, rad.
     areas : (J,) float64
         Relative to that of the whole bar, if it is known; else px^2. Less than 1 if another bar covers it.
     """
@@ -40,7 +40,7 @@ class BarObservations(NamedTuple):
     centres: Array
     angles: Array
     lengths: Array
-    covariances: Array
+    stds: Array
     areas: Array
 
     @property
@@ -114,11 +114,11 @@ class BarDetector:
         each = [self._bar(k, np.where(most == k, layer, np.float32(0.0))) for k, layer in enumerate(layers)]
         return BarObservations(*(np.array(column) for column in zip(*each, strict=True)))
 
-    def _bar(self, number: int, shares: npt.NDArray[np.float32]) -> tuple[Array, float, float, Array, float]:
-        """Return centre, angle, length, covariance and area of one bar from its shares (height, width)."""
+    def _bar(self, number: int, shares: npt.NDArray[np.float32]) -> tuple[Array, float, float, float, float]:
+        """Return centre, angle, length, standard deviation of the angle, and area of one bar from its shares (h, w)."""
         import cv2
 
-        nothing = np.full(2, np.nan), np.nan, np.nan, np.full((3, 3), np.nan), np.nan
+        nothing = np.full(2, np.nan), np.nan, np.nan, np.nan, np.nan
         count, label, stats, _ = cv2.connectedComponentsWithStats(
             (shares > self.SHARE).astype(np.uint8), connectivity=8
         )
@@ -137,12 +137,8 @@ class BarDetector:
         along = vectors[:, 1] * (1.0 if vectors[0, 1] >= 0.0 else -1.0)
         width, length = np.sqrt(12.0 * values)
         missing = 0.0 if whole is None else max(0.0, 1.0 - area / whole - 0.05)
-        lengthwise, sidewise = FLOOR**2 + (missing * length) ** 2, FLOOR**2 + (missing * width) ** 2
-        sides = np.column_stack([along, [-along[1], along[0]]])
-        covariance = np.zeros((3, 3))
-        covariance[:2, :2] = sides @ np.diag([lengthwise, sidewise]) @ sides.T
-        covariance[2, 2] = 12.0 * sidewise / max(length, 1.0) ** 2
-        return centre, float(np.arctan2(along[1], along[0])), float(length), covariance, area / (whole or 1.0)
+        std = np.sqrt(12.0 * (FLOOR**2 + (missing * width) ** 2)) / max(length, 1.0)
+        return centre, float(np.arctan2(along[1], along[0])), float(length), float(std), area / (whole or 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +227,7 @@ def track_bars(
         rate[again] = (now - last)[again] / (t - when[again])
         last[new], when[new] = now[new], t
         angles.append(now)
-        stds.append(np.sqrt(seen.covariances[:, 2, 2]))
+        stds.append(seen.stds)
         times.append(t)
         return _drawn(frame.image, seen, now, t) if draw else None
 
