@@ -420,8 +420,7 @@ class Kind(StrEnum):
     HELD_SCALE = (
         "proportional to held masses",
         """Masses, inertias and frictions are proportional to the held masses and centres of mass. | No motion tests
-        these{moved:? (1 % of a centre of mass moves ratios by {moved:most})}. Use ratios alone, or weigh the links
-        and find where each balances.""",
+        these. Use ratios alone, or weigh the links and find where each balances.""",
     )
     COMMON_FACTOR = (
         "unknown common factor",

@@ -37,7 +37,6 @@ from hyperflex.model import RESISTANCES, Rope
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
-End = Literal["crossed", "bound", "open"]
 IntervalKind = Literal["covariance", "profile", "unknown"]
 LEVEL = 0.95
 GRACE = 0.5  # s of work: what an interrupted fit may still take for its deviations
@@ -240,14 +239,13 @@ def fisher_information(parameters: Parameters, x: Array, rows: Sequence[Array]) 
 class Interval:
     """Confidence interval, SI units.
 
-    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
-    or ``unknown`` where the data set no limits. `ends`: ``crossed``, the parameter's own ``bound``, or ``open``.
+    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``, or ``unknown``
+    where the data set no limits.
     """
 
     low: float
     high: float
     kind: IntervalKind
-    ends: tuple[End, End] = ("crossed", "crossed")
     level: float = LEVEL
 
     def __str__(self) -> str:
@@ -297,11 +295,9 @@ def interval(
 ) -> Interval:
     """Return the interval of a value, a function of `at`, from the standard deviation of `at` and its bound `least`."""
     if not np.isfinite(std):
-        low = value(least)
-        return Interval(low, np.inf, "unknown", ("open" if np.isneginf(low) else "bound", "open"), level)
+        return Interval(value(least), np.inf, "unknown", level)
     half = std * float(np.sqrt(quantile(level, freedom)))
-    ends: tuple[End, End] = ("bound" if at - half < least else "crossed", "crossed")
-    return Interval(value(max(at - half, least)), value(at + half), "covariance", ends, level)
+    return Interval(value(max(at - half, least)), value(at + half), "covariance", level)
 
 
 def of_ratios(
