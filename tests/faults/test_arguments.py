@@ -40,7 +40,7 @@ def swing() -> hf.Recording:
 STEPPER = hf.Stepper(ROPE, arm=ARM)
 TRIAL = hf.Experiment("a", q0=[0.1, 0.2], duration=0.5)
 FIT: dict[str, Any] = {"recording": swing(), "rope_guess": PENDULUM, "free": ("friction",)}
-WAVE = dict.fromkeys(("q", "qd", "qdd"), np.sin(T)[:, None])
+WAVE = {name: wave[:, None] for name, wave in (("q", np.sin(T)), ("qd", np.cos(T)), ("qdd", -np.sin(T)))}
 SEARCH: dict[str, Any] = {"rope": CABLE, "arm": ARM, "time_budget": 0.1, "options": hf.SearchOptions(threads=1)}
 SEARCH |= {"conditions": hf.Conditions(time_limit=2.0)}
 
