@@ -1,14 +1,11 @@
-"""Pseudo-energy, spiral coordinates and the phase portrait of the tip: paper eqs. (9)-(11)."""
-
-from itertools import pairwise
+"""Pseudo-energy and spiral coordinates of the tip: paper eqs. (9)-(11)."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperflex.control.spiral_coordinates import driving_constant, phase_portrait, pseudo_energy, spiral
-from hyperflex.errors import InvalidInput
+from hyperflex.control.spiral_coordinates import driving_constant, pseudo_energy, spiral
 from tests.refusals import refuses
 
 
@@ -40,27 +37,6 @@ def test_the_papers_two_constants_are_the_driving_period():
     assert round(driving_constant(0.73, 0.34), 2) == 0.34
 
 
-def test_portrait_is_cut_at_the_instants_of_the_arm():
-    t = np.linspace(0.0, 10.0, 101)
-    swing = spiral(t, np.sin(t), np.cos(t), 1.0)
-    portrait = phase_portrait(swing, np.array([[0.0, 1.234], [3.0, 4.567], [9.0, 11.0]]))
-    assert [len(portrait.moving), len(portrait.resting)] == [3, 2]
-    chain = [portrait.moving[0], portrait.resting[0], portrait.moving[1], portrait.resting[1], portrait.moving[2]]
-    for before, after in pairwise(chain):
-        np.testing.assert_array_equal(before[-1], after[0])
-    # Linear interpolation at 0.1 s of a unit sine: off by at most 0.1^2/8.
-    np.testing.assert_allclose(portrait.starts, np.stack([np.sin([0, 3, 9]), np.cos([0, 3, 9])], axis=1), atol=1.3e-3)
-    ends = np.array([1.234, 4.567])  # the motion that outlasts the record has no end point
-    np.testing.assert_allclose(portrait.ends, np.stack([np.sin(ends), np.cos(ends)], axis=1), atol=1.3e-3)
-
-
-def test_a_portrait_without_arm_motion_is_all_rest():
-    t = np.linspace(0.0, 1.0, 11)
-    portrait = phase_portrait(spiral(t, np.sin(t), np.cos(t), 1.0), np.empty((0, 2)))
-    assert not portrait.moving
-    assert [len(portrait.resting), len(portrait.starts)] == [1, 0]
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -73,8 +49,3 @@ def test_a_portrait_without_arm_motion_is_all_rest():
 )
 def test_bad_input_is_named(change, message):
     refuses(message, spiral, **{"t": [0.0, 1.0], "x": [0.0, 0.1], "velocity": [0.0, 0.1], "c": 0.4, **change})
-
-
-def test_overlapping_intervals_are_refused():
-    with pytest.raises(InvalidInput, match="overlap"):
-        phase_portrait(spiral([0.0, 1.0], [0.0, 1.0], [1.0, 0.0], 0.4), np.array([[0.0, 0.6], [0.5, 0.9]]))

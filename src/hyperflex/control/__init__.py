@@ -16,10 +16,8 @@ if TYPE_CHECKING:
         run_closed_loop,
     )
     from hyperflex.control.spiral_coordinates import (
-        PhasePortrait,
         Spiral,
         driving_constant,
-        phase_portrait,
         pseudo_energy,
         spiral,
     )

@@ -1,13 +1,11 @@
 """The tip's pseudo-energy and spiral coordinates: how far a rope has been pumped up, and the phase of its swing."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,48 +92,3 @@ def driving_constant(t_move: float, t_rest: float) -> float:
     """
     whole = checks.positive("t_move", t_move, "s")
     return (whole + checks.number("t_rest", t_rest, sign="nonnegative", unit="s")) / np.pi
-
-
-@dataclass(frozen=True, eq=False)
-class PhasePortrait:
-    """The tip in the plane (x, c dx/dt), m, cut into the stretches in which the arm moves and rests.
-
-    `moving` and `resting` hold the points (k, 2) of each stretch; neighbours share their end point. `starts` and `ends`
-    (m, 2) are where an arm motion starts and where it ends.
-    """
-
-    moving: list[Array]
-    resting: list[Array]
-    starts: Array
-    ends: Array
-
-
-def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
-    """Cut the tip's path into stretches of arm motion and of rest.
-
-    `intervals` (m, 2) are start and end of each arm motion, s, in order and without overlap; else InvalidInput is
-    raised. Times outside those of `tip` are omitted; a motion that is cut off by its end has no end point.
-    """
-    spans = checks.array("intervals", intervals, (-1, 2), unit="s")
-    if (np.diff(spans.ravel()) < 0.0).any():
-        raise InvalidInput(
-            "intervals overlap or run backwards", got=spans.tolist(), allowed="start <= end <= next start"
-        )
-    t = tip.t
-    inside = spans.ravel()[(spans.ravel() > t[0]) & (spans.ravel() < t[-1])]
-    knots = np.unique(np.concatenate([t, inside]))
-
-    def at(instants: Array) -> Array:
-        """Return the points (k, 2) at those instants that lie within the time of the tip's path."""
-        within = instants[(instants >= t[0]) & (instants <= t[-1])]
-        return np.stack([np.interp(within, t, each) for each in (tip.x, tip.scaled_velocity)], axis=1)
-
-    path = at(knots)
-    cuts = np.unique(np.concatenate([[0], np.searchsorted(knots, inside), [knots.size - 1]]))
-    moving: list[Array] = []
-    resting: list[Array] = []
-    for first, last in pairwise(cuts):
-        middle = 0.5 * (knots[first] + knots[last])
-        moves = bool(((spans[:, 0] <= middle) & (middle <= spans[:, 1])).any())
-        (moving if moves else resting).append(path[first : last + 1])
-    return PhasePortrait(moving, resting, at(spans[:, 0]), at(spans[:, 1]))

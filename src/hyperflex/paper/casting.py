@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hyperflex.checks import Array, ByName
-from hyperflex.control import PhasePortrait, Spiral, phase_portrait, spiral
+from hyperflex.control import Spiral, spiral
 from hyperflex.dynamics import bias, mass_matrix, partial_linearization, torque_from_input
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings, torque_profile
@@ -244,7 +244,7 @@ def _draw_fig12() -> "Figure":
         for row, outcome in zip(axes, OUTCOMES, strict=True):
             for axis, reading in zip(row, READINGS, strict=True):
                 subject = cast(reading, outcome)
-                _draw_portrait(axis, phase_portrait(subject.spiral, subject.intervals), OUTCOME_COLOUR[outcome])
+                _draw_portrait(axis, subject, OUTCOME_COLOUR[outcome])
             row[0].set_ylabel(f"{outcome}: c dx/dt, m   (c = {TIME_CONSTANT[outcome]:.2f} s)")
         for axis, reading in zip(axes[0], READINGS, strict=True):
             axis.set_title(reading.title.replace(", ", ",\n"), fontsize=8.5)
@@ -252,16 +252,16 @@ def _draw_fig12() -> "Figure":
     return figure
 
 
-def _draw_portrait(axis: Any, portrait: PhasePortrait, colour: str) -> None:
-    from matplotlib.collections import LineCollection
-
+def _draw_portrait(axis: Any, subject: Cast, colour: str) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     for radius in np.arange(0.5, TOP + 0.1, 0.5):
         axis.plot(radius * np.cos(angle), radius * np.sin(angle), color="#dfe3e9", zorder=0)
-    axis.add_collection(LineCollection(portrait.resting, colors=colour, linewidths=0.6, alpha=0.8))
-    axis.add_collection(LineCollection(portrait.moving, colors=colour, linewidths=1.9, alpha=0.75))
-    axis.plot(*portrait.starts.T, "o", mfc="white", mec=INK)
-    axis.plot(*portrait.ends.T, "x", mec=INK)
+    path = np.array([subject.spiral.x, subject.spiral.scaled_velocity])
+    for moving, width in ((0.0, 0.6), (1.0, 1.9)):
+        axis.plot(*np.where(subject.moving == moving, path, np.nan), color=colour, lw=width, alpha=0.8)
+    for times, marker in zip(subject.intervals.T, "ox", strict=True):
+        within = times[times <= subject.t[-1]]
+        axis.plot(*(np.interp(within, subject.t, each) for each in path), marker, mfc="white", mec=INK)
     axis.set(xlim=(-TOP, TOP), ylim=(-TOP, TOP), aspect="equal", xlabel="x, m")
     axis.grid(False)
 
