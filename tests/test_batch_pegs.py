@@ -75,20 +75,6 @@ def test_what_does_not_fit_is_refused(what, words):
     refuses(words, hf.simulate_batch, ropes, motions, **{**HOW, **what})
 
 
-def test_a_member_that_takes_too_long_has_failed():
-    ropes, motions = family()
-    how = {"pegs": PEGS, "q0": np.full(10, 1.2), "t_eval": [0.1, DURATION], "keep": ("tip",), **HOW}
-    batch = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how)
-    assert batch.status == ("out of time",) * 3
-    assert np.isnan(batch.tip[:, -1]).all()
-    assert (batch.reached < DURATION).all()
-    alone = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how | {"t_eval": None})  # not one output is reached
-    assert alone.status == batch.status
-    assert np.isnan(alone.tip).all()
-    assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"success"}
-    refuses("time_budget has the wrong sign", hf.simulate_batch, ropes, motions, time_budget=-1.0, **how)
-
-
 @pytest.mark.parametrize("threads", [1, 2])
 def test_members_that_never_end_leave_time_to_the_others(threads):
     rope, aside = hf.Rope.uniform(0.7, 0.05, 10, 0.0025, friction=1e-3), [hf.Peg(1.5, -0.5, 0.04, 0.3)]

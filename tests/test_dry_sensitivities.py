@@ -132,27 +132,6 @@ def test_a_stuck_first_joint_turns_with_the_arm():
     np.testing.assert_array_equal(got.dq[:, :, 1], 0.0)
 
 
-def test_block_that_slips_until_it_rests():
-    """One link without gravity: w = w0 - (mu / I) t until it rests at w0 I / mu, having turned w0^2 I / (2 mu)."""
-    inertia, mu, w0 = 2e-3, 5e-3, 1.5
-    block = hf.Rope(length=[0.3], mass=[0.1], com=[0.0], inertia=[inertia], dry_friction=[mu], gravity=(0.0, 0.0))
-    times = np.array([0.1, 0.3, 0.55, 0.65, 1.0])  # it rests at 0.6 s
-    got = hf.sensitivities(
-        block, duration=1.0, q0=[0.0], qd0=[w0], t_eval=times, wrt=["dry_friction", "inertia", "qd0", "friction"]
-    )
-    t = np.minimum(times, w0 * inertia / mu)
-    moving = times < w0 * inertia / mu
-    want_q = np.stack([-(t**2) / (2 * inertia), mu * t**2 / (2 * inertia**2), t], axis=1)
-    want_w = np.stack([-t / inertia, mu * t / inertia**2, np.ones(5)], axis=1) * moving[:, None]
-    # friction eta: dw/dt = -eta w / I, to first order in eta, w0 t - mu t^2 / (2 I) behind
-    lost = -(w0 * t - mu * t**2 / (2 * inertia)) / inertia
-    want_w = np.column_stack([want_w, lost * moving])
-    want_q = np.column_stack([want_q, -(w0 * t**2 / 2 - mu * t**3 / (6 * inertia)) / inertia])
-    # a quadratic of time, which the steps follow to rounding; the event lies within 1e-13 s
-    for ours, want in ((got.dq[:, 0], want_q), (got.dqd[:, 0], want_w)):
-        np.testing.assert_allclose(ours, want, rtol=0.0, atol=1e-10 * np.abs(want).max())
-
-
 def test_no_dry_friction_yet_is_differentiated_towards_more():
     """Each time that a joint turns back its torque changes sign: a difference to one side, of runs with a little."""
     base, times = rope(3, dry_friction=0.0), np.array([0.2, 0.5, 0.9, 1.3])

@@ -1,6 +1,5 @@
 """Derivatives of whole rollouts: against differences along a frozen step sequence, closed forms, and refusals."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -167,19 +166,6 @@ def test_tip(name):
     # runs that choose their own steps: their errors, some 1e-10 m, over the spacing, and its square times a third
     # derivative of some hundreds
     np.testing.assert_allclose(got, want, rtol=0.0, atol=2e-5 * np.abs(want).max())
-
-
-def test_period_of_a_pendulum_against_its_length():
-    """Small swings: q = q0 cos(t sqrt(g / l)), so dq / dl = q0 sin(w t) w t / (2 l)."""
-    length, q0, t = 0.7, 1e-4, np.linspace(0.1, 5.0, 9)
-    pendulum = hf.Rope(length=[length], mass=[0.2], com=[length], inertia=[0.0])
-    both = {"l": {"length": [1.0], "com": [1.0]}}
-    got = hf.sensitivities(pendulum, duration=5.0, q0=[q0], t_eval=t, tol=1e-13, wrt=[both, "gravity[1]"])
-    w = math.sqrt(9.81 / length)
-    want = q0 * np.sin(w * t) * w * t / (2.0 * length)
-    # sine against angle: q0^2 / 16 of the period, 1e-9; the run's tolerance of 1e-13 m over the amplitude, 1e-9
-    np.testing.assert_allclose(got.dq[:, 0, 0], want, rtol=0.0, atol=1e-7 * np.abs(want).max())
-    np.testing.assert_allclose(got.dq[:, 0, 1], want * length / 9.81, rtol=0.0, atol=1e-7 * np.abs(want).max())
 
 
 BAD: dict[str, tuple[Any, str]] = {

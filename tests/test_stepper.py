@@ -104,8 +104,9 @@ def test_near_a_peg_a_run_in_steps_is_a_run(command):
     places = np.array([hf.forward_kinematics(cable, s.q, arm=ARM, arm_angle=s.arm_angle) for s in states])
     np.testing.assert_allclose(places, run.joints, rtol=0, atol=2e-4)
     for k in (7, 9, 13):  # forces of contacts are in the state, too
-        again = walk(stepper, states[k], given[k + 1 :])
-        np.testing.assert_array_equal(again[-1].q, states[-1].q)
+        for copied in (pickled, copy.deepcopy):
+            again = walk(*copied((stepper, states[k])), given[k + 1 :])
+            np.testing.assert_array_equal(vector(again[-1]), vector(states[-1]))
 
 
 @pytest.mark.parametrize("pegs", [(), (hf.Peg(0.05, -0.5, 0.03, mu=0.3),)], ids=["free", "peg"])
@@ -323,17 +324,3 @@ def test_a_state_goes_from_one_kind_of_command_to_another(command):
 
 def pickled(given: Any) -> Any:
     return pickle.loads(pickle.dumps(given))
-
-
-@pytest.mark.parametrize("copied", [pickled, copy.deepcopy])
-def test_a_stepper_with_a_peg_that_was_copied_continues_bit_for_bit(copied):
-    peg = hf.Peg(0.1, -0.5, radius=0.03, mu=0.3)
-    stepper = hf.Stepper(rope(12, friction=1e-4), arm=ARM, pegs=[peg], refine=False)
-    state = stepper.start()
-    for command in (20.0, -20.0, 30.0):
-        state = stepper.step(state, command, 0.05)
-    other, its = copied((stepper, state))
-    for command in (-10.0, 20.0, -20.0, 30.0):
-        state, its = stepper.step(state, command, 0.05), other.step(its, command, 0.05)
-    np.testing.assert_array_equal(its.q, state.q)
-    np.testing.assert_array_equal(its.qd, state.qd)

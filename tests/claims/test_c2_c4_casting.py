@@ -8,7 +8,6 @@ from hyperflex.paper.casting import (
     PART,
     cast,
     concentration,
-    rise_phases,
     run,
     steady_step_phase,
     straight_phase,
@@ -99,12 +98,6 @@ def test_measures_do_not_hang_on_the_tolerance_of_the_integrator():
     late = (rough.t >= 10.0) & (rough.t <= 14.0)
     assert abs(np.abs(rough.tip[late, 0]).max() - fine.reach(10.0, 14.0)) < 1e-3
     assert np.abs(rough.energy_error).max() < 1e-3 * np.ptp(rough.motor_work)
-
-
-def test_the_success_through_the_bottom_is_no_artefact_of_one_phase():
-    phases = rise_phases(cast(READINGS[0], "success"))
-    assert phases.size >= 6
-    assert np.all((phases >= 0.0) & (phases < 1.0))
 
 
 def test_concentration_tells_one_phase_from_many():

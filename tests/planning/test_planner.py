@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,15 +71,6 @@ def test_each_level_gets_an_equal_share_of_the_time():
     assert [spent(task, name) for name in ("sample", "rollout")] == pytest.approx([150.0] * 2, abs=4.0)
 
 
-def test_candidates_like_those_that_failed_get_less_and_less_of_the_time():
-    task = Numbers(0, lambda _: False)
-    task.alike = lambda one, other: True
-    assert not planner(task, 600.0).succeeds
-    shares = [spent(task, name) for name in COST]
-    assert shares[0] == pytest.approx(shares[1], abs=4.0)
-    assert 0.0 < shares[2] < 0.5 * shares[1]
-
-
 def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan():
     task = Numbers(5, lambda k: k >= 20, enough=0.2)
     assert planner(task).best.margin >= 0.2  # the first that succeeds has it
@@ -90,18 +80,6 @@ def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan():
     at = sum(COST[name] for name, _ in task.calls[: first + 1])
     assert 1.5 * at - COST["verify"] <= task.now <= 1.5 * at  # another verification would end later
     assert found.best.margin == max(one / 100.0 for name, one in task.calls if name == "verify")
-
-
-def test_a_plan_with_half_of_the_margin_is_improved_for_half_as_long():
-    class HalfSpare(Numbers):
-        def verify(self, one, budget):
-            return replace(super().verify(one, budget), margin=0.5)
-
-    task = HalfSpare(10, lambda _: True)
-    assert planner(task, improve=1.0).best.margin == 0.5
-    first = next(k for k, (name, _) in enumerate(task.calls) if name == "verify")
-    at = sum(COST[name] for name, _ in task.calls[: first + 1])
-    assert 1.5 * at - COST["verify"] <= task.now <= 1.5 * at
 
 
 def test_a_candidate_unlike_those_that_failed_is_verified_at_once():

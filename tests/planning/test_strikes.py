@@ -5,11 +5,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.planning import MotorLimits, Problem
-from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps, samples_clear_of_arm
-from hyperflex.planning.moves import Moves
+from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
 from hyperflex.planning.rollouts import MODEL, NEVER, RolloutBatch, find_strikes, first_contact, tail_energy
-from hyperflex.planning.tasks.wind import pumped
-from tests.planning.known import simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits())
@@ -65,26 +62,6 @@ def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
         away = float(sampled_obstacle_gaps(rest, [wall], q[:, 1:], begin[None])[0]) - arm.radius
         away = max(away, -(rope.radius + arm.radius))
         assert sampled_clearance(rope, arm, q, tip[None])[0] == pytest.approx(min(whole, away), abs=1e-12)
-
-
-def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not():
-    """All links at all samples, compared with only those that may be near."""
-    random, arm, far = (
-        np.random.default_rng(5),
-        hf.Arm(length=0.15),
-        hf.Rope.uniform(1.2, 0.06, 12, 0.003, friction=0.0),
-    )
-    q = np.cumsum(random.normal(0.0, 0.4, (40, 60, 12)), axis=1) + random.uniform(-np.pi, np.pi, (40, 1, 12))
-    angle = random.uniform(-np.pi, np.pi, (40, 60))
-    base = 0.15 * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
-    for clearance in (0.0, 0.05):
-        found = samples_clear_of_arm(far, arm, q, base, clearance)
-        near = np.array([sampled_clearance(far, arm, *each) <= clearance for each in zip(q, base, strict=True)])
-        assert found.tolist() == np.where(near.any(axis=1), near.argmax(axis=1), 60).tolist()
-        assert (found < 60).sum() > 5
-    until = np.maximum(found - 1, 0)  # looked at no longer than to one sample before
-    assert samples_clear_of_arm(far, arm, q, base, clearance, until).tolist() == 40 * [60]
-    assert samples_clear_of_arm(far, arm, q, base, -np.inf).tolist() == 40 * [60]
 
 
 def test_a_flight_that_failed_strikes_nothing_from_there_on():
@@ -152,11 +129,3 @@ def test_a_weight_at_the_tip_counts():
     q, qd = np.zeros(50), np.where(np.arange(50) < 25, 0.0, w)
     ratio, _ = tail_energy(CABLE.replace(tip_mass=1e5), peg, q, qd, np.zeros(2), np.zeros(2), 25)
     assert ratio == pytest.approx(0.5 * w**2 / (2.0 * 9.81), rel=1e-5)  # a point: the rope is 1e-6 of it
-
-
-def test_a_throw_without_a_strike_is_reported_by_its_distance():
-    found = simulated_strikes(
-        CAST_SETUP, hf.Peg(1.9, 1.9, 0.03), [pumped(CAST_SETUP, Moves(1, np.zeros(0), np.zeros(0)))]
-    )
-    assert np.isnan(found.t[0])
-    assert found.score[0] < -1.0
