@@ -13,7 +13,7 @@ from hyperflex import files
 from hyperflex.identification import BAND, Identification
 from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
-from hyperflex.report.identification.figures import FittedChannels, correlations, history_figure, prediction_figure
+from hyperflex.report.identification.figures import FittedChannels, correlations, prediction_figure
 from hyperflex.report.identification.page import identification_page, write_identification
 from hyperflex.report.identification.tables import described, numbers, parameters_table, predicted, ratios_table, ties
 from hyperflex.report.units import rounded
@@ -64,10 +64,10 @@ def changed(found: Identification, **values: Any) -> Identification:
 def test_a_page_is_one_file_with_all_its_parts(tmp_path, swing):
     text = page(tmp_path, swing, GUESS)
     assert re.findall(r'(?:src|href)="(?!data:|#)', text) == []
-    assert text.count("data:image/png;base64,") == 4  # fit, prediction, residuals, history
+    assert text.count("data:image/png;base64,") == 3  # fit, prediction, residuals
     titles = re.findall(r"<h2>(.*?)</h2>", text)
     assert titles[:3] == ["Assessment", "Parameters", "Ratios"]
-    assert len(titles) == 10
+    assert len(titles) == 9
     assert "two &lt;links&gt;, identified" in text
     assert '<span class="badge">usable for ratios</span>' in text
 
@@ -87,7 +87,7 @@ def test_many_channels_are_shown_by_a_few_and_all_of_them_elsewhere(tmp_path, ma
     text = page(tmp_path, markers)
     assert '<a href="#all">All 6 channels</a>' in text
     assert '<section id="all">' in text
-    assert text.count("data:image/png;base64,") == 6  # along the rope, fit, shapes, residuals, history, all channels
+    assert text.count("data:image/png;base64,") == 5  # along the rope, fit, shapes, residuals, all channels
     assert "Nothing was predicted" in text
     assert "0.2, 0.4, 0.6 m along the rope" in text
 
@@ -102,7 +102,6 @@ def test_an_interrupted_fit_reports_it(tmp_path, swing):
     assert "data:image/png" not in text
     late = changed(found, ended=Status.OUT_OF_TIME, history=(), held_out=None)
     text = page(tmp_path, (recording, late))
-    assert "ended during its first iteration" in text
     assert "Nothing was predicted: the fit ended early (out of time)" in text
 
 
@@ -302,10 +301,3 @@ def test_correlation_of_a_known_process_also_with_gaps():
 def test_a_value_of_0_is_a_plain_0():
     assert [rounded(0.0, std) for std in (3e-8, 0.2, np.inf)] == ["0"] * 3
     assert rounded(0.31, 0.2) == "0.31"
-
-
-def test_each_length_of_windows_has_a_curve_of_its_own(swing):
-    """Windows that are joined later are a stage of the same number."""
-    entries = [{"stage": 0, "window": window, "cost": cost} for window in (1.0, 2.0) for cost in (3.0, 1.0)]
-    (axis,) = history_figure(dataclasses.replace(swing[1], history=tuple(entries))).axes
-    assert [list(line.get_ydata()) for line in axis.lines if line.get_marker() == "o"] == [[3.0, 1.0]] * 2

@@ -1,10 +1,9 @@
-"""Figures of an identification: fit and data, residuals, prediction with its band, history of the cost."""
+"""Figures of an identification: fit and data, residuals, prediction with its band, values along the rope."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -189,25 +188,22 @@ def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) ->
 
 
 def residual_figure(view: FittedChannels) -> Figure:
-    """Draw the residuals of the chosen channels: over time, histogram, and autocorrelation."""
+    """Draw the residuals of the chosen channels: over time, and their autocorrelation."""
     found = view.found
-    with _rows(view, 3, (2.2, 1.0, 1.3)) as (figure, axes):
+    with _rows(view, 2, (2.2, 1.3)) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
             unit = readable_unit(found.unit, found.residual_rms[channel])
             values = found.residuals[:, channel] / unit.size
             row[0].plot(view.fit_t, values, ".", ms=2.0, color=BLUE)
             row[0].axhline(0.0, color=GREY, lw=0.8)
             row[0].set(ylabel=f"residual, {unit.name}", title=view.names[channel])
-            _draw_histogram(row[1], values[~np.isnan(values)])
-            row[1].set_xlabel(f"residual, {unit.name}")
             correlation, band = correlations(values)
             lag = 1 + np.arange(band.size)
-            row[2].fill_between(lag, -band, band, color=GREEN, alpha=0.2, lw=0)
-            row[2].vlines(lag, 0.0, correlation, color=BLUE, lw=1.4)
-            row[2].axhline(0.0, color=GREY, lw=0.8)
-            row[2].set(ylim=(-1.0, 1.0), xlabel="lag, samples" if channel == view.chosen[-1] else "")
-        axes[0, 1].set_title("how often; line: normal")
-        axes[0, 2].set_title("autocorrelation; shaded: white")
+            row[1].fill_between(lag, -band, band, color=GREEN, alpha=0.2, lw=0)
+            row[1].vlines(lag, 0.0, correlation, color=BLUE, lw=1.4)
+            row[1].axhline(0.0, color=GREY, lw=0.8)
+            row[1].set(ylim=(-1.0, 1.0), xlabel="lag, samples" if channel == view.chosen[-1] else "")
+        axes[0, 1].set_title("autocorrelation; shaded: white")
     return figure
 
 
@@ -220,17 +216,6 @@ def correlations(values: Array, lags: int = 40) -> tuple[Array, Array]:
     pairs, products = (correlate(each, each)[values.size - 1 :][: lags + 1] for each in both)
     pairs = np.maximum(pairs, 0.5)  # where no two samples are so far apart
     return (products / pairs)[1:] * pairs[0] / max(products[0], 1e-300), 1.96 / np.sqrt(pairs[1:])
-
-
-def _draw_histogram(axis: Any, values: Array) -> None:
-    std = float(np.sqrt(np.mean(values**2)))
-    edge = 4.0 * std or 1.0
-    bins = int(np.clip(np.sqrt(values.size), 8, 41))
-    axis.hist(np.clip(values, -edge, edge), bins=bins, range=(-edge, edge), density=True, color=BLUE, alpha=0.35)
-    if std > 0.0:
-        grid = np.linspace(-edge, edge, 161)
-        axis.plot(grid, np.exp(-0.5 * (grid / std) ** 2) / (std * np.sqrt(2.0 * np.pi)), color=INK, lw=1.0)
-    axis.set_yticks([])
 
 
 def multiples_figure(view: FittedChannels, columns: int = 4) -> Figure:
@@ -267,27 +252,6 @@ def shapes_figure(view: FittedChannels, instants: int = 5) -> Figure:
             axis.set(aspect="equal", title=f"{view.fit_t[row]:.3g} s", xlabel="x, m", xlim=ends[0], ylim=ends[1])
             axis.locator_params(nbins=4)
         axes[0].set_ylabel("y, m")
-    return figure
-
-
-def history_figure(found: Identification) -> Figure:
-    """Draw the cost over the iterations of each length of windows, relative to the smallest with that."""
-    from matplotlib.ticker import LogFormatter
-
-    with new_figure(_WIDTH, 2.4) as figure:
-        axis: Any = figure.subplots()
-        first, place = 0, {"transform": axis.get_xaxis_transform(), "va": "bottom"}
-        for _, entries in groupby(found.history, key=lambda entry: (entry["window"], entry.get("start"))):
-            cost, lengths = np.array([(entry["cost"], entry["window"]) for entry in entries]).T
-            rounds = first + np.arange(cost.size)
-            axis.plot(rounds, cost / max(float(cost.min()), 1e-300), "o-", ms=3.5, color=BLUE)
-            axis.axvline(first - 0.5, color=GREY, lw=0.8, ls=(0, (3.0, 2.0)))
-            axis.text(first - 0.4, 1.02, f"windows of {lengths[0]:.3g} s", fontsize=8.0, color=INK, **place)
-            first += cost.size
-        axis.set(yscale="log", xlabel="round", ylabel="cost over its least", xlim=(-0.5, first - 0.5))
-        for formatter in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
-            formatter(LogFormatter(minor_thresholds=(2.0, 0.4)))
-        axis.locator_params(axis="x", integer=True)
     return figure
 
 

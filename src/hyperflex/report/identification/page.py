@@ -12,7 +12,6 @@ from hyperflex.report.identification.figures import (
     FittedChannels,
     along_figure,
     fit_figure,
-    history_figure,
     multiples_figure,
     prediction_figure,
     residual_figure,
@@ -87,7 +86,7 @@ def identification_page(
 def _drawn(view: FittedChannels) -> list[Section]:
     """Return the sections with the fit's figures."""
     many = len(view.names) > len(view.chosen)
-    drawn = [_fit(view, many), _prediction(view), _residuals(view), _history(view.found)]
+    drawn = [_fit(view, many), _prediction(view), _residuals(view)]
     if many:
         pictures = _pictures((multiples_figure(view), "Every channel: measured, fitted (blue), predicted (red)."))
         folded = f"Show all {len(view.names)} channels"
@@ -178,18 +177,8 @@ def _prediction(view: FittedChannels) -> Section:
 
 
 def _residuals(view: FittedChannels) -> Section:
-    caption = (
-        "Residuals over time; their histogram, with a normal distribution; and their autocorrelation, with the band "
-        "that contains that of white noise."
-    )
+    caption = "Residuals over time, and their autocorrelation, with the band that contains that of white noise."
     return Section("Residuals", pictures=_pictures((residual_figure(view), caption)))
-
-
-def _history(found: Identification) -> Section:
-    if not found.history:
-        return Section("How the fit went", text=("The fit ended during its first iteration.",))
-    caption = "Cost after each iteration, relative to the least with such windows; short ones tolerate a poor guess."
-    return Section("How the fit went", pictures=_pictures((history_figure(found), caption)))
 
 
 def _rope(found: Identification) -> Section:
