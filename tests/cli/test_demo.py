@@ -16,7 +16,7 @@ from hyperflex.errors import Interrupted
 
 NAMES = {
     *("swing.mp4", "camera.toml", "guess.toml", "tracked.mp4", "seen.png", "markers.nc", "prediction.png"),
-    *("cast.nc", "strike.png", "course.png", "sideways.png", "tug.png", "motion.csv", "cast.toml", "rope.toml"),
+    *("cast.nc", "strike.png", "sideways.png", "motion.csv", "cast.toml", "rope.toml"),
     *("carried-out.png", "identification.json", "summary.md", "report.html"),
 }
 
@@ -121,7 +121,7 @@ def test_the_demo_ends_wound_and_held_and_its_page_reports_it(demo_report):
         assert words in plain
     # Whether the rope of the recording winds too is told as it is: it is no promise of a plan on an identified rope.
     assert demo_report.verdicts[1][0] == demo_report.proof.success
-    assert len(re.findall(r"<figure[ >]", plain)) == 8
+    assert len(re.findall(r"<figure[ >]", plain)) == 6
     assert page.count("<iframe sandbox=") == 1  # the cast plays
     assert re.findall(r"<h2>([^<]*)</h2>", page)[:2] == ["The cast", "In short"]  # what the reader came for
     assert str(path.parent) not in plain

@@ -27,9 +27,9 @@ PLACE = {"cast": ("--target", -0.83, -1.07), "whip": ("--target", 0.3, -0.9), "i
 MORE = {"cast": ("--radius", 0.04), "whip": (), "insert": ("--direction", -1)}
 ROPES = {"cast": CABLE, "whip": known_whip.ROPE, "insert": known_insert.ROPE}
 MADE = {"cast": planned, "whip": known_whip.planned_whip, "insert": known_insert.planned_insert}
-FILES = {"report.html", "course.png", "motion.csv"}
+FILES = {"report.html", "motion.csv"}
 NAMES = {
-    "cast": FILES | {"strike.png", "sideways.png", "tug.png", "cast.toml", "cast.nc"},
+    "cast": FILES | {"strike.png", "sideways.png", "cast.toml", "cast.nc"},
     "whip": FILES | {"peak.png", "passing.png", "whip.toml", "whip.nc"},
     "insert": FILES | {"entry.png", "gap.png", "insert.toml", "insert.nc"},
 }
@@ -248,7 +248,7 @@ def test_plans_that_do_not_fit_their_files_are_refused(hyperflex, ready, tmp_pat
 @pytest.mark.parametrize(
     ("command", "made", "words", "lacks"),
     [
-        ("cast", lambda: planned(winds=False), "does not touch the peg", {"sideways.png", "tug.png"}),
+        ("cast", lambda: planned(winds=False), "does not touch the peg", {"sideways.png"}),
         ("whip", lambda: known_whip.planned_whip(meets=False), "misses the target by 30.0 mm", set()),
         ("whip", known_whip.far_whip, "out of reach: the rope ends 1.40 m short", NAMES["whip"] - {"report.html"}),
         ("insert", lambda: known_insert.planned_insert(enters=False), "touches a wall at", set()),
@@ -309,7 +309,7 @@ def test_a_plan_for_the_nearest_target_is_written(hyperflex, given, ready, tmp_p
     code, said, _ = hyperflex(*given("cast", "--fallback"))
     assert (code, asked["fallback"]) == (4, True)
     assert "Nearest target that works: x = -0.8338 m, y = -1.074 m, 7.12 cm away" in plain(said)
-    assert written(out) == NAMES["cast"] - {"sideways.png", "tug.png"} | {"nearest.toml"}
+    assert written(out) == NAMES["cast"] - {"sideways.png"} | {"nearest.toml"}
     assert planning.read_plan(out / "nearest.toml").target == planned().target
     back = planning.read_plan(out / "cast.toml")
     assert (back.fallback.plan.success, back.fallback.failed_plans) == (True, 1)

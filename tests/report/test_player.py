@@ -129,7 +129,7 @@ def test_everything_is_in_sight(browser, cast, tmp_path, phone, dark):
     assert (tmp_path / "seen.png").stat().st_size > 10_000
     hidden = "[document.documentElement.scrollWidth - innerWidth, document.body.scrollHeight - innerHeight]"
     assert browser.evaluate(hidden) == [0, 0]
-    assert browser.evaluate("document.querySelectorAll('.plot').length") == 3
+    assert browser.evaluate("document.querySelectorAll('.plot').length") == 4
     assert browser.evaluate("document.documentElement.dataset.theme") == ("dark" if dark else "light")
     # the tip is drawn as a disc of its own colour: look at its middle, by the view that the page was given
     tip = browser.evaluate("""(() => {
@@ -160,7 +160,7 @@ def test_the_page_of_a_plan_plays_its_run(browser, tmp_path, made):
     note = browser.evaluate("document.getElementById('note').textContent")
     assert note == report.film_note(report.plan.run.t[-1]).rstrip()
     titles = browser.evaluate("Array.from(document.querySelectorAll('.plot b')).map((b) => b.textContent)")
-    assert ("turns, clockwise: " in titles) == (made == "cast")
+    assert ("turns, clockwise (1.25 required): " in titles) == (made == "cast")
     assert browser.complaints == []
 
 

@@ -331,8 +331,8 @@ def whip(target: Annotated[Given, TipTarget], task: Task, *, time_budget: TimeBu
     [walls] and [grounds] of the file are obstacles, which the rope must not touch.
 
     The plan is verified in simulation, also with links of half the length; the impact on a small peg at the target is
-    simulated too. The command writes the same files as cast, with pictures of the rope at the peak (peak.png), of the
-    tip at the target (passing.png) and of the course (course.png).
+    simulated too. The command writes the same files as cast, with pictures of the rope at the peak (peak.png) and of
+    the tip at the target (passing.png).
 
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no whip meets
     the target; the best is written with the reason.
@@ -357,8 +357,7 @@ def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget 
 
     The plan is verified in simulation with the walls, also with 2.5 times the links. The success probability assumes
     standard deviations of 2 mm for the slot's position and of 2 ms for the times of the strokes. The command writes the
-    same files as cast, with pictures of the rope in the gap (gap.png), of its entry (entry.png) and of the course
-    (course.png).
+    same files as cast, with pictures of the rope in the gap (gap.png) and of its entry (entry.png).
 
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no way through
     the slot was found; the best is written with the reason.

@@ -1,6 +1,5 @@
-"""Curves over time: plots of a run that the player and the figures share, time courses, and recordings."""
+"""Curves over time: plots of a run that the player and the figures share, and recordings."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,55 +16,19 @@ from hyperflex.trajectory import Trajectory
 KINDS = ("strobe", "course")
 
 
-def arm_plot(run: Trajectory) -> Plot:
-    """Return the angle of the arm."""
-    return Plot("angle of the arm", "degrees", (Line("", np.degrees(run.arm_angle)),))
+def course(run: Trajectory) -> tuple[Plot, ...]:
+    """Return the plots of every run: speed of the tip and energies; with an arm its angle first, and its torque last.
 
-
-def speed_plot(run: Trajectory) -> Plot:
-    """Return the speed of the tip."""
-    return Plot("speed of the tip", "m/s", (Line("", np.hypot(*run.tip_velocity.T)),))
-
-
-def energy_plot(run: Trajectory) -> Plot:
-    """Return the energies, the potential one from the start on, and the motor's work."""
+    The potential energy is that from the start on.
+    """
     potential = run.potential_energy - run.potential_energy[0]
     lines = (Line("kinetic", run.kinetic_energy), Line("potential", potential), Line("motor's work", run.motor_work))
-    return Plot("energy", "J", lines)
-
-
-def time_course(
-    run: Trajectory,
-    what: str,
-    plots: Sequence[Plot],
-    moves: Sequence[tuple[float, str]] = (),
-    event: tuple[float, str] = (np.nan, ""),
-) -> "Figure":
-    """Draw a run over time: angle of the arm with its `moves`, two plots, and the motor's torque.
-
-    A move is its start, s, and its name. The time of the `event`, s, is marked in all panels, and named in the second;
-    NaN where there is none.
-    """
-    torque = Plot("torque of the motor for the rope", "N m", (Line("", run.motor_torque),))
-    with new_figure(8.6, 8.2, f"Time course of {what}, simulated") as figure:
-        axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.15, 1.25, 1.0, 0.8))
-        for axis, plot in zip(axes, (arm_plot(run), *plots, torque), strict=True):
-            for line, colour in zip(plot.lines, (BLUE, RED, GREEN), strict=False):
-                axis.plot(run.t, line.values, color=colour, label=line.label)
-            axis.set(ylabel=plot.unit, title=plot.title[0].upper() + plot.title[1:])
-            if plot.level is not None:
-                axis.axhline(plot.level[0], color=GREY, ls="--", label=plot.level[1])
-            if np.isfinite(event[0]):
-                axis.axvline(event[0], color=RED, ls="--", label=event[1] if axis is axes[1] else "")
-            if axis.get_legend_handles_labels()[0]:
-                axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
-        axes[-1].set(xlabel="time, s", xlim=(run.t[0], run.t[-1]))
-        axes[0].margins(y=0.15)  # room for the names of the moves
-        for start, name in moves:
-            axes[0].axvline(start, color=GREY, ls=":")
-            place = {"transform": axes[0].get_xaxis_transform(), "va": "top", "fontsize": 8.0}
-            axes[0].text(start, 1.0, f" {name}", **place)
-    return figure
+    speed = Plot("speed of the tip", "m/s", (Line("", np.hypot(*run.tip_velocity.T)),))
+    plots = speed, Plot("energy", "J", lines)
+    if run.setup.arm is None:
+        return plots
+    angle = Plot("angle of the arm", "degrees", (Line("", np.degrees(run.arm_angle)),))
+    return angle, *plots, Plot("torque for the rope", "N m", (Line("", run.motor_torque),))
 
 
 def sideways_figure(found: Sideways, title: str = "") -> "Figure":
@@ -102,14 +65,21 @@ def run_figure(
         return strobe_figure(run, start=start, end=end, title=title, ax=ax)
     if ax is not None:
         raise InvalidInput(
-            "a course has four panels",
+            "a course has several panels",
             got="one ax",
             allowed="ax of a strobe",
             fix="Draw on the axes of the figure that it returns",
         )
-    shown = span(run, start, end)
-    figure = time_course(run, title or "the run", (speed_plot(run), energy_plot(run)))
-    figure.axes[0].set_xlim(shown)  # all axes share it
+    plots = course(run)
+    with new_figure(8.6, 0.6 + 1.9 * len(plots), f"Time course of {title or 'the run'}, simulated") as figure:
+        axes = figure.subplots(len(plots), 1, sharex=True)
+        for axis, plot in zip(axes, plots, strict=True):
+            for line, colour in zip(plot.lines, (BLUE, RED, GREEN), strict=False):
+                axis.plot(run.t, line.values, color=colour, label=line.label)
+            axis.set(ylabel=plot.unit, title=plot.title[0].upper() + plot.title[1:])
+            if len(plot.lines) > 1:
+                axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
+        axes[-1].set(xlabel="time, s", xlim=span(run, start, end))
     return figure
 
 

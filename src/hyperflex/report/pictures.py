@@ -1,7 +1,7 @@
 """Pictures and films of a run on a dark ground: arm, rope, path of the tip and obstacles, drawn with Matplotlib."""
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +34,7 @@ def strobe_figure(
     title: str = "",
     width: float = 9.0,
     overlay: Overlay = PLAIN,
+    near: tuple[Array, float] | None = None,
     ax: "Axes | None" = None,
 ) -> "Figure":
     """Draw the rope at `count` instants of a run, early ones dark, late ones bright, with the path of the tip.
@@ -53,6 +54,8 @@ def strobe_figure(
         Width of the picture, inches; the height follows from the rope's reach.
     overlay : Overlay
         Targets, and obstacles, whose colour the title then explains.
+    near : (2,) array_like and float, optional
+        Centre and half width, m, of what is shown, in place of all that the rope reaches.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into, in place of a new figure.
 
@@ -70,7 +73,7 @@ def strobe_figure(
     drawn, along = shapes(run, times), np.linspace(first, last, 800)
     trail = shapes(run, along).joints[:, -1]
     points = np.concatenate([drawn.joints.reshape(-1, 2), trail, drawn.pivots, overlay.targets])
-    low, high = view(run, points, above=1.5)
+    low, high = view(run, points, above=1.5) if near is None else (near[0] - near[1], near[0] + near[1])
     with _dark_axes(ax, width, width * (high[1] - low[1]) / (high[0] - low[0])) as axis:
         _stage(axis, run, low, high, overlay)
         fade = np.linspace(0.35, 1.0, count) ** 1.5
@@ -81,7 +84,7 @@ def strobe_figure(
         for glow, opacity in ((5.5, 0.07), (3.0, 0.16), (1.4, 1.0)):
             glowing = {"array": times, "alpha": opacity * fade, "capstyle": "round", **dusk}
             axis.add_collection(LineCollection(list(drawn.joints), linewidths=glow, **glowing))
-        axis.add_collection(LineCollection(pieces(trail), array=along[:-1], linewidths=0.7, alpha=0.55, **dusk))
+        axis.add_collection(LineCollection(_pieces(trail), array=along[:-1], linewidths=0.7, alpha=0.55, **dusk))
         tips = drawn.joints[:, -1].T
         axis.scatter(tips[0], tips[1], s=7.0, c=times, zorder=3, lw=0, **dusk)
         if run.setup.arm is not None:
@@ -95,7 +98,8 @@ def strobe_figure(
         style: Any = {"transform": axis.transAxes, "color": PALE, "fontsize": 8.0}
         axis.text(np.mean(scale), 0.057, f"{length:g} m", ha="center", **style)
         words = f"{title}; violet: obstacles" if overlay.obstacles else title
-        axis.text(0.018, 0.965, words, va="top", **style | {"color": "white", "fontsize": 11.0, "fontweight": "bold"})
+        style |= {"color": "white", "fontsize": 11.0, "fontweight": "bold"}
+        axis.text(0.018, 0.965, words, va="top", bbox={"facecolor": NIGHT, "lw": 0.0, "alpha": 0.8}, **style)
         key = axis.inset_axes((0.03, 0.04, 0.26, 0.012))  # the colours, in the lower left corner
         style = {"orientation": "horizontal", "ticklocation": "top", "ticks": (first, last), "format": "%.2f s"}
         axis.figure.colorbar(ScalarMappable(**dusk), cax=key, **style).outline.set_visible(False)
@@ -214,7 +218,7 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
         t, start = float(times[k]), run.t[0]
         now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), start))
         ropes.set_segments(list(now.joints))
-        trail.set_segments(pieces(shapes(run, np.linspace(max(t - overlay.trail, start), t, 80)).joints[:, -1]))
+        trail.set_segments(_pieces(shapes(run, np.linspace(max(t - overlay.trail, start), t, 80)).joints[:, -1]))
         arm.set_data(*np.stack([now.pivots[-1], now.joints[-1, 0]]).T)
         dots.set_offsets(np.stack([now.pivots[-1], now.joints[-1, -1]]))
         text.set_text(f"t = {t:5.2f} s\n{note(t)}")
@@ -238,25 +242,6 @@ def _gif(frames: "Iterator[Image.Image]", colours: "Image.Image", frame_rate: in
     return buffer.getvalue()
 
 
-def draw_obstacles(axis: Any, obstacles: Sequence[Obstacle], far: float, place: Any = None) -> None:
-    """Draw obstacles in violet into a plot whose limits are set; its legend names the kinds that lie within them.
-
-    Of grounds the part within `far`, m, of their points is drawn. `place` is a transform from m, if the plot has
-    another unit or origin.
-    """
-    shown = set()
-    for each in obstacles:
-        patch = _draw_obstacle(axis, each, far, OBSTACLE)
-        if place is not None:
-            patch.set_transform(place + axis.transData)
-        outline = patch.get_path().transformed(patch.get_transform())
-        if outline.intersects_bbox(axis.bbox, filled=not isinstance(each, Wall)):
-            shown.add(type(each).__name__.lower())
-    for kind in sorted(shown):
-        face = GROUND if kind == "ground" else OBSTACLE
-        axis.plot([], [], "s", color=face, mec=OBSTACLE, mew=1.5, ms=6.0, label=f"{kind}, an obstacle")
-
-
 @contextmanager
 def _dark_axes(ax: "Axes | None", width: float, height: float) -> "Iterator[Axes]":
     """Give the user's axes, in the package's style until the end of the block, or axes that fill a new figure."""
@@ -275,11 +260,11 @@ def _stage(axis: "Axes", run: Trajectory, low: Array, high: Array, overlay: Over
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor=NIGHT, xticks=[], yticks=[])
     axis.spines[:].set_visible(False)
     for each in run.setup.pegs:
-        _draw_obstacle(axis, each, 10.0 * float((high - low).max()), OBSTACLE if each in overlay.obstacles else PEG)
+        draw_obstacle(axis, each, 10.0 * float((high - low).max()), OBSTACLE if each in overlay.obstacles else PEG)
     axis.plot(*overlay.targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
 
 
-def _draw_obstacle(axis: Any, obstacle: Obstacle, far: float, colour: str) -> Any:
+def draw_obstacle(axis: Any, obstacle: Obstacle, far: float, colour: str) -> Any:
     """Draw a peg, wall or ground and return it; only the surface of a ground has an obstacle's colour."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
@@ -288,7 +273,7 @@ def _draw_obstacle(axis: Any, obstacle: Obstacle, far: float, colour: str) -> An
         outline = Path.circle((obstacle.x, obstacle.y), obstacle.radius)
         style: Any = {"facecolor": colour, "edgecolor": colour, "lw": 0.7, "zorder": 1}  # below the rope
     elif isinstance(obstacle, Wall):
-        outline, style = Path(wall_ends(obstacle)), {"edgecolor": colour, "lw": 2.2, "zorder": 4}
+        outline, style = Path(wall_ends(obstacle)), {"facecolor": "none", "edgecolor": colour, "lw": 2.2, "zorder": 4}
     else:
         out = np.array([obstacle.nx, obstacle.ny]) / np.hypot(obstacle.nx, obstacle.ny)
         sides = np.array([[-1, 0], [1, 0], [1, -1], [-1, -1], [-1, 0]])  # along the surface, and out of the ground
@@ -298,6 +283,6 @@ def _draw_obstacle(axis: Any, obstacle: Obstacle, far: float, colour: str) -> An
     return axis.add_patch(PathPatch(outline, **style))
 
 
-def pieces(path: Array) -> list[Array]:
+def _pieces(path: Array) -> list[Array]:
     """Return the pieces (2, 2) of a path (k, 2), one for each colour."""
     return list(np.stack([path[:-1], path[1:]], axis=1))

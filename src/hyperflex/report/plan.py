@@ -10,12 +10,11 @@ import numpy as np
 
 from hyperflex.checks import Array, ByName
 from hyperflex.planning import BOUNCE_TIME, RATE, CastPlan, InsertPlan, TipOptions, WhipPlan
-from hyperflex.report.curves import time_course
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Film, Picture, Section, write_page, write_pictures
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.player import player_html
-from hyperflex.report.scene import Overlay, Plot
+from hyperflex.report.scene import Overlay
 from hyperflex.report.style import Axes, Figure, png
 from hyperflex.report.texts import Texts
 from hyperflex.trajectory import Trajectory
@@ -68,10 +67,6 @@ class PlanReport(ABC, Generic[PlanT]):
         """Return what film and pictures show in addition to the run: notes, obstacles, and the event."""
         marks = (self.event,) if math.isfinite(self.event) else ()
         return Overlay(self.film_note, obstacles=self.plan.problem.obstacles, marks=marks)
-
-    def without_run(self) -> tuple[Section, ...]:
-        """Return sections of a page without a run."""
-        return ()
 
     def other_plans(self) -> "Mapping[str, CastPlan | None]":
         """Return further plans whose set-ups are written, by the names of their files; None where there is none."""
@@ -168,7 +163,6 @@ class PlanReport(ABC, Generic[PlanT]):
         sections: list[Section] = [
             Section("In short", verdict=verdict, text=(*remarks, *self.advice), tiles=self.tiles, notes=notes)
         ]
-        sections += self.without_run() if plan.run is None and not plan.interrupted else ()  # to end soon
         if self.story:
             sections.append(Section("The plan" if plan.run is None else "What happens", text=self.story))
         if shown:
@@ -178,11 +172,6 @@ class PlanReport(ABC, Generic[PlanT]):
             sections.append(Section("Check with a finer rope", table=texts.table("checks"), notes=note))
             sections.append(Section("Motor", table=texts.table("motor")))
         return [*sections, Section("Set-up", text=texts.paragraphs("setup"))]
-
-    def moves(self) -> list[tuple[float, str]]:
-        """Return start, s, and number of the arm's moves that begin within the run."""
-        names = [*map(str, range(1, self._starts.size)), "last" if self.last_move else str(self._starts.size)]
-        return [(start, name) for start, name in zip(self._starts, names, strict=False) if start < self.run.t[-1]]
 
     @property
     def _starts(self) -> Array:
@@ -210,15 +199,14 @@ class PlanReport(ABC, Generic[PlanT]):
     def strobe_of_event(self, ax: "Axes | None" = None) -> "Figure":
         """Draw the rope at many instants about the event, into given axes or a new figure."""
 
-    def strobe_at(self, t: float, before: float, after: float, shown: str, ax: "Axes | None" = None) -> "Figure":
-        """Draw the rope at many instants `before` and `after` a time `t`, s; `shown` explains the other objects."""
+    def strobe_at(self, t: float, before: float, after: float, shown: str, **options: Any) -> "Figure":
+        """Draw the rope at many instants `before` and `after` a time `t`, s; `shown` explains the other objects.
+
+        `options` are further ones of :func:`strobe_figure`.
+        """
         start, end = max(t - before, float(self.run.t[0])), min(t + after, float(self.run.t[-1]))
         title = f"simulated; {shown}"
-        return strobe_figure(self.run, start=start, end=end, count=52, title=title, overlay=self.overlay(), ax=ax)
-
-    def course(self, event: str, *plots: Plot) -> "Figure":
-        """Draw the time course of the run with two plots; it marks the event and names it."""
-        return time_course(self.run, f"the {self.noun}", plots, self.moves(), (self.event, event))
+        return strobe_figure(self.run, start=start, end=end, count=52, title=title, overlay=self.overlay(), **options)
 
     def motor_peaks(self) -> tuple[float, float]:
         """Return the greatest speed, rad/s, and acceleration, rad/s^2, of the motion."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hyperflex import checks, files
 from hyperflex.checks import Array, ByName
 from hyperflex.model import Obstacle, Peg
-from hyperflex.report.curves import arm_plot, energy_plot, speed_plot
+from hyperflex.report.curves import course
 from hyperflex.report.page import render
 from hyperflex.report.scene import PLAIN, Overlay, Plot, shapes, span, view
 from hyperflex.trajectory import Trajectory
@@ -129,19 +129,17 @@ def _obstacles(run: Trajectory, avoided: Sequence[Obstacle]) -> list[ByName]:
 
 
 def _curves(run: Trajectory, first: float, last: float, plots: Sequence[Plot]) -> ByName:
-    """Return the curves of arm, tip, energy and further plots at samples between two times, thinned out."""
+    """Return the curves of every run and of further plots at samples between two times, thinned out."""
     kept = np.flatnonzero((run.t >= first) & (run.t <= last))
     kept = kept[:: max(kept.size // 1500, 1)]  # a plot has fewer pixels
-    lines = [speed_plot(run), energy_plot(run), *plots]
-    if run.setup.arm is not None:
-        lines.insert(0, arm_plot(run))
     series = [
         {
             "title": plot.title,
             "unit": plot.unit,
+            "level": plot.level,
             "lines": [{"label": line.label, "values": _packed(line.values[kept].astype("<f4"))} for line in plot.lines],
         }
-        for plot in lines
+        for plot in (*course(run), *plots)
     ]
     return {"series_times": _packed(run.t[kept].astype("<f4")), "series": series}
 

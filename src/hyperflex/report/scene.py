@@ -23,13 +23,13 @@ class Line(NamedTuple):
 class Plot(NamedTuple):
     """A plot over time: what it shows, the unit, and its curves, three at most.
 
-    A figure marks its `level`, a value and what it is, by a dashed line.
+    A dashed line marks its `level`, a value that is required, say.
     """
 
     title: str
     unit: str
     lines: tuple[Line, ...]
-    level: tuple[float, str] | None = None
+    level: float | None = None
 
 
 class Dots(NamedTuple):
@@ -56,7 +56,7 @@ class Overlay:
     marks : tuple of float
         Times that the plots of a player mark, s.
     plots : tuple of Plot
-        Plots of a player in addition to arm angle, speed of the tip and energy.
+        Plots of a player in addition to those of every run.
     dots : Dots, optional
         Measured places: a player marks the nearest in time with rings.
     ropes : tuple of Trajectory
