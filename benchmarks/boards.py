@@ -54,7 +54,8 @@ def render_board(
 ) -> Image:
     """Return a picture (height, width, 3) of a board whose frame (x right, y down, z into it) has this pose, rad and m.
 
-    `legacy` draws a ChArUco board as OpenCV did before version 4.6; `noise` is the standard deviation of gray levels, drawn by `seed`.
+    `legacy` draws a ChArUco board as OpenCV did before version 4.6; `noise` is the standard deviation of gray levels,
+    drawn by `seed`.
     """
     import cv2
 
