@@ -15,7 +15,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from hyperflex import checks, extras
+from hyperflex import checks, extras, files
 from hyperflex.errors import DriveError
 from hyperflex.hardware.drive import CONFIRM, SILENCE, Goal, NoReply, Reading, persist
 from hyperflex.hardware.serial_port import open_problem
@@ -87,33 +87,8 @@ class Servo:
         return self.current * self.stall_torque / self.stall_current
 
 
-# By model number. Stall torque and current at the recommended voltage (data sheets of the e-Manual).
-SERVOS = {
-    1000: Servo("XH430-W350", 2.69e-3, 3.4, 1.3),
-    1010: Servo("XH430-W210", 2.69e-3, 2.5, 1.3),
-    1020: Servo("XM430-W350", 2.69e-3, 4.1, 2.3),
-    1030: Servo("XM430-W210", 2.69e-3, 3.0, 2.3),
-    1040: Servo("XH430-V350", 1.34e-3, 3.3, 0.7),
-    1050: Servo("XH430-V210", 1.34e-3, 2.6, 0.7),
-    1060: Servo("XL430-W250", 0.0, 1.5, 1.4),
-    1070: Servo("XC430-W150", 0.0, 1.6, 1.4),
-    1080: Servo("XC430-W240", 0.0, 1.9, 1.4),
-    1090: Servo("2XL430-W250", 0.0, 1.5, 1.4),
-    1100: Servo("XH540-W270", 2.69e-3, 9.9, 4.9),
-    1110: Servo("XH540-W150", 2.69e-3, 7.1, 4.9),
-    1120: Servo("XM540-W270", 2.69e-3, 10.6, 4.4),
-    1130: Servo("XM540-W150", 2.69e-3, 7.3, 4.4),
-    1140: Servo("XH540-V270", 2.69e-3, 9.2, 2.4),
-    1150: Servo("XH540-V150", 2.69e-3, 6.4, 2.4),
-    1160: Servo("2XC430-W250", 0.0, 1.8, 1.4),
-    1170: Servo("XW540-T260", 2.69e-3, 9.5, 4.9),
-    1180: Servo("XW540-T140", 2.69e-3, 6.9, 4.9),
-    1190: Servo("XL330-M077", 1e-3, 0.215, 1.47, 208),
-    1200: Servo("XL330-M288", 1e-3, 0.52, 1.47, 208),
-    1210: Servo("XC330-T181", 1e-3, 0.76, 0.80, 208),
-    1220: Servo("XC330-T288", 1e-3, 0.92, 0.80, 208),
-    1230: Servo("XC330-M181", 1e-3, 0.60, 1.80, 208),
-    1240: Servo("XC330-M288", 1e-3, 0.93, 1.80, 208),
+SERVOS = {  # by model number
+    int(number): Servo(**table) for number, table in files.read_toml(Path(__file__).with_name("servos.toml")).items()
 }
 
 
