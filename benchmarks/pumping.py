@@ -79,7 +79,7 @@ def camera(path: Any, seed: int) -> dict[str, float | None]:
     true = rope.replace(
         length=length * rope.length, com=length * rope.com, mass=mass * rope.mass, friction=friction * rope.friction
     )
-    loop = closed_loop(path, SimulatedCamera(TrueState(true, arm), rope, arm, seed=seed), recheck_time=0.2)
+    loop = closed_loop(path, SimulatedCamera(TrueState(true, arm), rope, arm, seed=seed))
     return {
         "closed loop": known(arrival(loop, rope=true)),
         "open loop": known(arrival(motion_of(path, BEST[path]), rope=true)),

@@ -51,12 +51,10 @@ def constant_arrivals(path: Path, rests: npt.NDArray[np.float64]) -> npt.NDArray
     return arrival_time(t, np.abs(batch.tip[:, :, 0]), WANTED)
 
 
-def closed_loop(
-    path: Path, source: StateSource, plan: PumpingPlan | None = None, *, recheck_time: float = np.inf
-) -> Motion:
+def closed_loop(path: Path, source: StateSource, plan: PumpingPlan | None = None) -> Motion:
     """Run the closed loop with a plan, by default the best known one, on a source of states."""
     model = caster(path)
     rests = np.array(BEST[path]) if plan is None else plan.rests
     reached = arrival(motion_of(path, rests)) if plan is None else plan.arrival_time
     rule = PumpingRule(model, WANTED, rests=rests, arrival_time=reached)
-    return run_closed_loop(source, rule, model, duration=reached + 0.5 * model.period, recheck_time=recheck_time).motion
+    return run_closed_loop(source, rule, model, duration=reached + 0.5 * model.period).motion
