@@ -276,12 +276,11 @@ class CastRun:
         if self.recording is None:
             raise InvalidInput("the rope was not observed", fix="Give a source of its state, such as a camera")
         seen, rope = self.recording, self.rope or self.plan.problem.rope
-        places = self._joints.reshape(seen.t.size, -1)
+        places = self._joints[:, 1:].reshape(seen.t.size, -1)
         noise = np.zeros((seen.t.size, rope.n_links)) if seen.noise is None else seen.noise
         spread = np.sqrt(np.cumsum((noise * rope.length) ** 2, axis=1))  # of each joint after the first, m
-        wide = np.repeat(np.maximum(np.pad(spread, ((0, 0), (1, 0))), 1e-9), 2, axis=1)
-        markers = Recording(seen.t, places, "markers", wide, name=seen.name)
-        return CastLog(markers, arm_angle=self.log.angle(seen.t), wound=self.wound)
+        markers = Recording(seen.t, places, "markers", np.repeat(np.maximum(spread, 1e-9), 2, axis=1), name=seen.name)
+        return CastLog(markers, self.plan.problem.rope.link_ends, self.log.angle(seen.t), self.wound)
 
     def plot(self) -> "Figure":
         """Draw the drive and its goals, and how far the rope was from the plan: return a Matplotlib figure."""

@@ -53,10 +53,10 @@ class CastLog:
     Parameters
     ----------
     recording : Recording
-        Link angles, or positions of markers in the frame of the arm, until the cast's end; times count from the
-        motion's begin. Its `noise` is the error of a value.
-    arc_lengths : (K,) array_like, optional
-        Distance of each marker from the first joint along the rope as planned, m; by default markers are at the joints.
+        Positions of markers in the frame of the arm, until the cast's end; times count from the motion's begin. Its
+        `noise` is the error of a value.
+    arc_lengths : (K,) array_like
+        Distance of each marker from the first joint along the rope as planned, m.
     arm_angle : (T,) array_like, optional
         Measured arm angle at the recording's times, rad; NaN in gaps. Without it the motor's lag is not learned.
     wound : bool, optional
@@ -64,18 +64,16 @@ class CastLog:
     """
 
     recording: Recording
-    arc_lengths: ArrayLike | None = None
+    arc_lengths: ArrayLike
     arm_angle: ArrayLike | None = None
     wound: bool | None = None
 
     def __post_init__(self) -> None:
         t = checks.instance("recording", self.recording, Recording).t
-        if self.arc_lengths is not None:
-            if self.recording.kind != "markers":
-                raise InvalidInput("arc_lengths are of markers", got=self.recording.kind, fix="Omit them")
-            count = self.recording.n_links + 1
-            value = checks.array("arc_lengths", self.arc_lengths, (count,), sign="nonnegative", unit="m")
-            object.__setattr__(self, "arc_lengths", value)
+        checks.choice("kind of the recording of a cast", self.recording.kind, ("markers",))
+        count = self.recording.data.shape[1] // 2
+        value = checks.array("arc_lengths", self.arc_lengths, (count,), sign="nonnegative", unit="m")
+        object.__setattr__(self, "arc_lengths", value)
         if self.arm_angle is not None:
             value = checks.array("arm_angle", self.arm_angle, t.shape, unit="rad", gaps=True)
             object.__setattr__(self, "arm_angle", value)
@@ -343,9 +341,9 @@ class _Learner:
     def learn(self, log: CastLog) -> None:
         """Learn from a cast with the present moves."""
         made, number = self.moves, len(self.attempts) + 1
-        position, speed, problem, arcs = math.nan, math.nan, "", self._arcs(log)
+        position, speed, problem = math.nan, math.nan, ""
         try:
-            position, speed = self._learn(log, arcs)
+            position, speed = self._learn(log)
         except InvalidInput as error:
             problem = error.what
         except SimulationError as error:
@@ -353,7 +351,7 @@ class _Learner:
         factors = {each.name: 1.0 + each.value for each in self._prior}
         self.attempts.append(Attempt(number, made, log.wound, position, speed, factors, self.lag, problem))
 
-    def _learn(self, log: CastLog, arcs: Array) -> tuple[float, float]:
+    def _learn(self, log: CastLog) -> tuple[float, float]:
         """Learn, and plan again after a miss; return how far the strike is from its goal, m and m/s."""
         problem, moves, goal, lag = self.plan.problem, self.moves, self._goal, self.lag
         commanded = moves.motion(problem.limits)
@@ -361,7 +359,7 @@ class _Learner:
             lag = _fitted_lag(commanded, log.recording.t, np.asarray(log.arm_angle))
         motion = lagged(commanded, lag)
         cast = self._flight(log, problem.arm.tip(motion.angle(log.recording.t)), goal.t + lag)
-        estimator = RopeFilter(self._rope, arcs, motion=motion, arm=problem.arm, parameters=self._prior)
+        estimator = RopeFilter(self._rope, log.arc_lengths, motion=motion, arm=problem.arm, parameters=self._prior)
         stops = moves.starts(problem.limits)[:-1] + moves.timing(problem.limits)[1][:-1]
         known = (stops + lag > cast.t[0] + self.options.settled) & (stops + lag < cast.t[-1])
         end = min(goal.t + lag, float(cast.t[-1]))
@@ -415,28 +413,12 @@ class _Learner:
 
     # ------------------------------------------------------------------ what was measured
 
-    def _arcs(self, log: CastLog) -> Array:
-        """Return where the markers are, m along the rope as planned (K,)."""
-        joints, count = np.append(0.0, self._rope.link_ends), log.recording.n_links + 1
-        if log.arc_lengths is None and count != joints.size:
-            raise InvalidInput(
-                "the log is of a rope with other links", got=count - 1, allowed=f"{joints.size - 1}, or arc_lengths"
-            )
-        return joints[1:] if log.arc_lengths is None else np.asarray(log.arc_lengths)
-
     def _flight(self, log: CastLog, base: Array, expected: float) -> _Flown:
         """Return the free flight of a log, its strike about when expected, s; InvalidInput if there is too little."""
         rope, recording, peg = self.plan.problem.rope, log.recording, self.plan.target
         t = recording.t
         noise = np.zeros(recording.data.shape) if recording.noise is None else recording.noise
-        if recording.kind == "angles":
-            places = rope.joints(recording.data, base)[:, 1:]
-            std = np.sqrt(np.cumsum((noise * rope.length) ** 2, axis=1))
-        else:
-            places = recording.data.reshape(t.size, -1, 2)
-            std = noise.reshape(t.size, -1, 2).max(axis=2)
-            if log.arc_lengths is None:
-                places, std = places[:, 1:], std[:, 1:]
+        places, std = recording.data.reshape(t.size, -1, 2), noise.reshape(t.size, -1, 2).max(axis=2)
         line = np.concatenate([base[:, None], places], axis=1)
         near = obstacle_gaps((peg,), line[:, :-1], line[:, 1:]).reshape(t.size, -1)
         touched = np.nan_to_num(near, nan=np.inf).min(axis=1) < rope.radius + self.options.struck
