@@ -88,17 +88,6 @@ def test_pendulum_at_rest_reads_g_along_the_link():
             np.testing.assert_allclose(found.y, [0.1, np.hypot(*gravity) - 0.2], rtol=0, atol=1e-12)
 
 
-def test_swinging_pendulum_reads_the_closed_form():
-    """One rigid link on a fixed hinge, alpha = -m a g sin q / I: (g sin q + s alpha, g cos q + s w^2)."""
-    rod = hf.Rope(length=[0.5], mass=[0.2], com=[0.25], inertia=[0.01], gravity=(0.0, -9.81))
-    q, w, s = 0.7, -3.0, 0.4
-    alpha = -0.2 * 0.25 * 9.81 * np.sin(q) / (0.01 + 0.2 * 0.25**2)
-    at = hf.State(0.0, np.array([q]), np.array([w]), arm_angle=0.3, arm_rate=0.0)
-    found = Accelerometer(0, s).measure(rod, hf.Arm(0.1), at)
-    expected = [9.81 * np.sin(q) + s * alpha, 9.81 * np.cos(q) + s * w**2]
-    np.testing.assert_allclose(found.y, expected, rtol=1e-13)
-
-
 def test_acceleration_is_that_of_a_marker_in_a_run():
     """Second differences of the places in a run, 1 ms apart: h^2 / 12 of the fourth derivative, some 1e5 m/s^4."""
     h, motion = 1e-3, hf.move_arm(0.4, 1.4, 0.5)

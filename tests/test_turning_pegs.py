@@ -77,8 +77,3 @@ def test_a_bad_axle_is_refused(axle, words):
 def test_a_state_that_does_not_fit_is_refused(spin, words):
     state = hf.State(0.0, np.full(18, 1.2), np.zeros(18), **spin)
     refuses(words, fallen, state=state, q0=None)
-
-
-def test_no_cast_is_planned_for_a_target_that_turns():
-    refuses("fixed targets", hf.plan_cast, CABLE, hf.Arm(length=0.1), PULLEY)
-    refuses("there are none", hf.simulate_batch, CABLE, duration=0.1, keep=("peg_rate",))

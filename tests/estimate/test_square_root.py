@@ -1,7 +1,6 @@
 """Covariances by their square roots against the textbook's formulas, and changes carried without a matrix."""
 
 import numpy as np
-import pytest
 
 import hyperflex as hf
 from hyperflex.estimate import EstimatedParameter
@@ -9,19 +8,6 @@ from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import Process
 from tests.estimate.runs import ARM, SWINGS, rope
-
-
-@pytest.mark.parametrize("rank", [3, 12])
-def test_update_is_the_kalman_filters(rank):
-    rng = np.random.default_rng(0)
-    S, H = rng.normal(size=(rank, 12)), rng.normal(size=(5, 12))
-    P = S.T @ S
-    across, upper = sr.innovation_factor(S, H)
-    inverse = np.linalg.inv(H @ P @ H.T + np.eye(5))
-    np.testing.assert_allclose(S.T @ sr.weighted(upper, across.T).T, P @ H.T @ inverse, atol=1e-11)
-    np.testing.assert_allclose(upper.T @ upper, H @ P @ H.T + np.eye(5), atol=1e-11)
-    after = sr.updated(S, across, upper)
-    np.testing.assert_allclose(after.T @ after, P - P @ H.T @ inverse @ H @ P, atol=1e-10)
 
 
 def test_update_keeps_what_is_left_of_a_wide_prior():

@@ -10,7 +10,6 @@ import pytest
 
 from hyperflex.errors import DriveError
 from hyperflex.hardware import DynamixelLink, Goal, dynamixel, serial_port
-from hyperflex.hardware.drive import NoReply
 from hyperflex.hardware.emulate import DynamixelDevice
 from hyperflex.model import MotorLimits
 from tests.hardware.wire import Wire, be_patient, light_arm, opened, try_open
@@ -114,21 +113,6 @@ def test_a_hardware_error_switches_the_torque_off_and_needs_a_reboot():
         link.clear()
         assert link.read().fault == ""
         link.enable(LIMITS)
-
-
-def test_a_late_reply_is_not_taken_for_the_answer_to_a_later_request():
-    device = servo()
-    with Wire(device) as wire, link_to(wire) as link:
-        held = []
-        wire.spoil = lambda reply: held.append(reply) or []
-        link.patience = 0.02
-        with pytest.raises(NoReply):
-            link.read()
-        device.plant.impose(encoder_turns=1.0)  # the content of the late reply is no longer true
-        wire.spoil = lambda reply: [held[0], reply]
-        link.patience = 1.0
-        for _ in range(31):  # all but the request to which it would be the answer in a second round
-            assert link.read().angle == pytest.approx(math.tau)
 
 
 def test_it_is_enabled_in_spite_of_lost_packets_and_never_with_an_old_goal(monkeypatch):

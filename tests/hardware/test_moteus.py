@@ -91,19 +91,6 @@ def test_frames_for_others_and_frames_that_are_cut_off_change_nothing(device):
     assert device.handle(COMMAND.replace(b"8001", b"0001")).count(b"rcv") == 0  # no reply is wanted
 
 
-def test_its_watchdog_holds_until_a_stop(device):
-    device.handle(COMMAND)  # its own default of 0.1 s
-    device.tick(0.1)
-    assert device.plant.enabled
-    device.tick(0.101)
-    assert (device.mode, device.plant.enabled) == (11, False)
-    device.handle(COMMAND)
-    assert (device.mode, len(device.plant.goals)) == (11, 1)
-    device.handle(b"can send 8001 010000\n")
-    device.handle(COMMAND)
-    assert (device.mode, device.plant.enabled) == (10, True)
-
-
 @pytest.mark.parametrize(
     ("state", "code"), [({"voltage": 9.0}, 40), ({"voltage": 47.0}, 34), ({"temperature": 76.0}, 38)]
 )

@@ -192,36 +192,6 @@ def test_a_spoiled_reply_is_no_reply_and_the_next_one_counts(spoiled, monkeypatc
         assert link.read().angle == 0.0
 
 
-def test_a_late_frame_is_not_taken_for_the_answer_to_a_later_request():
-    device = axis()
-    with Wire(device) as wire, link_to(wire) as link:
-        held = []
-        wire.spoil = lambda reply: held.append(reply) or [] if b"t009" in reply else [reply]
-        link.patience = 0.01
-        with pytest.raises(NoReply):
-            link.read()
-        device.plant.impose(encoder_turns=1.0)  # the content of the late frame is no longer true
-        link.patience = 0.3
-        wire.spoil = lambda reply: [held.pop(), reply] if held else [reply]
-        assert link.read().angle == pytest.approx(math.tau)
-
-
-def test_a_frame_is_not_lost_before_one_that_was_requested_later_has_arrived():
-    """As if the adapter held all frames of the axis back, for longer than any usual delay."""
-    device = axis()
-    with Wire(device) as wire, link_to(wire) as link:
-        held = []
-        wire.spoil = lambda reply: held.append(reply) or []
-        link.patience = 0.01
-        for _ in range(10):
-            with pytest.raises(NoReply):
-                link.read()
-        device.plant.impose(encoder_turns=1.0)  # the content of the late frame is no longer true
-        link.patience = 0.3
-        wire.spoil = lambda reply: [*(held.pop(0) for _ in range(len(held))), reply]
-        assert link.read().angle == pytest.approx(math.tau)
-
-
 def test_after_a_lost_frame_goals_are_sent_and_states_come_again(monkeypatch):
     monkeypatch.setattr(odrive, "LATEST", 0.5)
     device = axis()

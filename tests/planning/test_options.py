@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-import hyperflex as hf
 from hyperflex.planning import Conditions, FollowOptions, MotorLimits, SearchOptions, TargetGrid, WindCriteria
 from hyperflex.planning.outcome import evaluate_cast
 from tests.planning.known import PEG, planned
@@ -53,8 +52,3 @@ def test_a_watch_is_at_least_as_long_as_forces_are_averaged():
     found = evaluate_cast(replace(plan.problem, criteria=short), PEG, plan.run, plan.motion.breaks[-1])
     assert found.success
     assert 0.0 < found.load_ratio < 1.0
-
-
-def test_an_executor_is_one_of_pythons():
-    given = planned().problem.rope, [hf.hold_arm(0.0)]
-    refuses("concurrent.futures.Executor", hf.simulate_batch, *given, arm=hf.Arm(), duration=1.0, executor=4)
