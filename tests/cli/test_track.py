@@ -134,14 +134,6 @@ def test_a_video_that_is_damaged_within_is_followed(hyperflex, folder, tmp_path,
     assert f"the file lists {COUNT} frames" in said or "cannot be decoded" in said
 
 
-@BOTH
-def test_another_size_than_the_cameras(refused, folder, tmp_path, command):
-    facing((1280, 960)).write(folder / "large.toml")
-    given = words(command, folder / "swing.mp4", folder, tmp_path / "out.nc", camera="large.toml")
-    assert "another size than the camera's" in refused(*given)
-    assert not (tmp_path / "out.nc").exists()
-
-
 def test_the_colour_is_taken_where_there_is_one(hyperflex, folder, tmp_path):
     """The first frames are dark; a pixel of a marker is of a frame that is named by its time."""
     with VideoReader(folder / "swing.mp4") as bright, VideoWriter(tmp_path / "dark.mp4", (640, 480)) as video:

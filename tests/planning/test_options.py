@@ -6,7 +6,15 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from hyperflex.planning import Conditions, FollowOptions, MotorLimits, SearchOptions, TargetGrid, WindCriteria
+from hyperflex.planning import (
+    Conditions,
+    FollowOptions,
+    MotorLimits,
+    SearchOptions,
+    TargetGrid,
+    Uncertainty,
+    WindCriteria,
+)
 from hyperflex.planning.outcome import evaluate_cast
 from tests.planning.known import PEG, planned
 from tests.refusals import refuses
@@ -35,6 +43,8 @@ def test_each_option_refuses_what_it_cannot_use(kind):
         (WindCriteria, "settle", 11.0),
         (WindCriteria, "contact", -1.0),
         (Conditions, "clearance", -1.0),
+        *((Uncertainty, name, -0.1) for name in ("length", "mass", "friction", "mu", "lag", "timing")),
+        (Uncertainty, "length", math.nan),
     ],
 )
 def test_options_out_of_range_are_refused(kind, name, value):

@@ -5,7 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.planning import MotorLimits, Problem
-from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
+from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps, samples_clear_of_arm
 from hyperflex.planning.rollouts import MODEL, NEVER, RolloutBatch, find_strikes, first_contact, tail_energy
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -62,6 +62,18 @@ def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
         away = float(sampled_obstacle_gaps(rest, [wall], q[:, 1:], begin[None])[0]) - arm.radius
         away = max(away, -(rope.radius + arm.radius))
         assert sampled_clearance(rope, arm, q, tip[None])[0] == pytest.approx(min(whole, away), abs=1e-12)
+
+
+def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not():
+    """All links at all samples, compared with only those that may be near; none is looked at from `until` on."""
+    random, arm, rope = np.random.default_rng(5), hf.Arm(length=0.15), hf.Rope.uniform(1.2, 0.06, 12, 0.003, friction=0)
+    q = np.cumsum(random.normal(0.0, 0.4, (40, 60, 12)), axis=1) + random.uniform(-np.pi, np.pi, (40, 1, 12))
+    base = arm.tip(random.uniform(-np.pi, np.pi, (40, 60)))
+    for clearance in (0.0, 0.05):
+        found = samples_clear_of_arm(rope, arm, q, base, clearance)
+        near = np.array([sampled_clearance(rope, arm, *each) <= clearance for each in zip(q, base, strict=True)])
+        assert found.tolist() == np.where(near.any(axis=1), near.argmax(axis=1), 60).tolist()
+        assert (samples_clear_of_arm(rope, arm, q, base, clearance, np.maximum(found - 1, 0)) == 60).all()
 
 
 def test_a_flight_that_failed_strikes_nothing_from_there_on():
