@@ -104,10 +104,10 @@ CALLS: dict[str, Callable[[], partial[Any]]] = {
     "fit_regression": lambda: partial(hf.fit_regression, rope=PENDULUM, **WAVE),
     "compare_models": lambda: partial(hf.compare_models, **FIT),
     "estimate_initial_state": lambda: partial(
-        hf.estimate_initial_state, recording=swing(), rope=PENDULUM, rates="rest", max_evaluations=5
+        hf.estimate_initial_state, recording=swing(), rope=PENDULUM, max_evaluations=5
     ),
     "iterative_revision": lambda: partial(
-        hf.iterative_revision, recording=swing(), rope_guess=PENDULUM, rates="rest", rounds=1, max_evaluations=5
+        hf.iterative_revision, recording=swing(), rope_guess=PENDULUM, rounds=1, max_evaluations=5
     ),
     "design_experiment": lambda: partial(
         hf.design_experiment, rope=ROPE, want=("friction",), candidates=[TRIAL], free=("friction",)
