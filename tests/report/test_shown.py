@@ -79,7 +79,7 @@ def test_results_draw_into_axes_that_are_given_and_pyplot_keeps_none_of_their_ow
     assert axes[2].get_title("left").startswith(f"link {worst}: ")
     assert len(found.plot(recording).axes) == 2
     assert plan.plot() is not figure
-    refuses("a course has four panels", plan.run.plot, "course", ax=axes[0])
+    refuses("a course has several panels", plan.run.plot, "course", ax=axes[0])
     refuses("the plan has no run", unreachable().plot)
     assert plt.get_fignums() == []
 
