@@ -206,13 +206,12 @@ def _dense() -> None:
     import numpy as np
 
     from hyperflex import dynamics
-    from hyperflex.sensors import MotorTorque
 
     hf, rope, how, _ = _parts()
-    rest, arm = np.zeros(rope.n_links), how["arm"]
+    rest = np.zeros(rope.n_links)
     hf.mass_matrix(rope, rest)
     dynamics.bias(rope, rest, rest)
-    MotorTorque(arm).measure(rope, arm, hf.State(0.0, rest, rest))
+    dynamics.partial_linearization(rope, how["arm"], rest, rest, 0.0, 0.0)
 
 
 def _vision() -> None:
