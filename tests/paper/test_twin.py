@@ -40,12 +40,16 @@ def test_the_markers_are_where_the_rope_was(tracked):
     assert "40 links" in recording.source
 
 
-@pytest.mark.nightly
-def test_the_mapped_truth_is_what_a_fit_without_noise_finds():
-    """The joints of the coarse chain in the same swing, without a camera."""
+def exact() -> hf.Recording:
+    """Return the joints of the coarse chain in the same swing, without a camera."""
     run = twin.swing(np.arange(round(twin.SECONDS * twin.RATE) + 1) / twin.RATE)
     places = run.joints[:, :: twin.FINE // twin.COARSE].reshape(run.t.size, -1)
-    found = twin.fit(hf.Recording(run.t, places, kind="markers")).values
+    return hf.Recording(run.t, places, kind="markers")
+
+
+@pytest.mark.nightly
+def test_the_mapped_truth_is_what_a_fit_without_noise_finds():
+    found = twin.fit(exact()).values
     for name, value in MAPPED.items():
         # The fit stops when parameters move by less than a tenth of their standard deviation, here 1 to 2 %.
         assert float(found[name][0]) == pytest.approx(value, rel=2e-3), name
