@@ -74,21 +74,12 @@ def test_what_cannot_run_is_refused_in_one_line(refused, plan, tmp_path, monkeyp
     assert message in refused("run", plan, "-o", tmp_path / "done", *options)
 
 
-@pytest.mark.parametrize(
-    ("motor", "message"),
-    [
-        ("moteus:/dev/none", "/dev/none"),
-        ("servo:/dev/ttyUSB0", "the motor's address is not known"),
-        ("moteus", "the motor's address"),
-        ("emulator:servo", "the motor's address"),
-    ],
-)
-def test_a_motor_that_is_not_there_is_one_line(hyperflex, plan, tmp_path, motor, message):
+def test_a_motor_that_is_not_there_is_one_line(hyperflex, plan, tmp_path):
     DriveZero(0.0).to_toml(tmp_path / "zero.toml")
     how = "--zero", tmp_path / "zero.toml", "--torque", 1, "--yes"
-    code, out, err = hyperflex("run", plan, "--motor", motor, "-o", tmp_path / "done", *how)
+    code, out, err = hyperflex("run", plan, "--motor", "moteus:/dev/none", "-o", tmp_path / "done", *how)
     assert (code != 0, out) == (True, "")
-    assert message in err.splitlines()[-1]
+    assert "/dev/none" in err.splitlines()[-1]
 
 
 @pytest.fixture

@@ -62,16 +62,6 @@ def test_torque_that_was_left_on_is_switched_off(link):
         assert not drive.read().enabled
 
 
-def test_a_device_in_fault_is_refused_and_nothing_is_sent_to_it(link):
-    link.state["fault"] = "over temperature (38)"
-    fails(DriveError, r"over temperature \(38\).*clear_fault=True", Drive(link, LIMITS).connect)
-    assert [name for name, *_ in link.log] == ["open", "read"]
-    assert not link.opened
-    drive = Drive(link, LIMITS)
-    assert drive.connect(clear_fault=True).fault == ""
-    drive.close()
-
-
 def test_a_device_that_does_not_answer_is_refused_within_a_moment(link):
     link.fails = [None, *silent(1000)]
     fails(DriveError, "does not answer", Drive(link, LIMITS).connect)

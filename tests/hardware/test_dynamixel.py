@@ -115,22 +115,6 @@ def test_a_hardware_error_switches_the_torque_off_and_needs_a_reboot():
         link.enable(LIMITS)
 
 
-def test_it_is_enabled_in_spite_of_lost_packets_and_never_with_an_old_goal(monkeypatch):
-    monkeypatch.setattr(dynamixel, "SILENCE", 0.02)
-    device = servo()
-    with Wire(device) as wire, link_to(wire) as link:
-        device.plant.impose(encoder_turns=0.25)
-        count = iter(range(10**6))
-        wire.spoil = lambda reply: [reply] if next(count) % 3 else []
-        link.enable(LIMITS)
-        wire.spoil = lambda reply: [reply]
-        time.sleep(0.2)  # in which an old goal would move it
-        state = link.read()
-        assert state.enabled
-        assert state.angle == pytest.approx(math.tau / 4, abs=2 * COUNT)
-        assert device.plant.arm_angle == pytest.approx(0.0, abs=1e-3)
-
-
 # ---------------------------------------------------------------------- what can be wrong
 
 

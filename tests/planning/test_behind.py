@@ -120,18 +120,17 @@ def test_commands_that_do_not_know_these_pegs_refuse_them(asked, tmp_path, capsy
 
 def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path):
     pegs = (BEFORE, hf.Peg(-0.4, -0.5, 0.01, 0.2))
-    known = replace(
-        planned(), problem=replace(problem(), criteria=hf.WindCriteria(behind=pegs), obstacles=[hf.Ground(0.0, -2.5)])
-    )
-    known = replace(known, outcome=replace(known.outcome, runs_behind=(True, False)))
+    obstacles = hf.Peg(1.2, -1.2, 0.2), hf.Wall(-1.6, -1.8, -1.3, -0.4), hf.Ground(0.0, -2.5, 0.3, 1.0)
+    who = replace(problem(), criteria=hf.WindCriteria(behind=pegs), obstacles=obstacles)
+    known = replace(planned(), problem=who, outcome=replace(planned().outcome, runs_behind=(True, False)))
     known.to_toml(tmp_path / "cast.toml")
     again = read_plan(tmp_path / "cast.toml")
     assert again.problem == known.problem
     assert again.outcome.runs_behind == (True, False)
-    assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, hf.Ground(0.0, -2.5))
+    assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, *obstacles)
     task = Source(out=tmp_path, setup=tmp_path / "cast.toml", limits={}).read({}, {})
     assert (task.criteria.behind, task.targets["peg"]) == (pegs, PEG)
-    assert task.conditions.obstacles == (hf.Ground(0.0, -2.5),)
+    assert task.conditions.obstacles == obstacles
     report = CastReport(known)
     story, said = " ".join(report.story), report.texts.text("setup")
     assert "it runs behind a peg at (-0.25, -0.35) m, radius 30 mm, and not behind a peg at (-0.4, -0.5) m" in story

@@ -102,20 +102,12 @@ def test_what_is_none_of_the_rope_s_is_left():
 
 
 def test_a_file_contains_the_findings_of_the_fit(tmp_path):
-    values = {"friction:factor": np.array(2.0), "mass": ROPE.mass}
-    covariance = np.array([[0.04, 1e-5], [1e-5, 1e-6]])
+    told = {"parameters": ["friction:factor", "mass[2]"], "covariance": [[0.04, 1e-5], [1e-5, 1e-6]]}
+    told |= {"length_covariance": [1e-3, 1e-6, 1e-4], "values": {"friction:factor": 2.0, "mass": ROPE.mass.tolist()}}
+    arrays = {name: np.array(told[name]) for name in ("covariance", "length_covariance")}
+    values = {name: np.array(value) for name, value in told["values"].items()}
     std = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}
-    names = ("friction:factor", "mass[2]")
-    lengths = np.array([1e-3, 1e-6, 1e-4])
-    fit = SimpleNamespace(
-        rope=ROPE, parameters=names, covariance=covariance, values=values, std=std, length_covariance=lengths
-    )
-    told = {
-        "parameters": list(fit.parameters),
-        "covariance": covariance.tolist(),
-        "length_covariance": lengths.tolist(),
-        "values": {"friction:factor": 2.0, "mass": ROPE.mass.tolist()},
-    }
+    fit = SimpleNamespace(rope=ROPE, parameters=tuple(told["parameters"]), values=values, std=std, **arrays)
     path = tmp_path / "rope.toml"
     files.write_toml(path, {"rope": ROPE.table(), "identification": told})
     read = RopePosterior.from_toml(path)
