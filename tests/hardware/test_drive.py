@@ -69,9 +69,10 @@ def test_a_device_that_does_not_answer_is_refused_within_a_moment(link):
     assert not link.opened
 
 
-def test_a_port_that_does_not_open_leaves_nothing_behind(link):
+@pytest.mark.parametrize("error", [DriveError, OSError, RuntimeError])
+def test_a_port_that_does_not_open_leaves_nothing_behind(link, error):
     before = signal.getsignal(signal.SIGTERM)
-    link.fails = [DriveError("no such port")]
+    link.fails = [error("no such port")]
     fails(DriveError, "no such port", Drive(link, LIMITS).connect)
     assert signal.getsignal(signal.SIGTERM) is before
 

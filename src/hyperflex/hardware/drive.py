@@ -19,7 +19,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.core.chain.drive import TORQUE, X, Y
-from hyperflex.errors import DriveError, InvalidInput
+from hyperflex.errors import DriveError, HyperflexError, InvalidInput
 from hyperflex.model import MotorLimits
 from hyperflex.motion import Motion
 
@@ -259,7 +259,12 @@ class Drive:
         self._connected = True
         try:
             with self._whole():
-                self.link.open()
+                try:
+                    self.link.open()
+                except HyperflexError:
+                    raise
+                except Exception as error:
+                    raise DriveError(f"{self.link.name}: the link broke ({error}).") from error
                 state = self._first_reading()
                 self._enabled = state.enabled
                 if self._enabled:
