@@ -6,6 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.control.rules import (
+        AmplitudeRule,
         ClosedLoopRun,
         CrossingRule,
         PumpingPlan,

@@ -4,6 +4,7 @@ At each rest of the arm the rule gets the rope's state and returns the next star
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -116,23 +117,60 @@ def run_closed_loop(source: StateSource, rule: Rule, model: SwingModel, *, durat
         starts.append(start)
 
 
-class PumpingRule:
-    """Pump the tip to a target amplitude as soon as possible: receding horizon.
-
-    The next rests are found by coordinate search over the model's predictions; each sweep is one batch.
+class LookaheadRule(ABC):
+    """Receding horizon: the next rests by coordinate search over the model's predictions; each sweep is one batch.
 
     Parameters
     ----------
     model : SwingModel
     target : float
         Amplitude ``|x|`` of the tip, m, > 0.
+    depth : int
+        Rests that are optimized together; the first one is used, the others are the next search's start.
+    """
+
+    coarse, fine = 0.04, 0.01  # s, between rests that are tried
+    horizon = 1.38  # periods to look ahead: the next half turn and the swing that it drives
+
+    def __init__(self, model: SwingModel, target: float, *, depth: int = 2) -> None:
+        self.model = model
+        self.target = checks.positive("target", target, "m")
+        self.rests = np.full(checks.count("depth", depth), model.usual_rest)
+
+    @abstractmethod
+    def cost(self, t: Array, amplitude: Array) -> Array:
+        """Return the cost (m,) of predicted amplitudes (m, T), m, at times `t` (T,) from now on, s."""
+
+    def next_start(self, now: RopeState, made: int) -> float:
+        """Return the start of the next half turn, s."""
+        self.rests = np.append(self.rests[1:], self.model.usual_rest)
+        span, longest = self.horizon * self.model.period, 0.6 * self.model.period
+        for k in range(self.rests.size):
+            self._choose(k, np.arange(0.0, longest, self.coarse), span, now, made)
+        for k in range(self.rests.size):
+            self._choose(k, self.rests[k] + self.fine * np.arange(-4, 5), span, now, made)
+        return now.t + float(self.rests[0])
+
+    def _choose(self, k: int, tried: Array, span: float, now: RopeState, made: int) -> None:
+        """Replace rest k by the best of the values `tried` (m,), s, and its own, looking ahead by a span, s."""
+        values = np.unique(np.append(np.maximum(tried, 0.0), self.rests[k]))
+        plans = np.tile(self.rests, (values.size, 1))
+        plans[:, k] = values
+        self.rests = plans[int(np.argmin(self.cost(*self.model.predict(now, made, plans, span))))]
+
+
+class PumpingRule(LookaheadRule):
+    """Pump the tip to a target amplitude as soon as possible.
+
+    Parameters
+    ----------
+    model, target, depth
+        As of :class:`LookaheadRule`.
     rests : (k,) array_like, optional
         Planned rests after the first, second, ... half turn, s, from :func:`optimize_pumping`. All that are left are
         adjusted at each call, over the rest of the plan.
     arrival_time : float, optional
         Time at which the plan reaches the amplitude, s.
-    depth : int
-        Rests that are optimized together without a plan; the first one is used, the others are the next search's start.
 
     Notes
     -----
@@ -141,11 +179,9 @@ class PumpingRule:
     paper, which leaves more efficient casting to future work.
     """
 
-    coarse, fine = 0.04, 0.01  # s, between rests that are tried
-    steps = (0.05, 0.02, 0.007)  # s, by which the rests of a plan are moved
-    horizon = 1.38  # periods to look ahead without a plan: the next half turn and the swing that it drives
-    margin = 0.1  # periods to look ahead beyond the end of a plan
     shortfall_cost = 3.0  # s/m
+    steps = (0.05, 0.02, 0.007)  # s, by which the rests of a plan are moved
+    margin = 0.1  # periods to look ahead beyond the end of a plan
 
     def __init__(
         self,
@@ -156,43 +192,53 @@ class PumpingRule:
         arrival_time: float | None = None,
         depth: int = 2,
     ) -> None:
-        self.model = model
-        self.target = checks.positive("target", target, "m")
-        self.rests = np.full(checks.count("depth", depth), model.usual_rest)
+        super().__init__(model, target, depth=depth)
         self.plan = None if rests is None else checks.array("rests", rests, (-1,), sign="nonnegative", unit="s")
         self.arrival_time = 0.0 if arrival_time is None else checks.positive("arrival_time", arrival_time, "s")
         if self.plan is not None:
             self.rests = np.append(0.0, self.plan)
 
+    def cost(self, t: Array, amplitude: Array) -> Array:
+        """Return the arrival time, s; without arrival the end and `shortfall_cost` times the shortfall."""
+        first = arrival_time(t, amplitude, self.target)
+        return np.where(np.isfinite(first), first, t[-1] + self.shortfall_cost * (self.target - amplitude.max(axis=1)))
+
     def next_start(self, now: RopeState, made: int) -> float:
         """Return the start of the next half turn, s."""
-        period = self.model.period
         if self.plan is None or made > self.plan.size:
-            self.rests, span = np.append(self.rests[1:], self.model.usual_rest), self.horizon * period
+            return super().next_start(now, made)
+        self.rests = self.rests[-(self.plan.size - made + 1) :].copy()
+        left = max(0.5 * self.model.period, self.arrival_time - now.t) + self.margin * self.model.period
+        for step in self.steps:
             for k in range(self.rests.size):
-                self._choose(k, np.arange(0.0, 0.6 * period, self.coarse), span, now, made)
-            for k in range(self.rests.size):
-                self._choose(k, self.rests[k] + self.fine * np.arange(-4, 5), span, now, made)
-        else:
-            self.rests = self.rests[-(self.plan.size - made + 1) :].copy()
-            left = max(0.5 * period, self.arrival_time - now.t) + self.margin * period
-            for step in self.steps:
-                for k in range(self.rests.size):
-                    self._choose(k, self.rests[k] + step * np.arange(-2, 3), left, now, made)
+                self._choose(k, self.rests[k] + step * np.arange(-2, 3), left, now, made)
         return now.t + float(self.rests[0])
 
-    def _choose(self, k: int, tried: Array, span: float, now: RopeState, made: int) -> None:
-        """Replace rest k by the best of the values `tried` (m,), s, and its own, looking ahead by a span, s.
 
-        The cost is the arrival time, s; without arrival the end and `shortfall_cost` times the shortfall.
-        """
-        values = np.unique(np.append(np.maximum(tried, 0.0), self.rests[k]))
-        plans = np.tile(self.rests, (values.size, 1))
-        plans[:, k] = values
-        t, amplitude = self.model.predict(now, made, plans, span)
-        first = arrival_time(t, amplitude, self.target)
-        missed = t[-1] + self.shortfall_cost * (self.target - amplitude.max(axis=1))
-        self.rests = plans[int(np.argmin(np.where(np.isfinite(first), first, missed)))]
+class AmplitudeRule(LookaheadRule):
+    """Bring the swing to a target amplitude and keep it near there, never beyond.
+
+    Parameters
+    ----------
+    model, target, depth
+        As of :class:`LookaheadRule`.
+
+    Notes
+    -----
+    The cost is the shortfall of the greatest amplitude in the last half period of the horizon, a fifth of that in the
+    half before, and `overshoot_cost` times the overshoot of any point. Half turns are all of one size, so the amplitude
+    cannot be kept exactly: half turns that drive and half turns that brake alternate.
+    """
+
+    overshoot_cost = 20.0  # of an overshoot, relative to a shortfall
+
+    def cost(self, t: Array, amplitude: Array) -> Array:
+        """Return the shortfall, m, and `overshoot_cost` times the overshoot, m."""
+        end, half = self.horizon * self.model.period, 0.55 * self.model.period
+        late, before = t > end - half, (t <= end - half) & (t > end - 2.0 * half)
+        short = np.abs(self.target - amplitude[:, late].max(axis=1))
+        short = short + 0.2 * np.abs(self.target - amplitude[:, before].max(axis=1, initial=0.0))
+        return np.asarray(short + self.overshoot_cost * np.maximum(amplitude.max(axis=1) - self.target, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

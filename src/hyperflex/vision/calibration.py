@@ -294,8 +294,8 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     Raises
     ------
     InvalidInput
-        With fewer than four views of the board; for another board than declared, or markers of another size in their
-        squares; for views that are all parallel, or do not determine the focal length; if nothing fits. A wrong size of
+        With fewer than four views of the board; for mirrored pictures, another board than declared, or markers of another
+        size in their squares; for views that are all parallel, or do not determine the focal length; if nothing fits. A wrong size of
         both squares and markers cannot be detected: it affects the scale only.
 
     Notes
@@ -312,8 +312,7 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
             "too few views of the board",
             got=f"{found} in {count} pictures",
             allowed=f"at least {MIN_VIEWS}, better 15",
-            fix="Show the whole board, sharp and well lit, at different angles and places, and not mirrored; "
-            "check --squares and --dictionary",
+            fix="Show the whole board, sharp and well lit, at different angles and places; check --squares and --dictionary",
         )
     views, notes = views[:: -(-found // MOST_VIEWS)], []
     fit = _fit(views, size, board, timing)
@@ -333,7 +332,7 @@ def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list
     """Return the views of the board, the pictures' size and their number."""
     views: list[BoardView] = []
     size: tuple[int, int] | None = None
-    count = 0
+    count, mirrored = 0, False
     for count, image in enumerate(images, start=1):
         size = size or (image.shape[1], image.shape[0])
         if image.shape[1::-1] != size:
@@ -341,10 +340,17 @@ def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list
         view = board.find(image)
         if view is not None:
             views.append(view)
+        elif count <= 5 and board.marker is not None:  # a chessboard has no sides
+            mirrored |= board.find(np.ascontiguousarray(image[:, ::-1])) is not None
         if progress is not None:
             progress(count, len(views))
     if size is None:
         raise InvalidInput("there is no picture to calibrate from", fix="Give pictures or a video of the board")
+    if mirrored and not views:
+        raise InvalidInput(
+            "the pictures are mirrored: the board is seen in their mirror image only",
+            fix="Switch the camera's mirroring off (selfie mode), or take a board that is not printed reversed",
+        )
     return views, size, count
 
 
