@@ -294,9 +294,9 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     Raises
     ------
     InvalidInput
-        With fewer than four views of the board; for mirrored pictures, another board than declared, or markers of another
-        size in their squares; for views that are all parallel, or do not determine the focal length; if nothing fits. A wrong size of
-        both squares and markers cannot be detected: it affects the scale only.
+        With fewer than four views of the board; for mirrored pictures, another board than declared, or markers of
+        another size in their squares; for views that are all parallel, or do not determine the focal length; if nothing
+        fits. A wrong size of both squares and markers cannot be detected: it affects the scale only.
 
     Notes
     -----
@@ -312,7 +312,7 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
             "too few views of the board",
             got=f"{found} in {count} pictures",
             allowed=f"at least {MIN_VIEWS}, better 15",
-            fix="Show the whole board, sharp and well lit, at different angles and places; check --squares and --dictionary",
+            fix="Show the whole board, sharp, at different angles and places; check --squares and --dictionary",
         )
     views, notes = views[:: -(-found // MOST_VIEWS)], []
     fit = _fit(views, size, board, timing)
