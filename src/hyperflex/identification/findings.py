@@ -286,8 +286,7 @@ class Kind(StrEnum):
     )
     NOT_FINISHED = (
         "work not finished",
-        """The fit has converged, but work ended early ({ended}). | Other starts, tests, intervals or predictions may be
-        missing. Allow more time.""",
+        """The fit has converged, but work ended early ({ended}). | Tests, intervals or predictions may be missing. Allow more time.""",
     )
     POOR_FIT = (
         "poor fit",
@@ -361,11 +360,6 @@ class Kind(StrEnum):
         "poorly determined values",
         """Poorly determined: {parts:each (std %)}. | Their standard deviations are large; all other {others} are known
         better. Record longer or larger swings, or fix what you know from elsewhere.""",
-    )
-    LONE_START = (
-        "one start alone",
-        """Only one of {starts} starts led to this fit. | It may be a local optimum. Give a better guess, or shorter
-        windows.""",
     )
     NOISE_UNDERSTATED = (
         "declared noise too small",

@@ -85,8 +85,7 @@ class Identification:
     unit : str
         ``rad`` or ``m``.
     history : tuple of dict
-        Round by round: window length, stage (of how many stages), round, cost, gain, damping; `start` where it is
-        another start's.
+        Round by round: window length, stage (of how many stages), round, cost, gain, damping.
     torque_residuals : (m,) N m, or None
         Measured less fitted motor torque; NaN in gaps.
     _basis : Basis or None

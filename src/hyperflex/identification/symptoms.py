@@ -344,8 +344,6 @@ def _limits(
     missing = max(0, settings["left_out"] - 1)  # what remains at the end is no window, as a rule
     if missing > LEFT_OUT * (missing + settings["windows"]):
         yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})
-    if settings.get("starts", 1) > 1 and settings["starts_agree"] <= 1:
-        yield Finding(Kind.LONE_START, Severity.LIMIT, {"starts": settings["starts"]})
     if not information.white:
         yield Finding(Kind.COLOURED, Severity.LIMIT, {"samples": information.correlation})
     if not information.agrees:
