@@ -286,7 +286,8 @@ class Kind(StrEnum):
     )
     NOT_FINISHED = (
         "work not finished",
-        """The fit has converged, but work ended early ({ended}). | Tests, intervals or predictions may be missing. Allow more time.""",
+        """The fit has converged, but work ended early ({ended}). | Tests, intervals or predictions may be missing.
+        Allow more time.""",
     )
     POOR_FIT = (
         "poor fit",

@@ -1,8 +1,8 @@
 """The fit: multiple shooting over windows from short to long.
 
 Windows that fit badly may have begun in another state than was guessed: outliers and gaps spoil guesses, a sticking
-joint has no gradient, and with few markers a shape looks like its mirror image. So the states of windows that fit badly are searched from several starts, where shapes look alike in turn with
-fits of the parameters to the windows that fit.
+joint has no gradient, and with few markers a shape looks like its mirror image. So the states of windows that fit badly
+are searched from several starts, where shapes look alike in turn with fits of the parameters to the windows that fit.
 """
 
 from collections.abc import Iterator, Sequence
