@@ -1,6 +1,6 @@
-"""Tracking a rope in video: the paper's estimator and ours; and difficult videos.
+"""Tracking a rope in video: the paper's estimator, ours and a tracker without dynamics; and difficult videos.
 
-python -m benchmarks.videos swings 5     free swings at 7.5 frames/s, as the paper's camera saw them: both trackers
+python -m benchmarks.videos swings 5     free swings at 7.5 frames/s, as the paper's camera saw them: all four trackers
 python -m benchmarks.videos hard 10      pumped casts at 30 frames/s, 30 % occluded, clutter, a blackout of 0.5 s
 python -m benchmarks.videos half 10      casts without a blackout, 50 % occluded and no marker on the tip
 python -m benchmarks.videos page         the page from the existing rows

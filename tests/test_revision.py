@@ -16,36 +16,58 @@ GUESS = ROPE.replace(inertia=4e-5 * np.ones(3), friction=4e-3 * np.ones(3))
 START = np.array([0.7, 0.5, 0.9])
 
 
-def swing(rope: hf.Rope = ROPE, noise: float = 0.0) -> hf.Recording:
-    q = hf.simulate(rope, duration=T[-1], t_eval=T, q0=START, tol=1e-9).q
-    return hf.Recording(T, q + noise * np.random.default_rng(3).standard_normal(q.shape))
+def swing(rope: hf.Rope = ROPE, noise: float = 0.0, rates: float = 0.0, t: np.ndarray = T) -> hf.Recording:
+    qd0 = rates * np.array([1.0, -1.0, 2.0])
+    q = hf.simulate(rope, duration=t[-1], t_eval=t, q0=START, qd0=qd0, tol=1e-9).q
+    return hf.Recording(t, q + noise * np.random.default_rng(3).standard_normal(q.shape))
 
 
 def test_initial_angles_are_found():
     away = START + np.array([0.2, -0.1, 0.3])
-    found = hf.estimate_initial_state(swing(), ROPE, start=away)
+    found = hf.estimate_initial_state(swing(), ROPE, start=(away, np.zeros(3)))
     assert found.success
     # The simplex ends within ANGLE_STEP = 1e-4 of the least error; friction makes the sharpest bend weak in the data.
     np.testing.assert_allclose(found.q, START, atol=1e-3)
+    assert (found.qd == 0.0).all()
     assert found.error < 1e-6
 
 
 def test_the_optimised_start_is_better_than_a_noisy_first_frame():
     recording = swing(noise=0.01)
     found = hf.estimate_initial_state(recording, ROPE)
-    measured = squared_error(recording, ROPE, recording.data[0])
-    true = squared_error(recording, ROPE, START)
+    measured = squared_error(recording, ROPE, np.append(recording.data[0], np.zeros(3)))
+    true = squared_error(recording, ROPE, np.append(START, np.zeros(3)))
     assert found.error < min(true, measured)
+
+
+def test_initial_rates_are_found_along_with_the_angles():
+    recording = swing(rates=1.5)
+    still = hf.estimate_initial_state(recording, ROPE)
+    found = hf.estimate_initial_state(recording, ROPE, rates="free")
+    assert still.error > 0.1  # rates of some rad/s cannot be made up by angles
+    # The simplex ends within ANGLE_STEP of the least error, here 0, and in rates within that over PACE.
+    np.testing.assert_allclose(found.q, START, atol=1e-3)
+    np.testing.assert_allclose(found.qd, [1.5, -1.5, 3.0], atol=1e-2)
+    assert found.error < 1e-5
+
+
+def test_measured_rates_are_those_of_a_parabola_through_three_samples():
+    t = np.array([0.0, 0.1, 0.25, 0.4])
+    angle = np.stack([0.3 - 2.0 * t + 5.0 * t**2, 0.1 + t], axis=1)
+    rope = hf.Rope.uniform(0.4, 0.04, 2, friction=0.0)
+    found = hf.estimate_initial_state(hf.Recording(t, angle), rope, rates="measured", max_evaluations=1)
+    np.testing.assert_allclose(found.qd, [-2.0, 1.0], rtol=1e-12)
 
 
 def test_the_error_is_the_sum_of_squares_and_gaps_count_nothing():
     recording = swing()
+    state = np.append(START, np.zeros(3))
     data = recording.data + 0.01
     # Rollouts of the search are good to some 1e-5 rad.
-    assert squared_error(hf.Recording(T, data), ROPE, START) == pytest.approx(123 * 1e-4, rel=5e-3)
+    assert squared_error(hf.Recording(T, data), ROPE, state) == pytest.approx(123 * 1e-4, rel=5e-3)
     data[5:9, 1] = np.nan
-    assert squared_error(hf.Recording(T, data), ROPE, START) == pytest.approx(119 * 1e-4, rel=5e-3)
-    assert squared_error(recording, ROPE, np.append(START[:2], np.nan)) == np.inf
+    assert squared_error(hf.Recording(T, data), ROPE, state) == pytest.approx(119 * 1e-4, rel=5e-3)
+    assert squared_error(recording, ROPE, np.append(START, [np.nan, 0.0, 0.0])) == np.inf
 
 
 def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
@@ -154,7 +176,7 @@ def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):
 def test_recordings_and_ropes_that_do_not_fit_are_refused():
     refuses("different numbers of links", hf.iterative_revision, swing(), hf.Rope.uniform(0.6, 0.06, 4, friction=0.0))
     refuses("profile is not known", hf.iterative_revision, swing(), GUESS, profile="integrated")
-    refuses("start has the wrong shape", hf.estimate_initial_state, swing(), ROPE, start=[0.0])
+    refuses("rates is not known", hf.estimate_initial_state, swing(), ROPE, rates="zero")
     data = swing().data.copy()
     data[1, 2] = np.nan
     refuses("first three samples", hf.estimate_initial_state, hf.Recording(T, data), ROPE)
@@ -163,7 +185,7 @@ def test_recordings_and_ropes_that_do_not_fit_are_refused():
 
 def test_a_start_from_which_nothing_can_be_simulated_is_refused():
     with pytest.raises(IdentificationError, match="cannot be simulated from the start"):
-        hf.estimate_initial_state(swing(), ROPE, start=np.full(3, 1e4))
+        hf.estimate_initial_state(swing(), ROPE, start=(np.full(3, 1e4), np.zeros(3)))
 
 
 def test_natural_period_of_a_single_link_is_that_of_a_pendulum():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hyperflex.paper import iterative_revision
 from hyperflex.paper.identification import (
     FINER,
     POINTS,
@@ -11,6 +12,7 @@ from hyperflex.paper.identification import (
     WIDE,
     few_samples_do,
     finds_the_truth,
+    guess,
     in_order,
     methods,
     per_sample,
@@ -100,6 +102,17 @@ def test_step_four_as_it_is_printed_never_moves():
     found = revised(WIDE, profile="calculated")
     assert found.converged_after == 0
     assert found.error > 100.0 * revised(WIDE).error
+
+
+@pytest.mark.nightly
+def test_free_initial_rates_tell_less_but_the_same():
+    # Half the simplex's usual rollouts, and J and eta from two revisions beyond the truth's neighbourhood: ten unknowns
+    # take half a minute otherwise.
+    start = guess().replace(inertia=np.full(5, 2.0 * INERTIA), friction=np.full(5, 1.1 * FRICTION))
+    found = iterative_revision(record(WIDE), start, rates="free", rounds=2, max_evaluations=100)
+    assert abs(found.best.friction - FRICTION) < 3.0 * found.std["friction"]
+    assert abs(found.best.inertia - INERTIA) < 3.0 * found.std["inertia"]
+    assert found.std["inertia"] > revised(WIDE).std["inertia"]
 
 
 def test_a_revision_of_fewer_samples_is_checked_by_all_of_them():

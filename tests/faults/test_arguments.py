@@ -40,7 +40,7 @@ def swing() -> hf.Recording:
 STEPPER = hf.Stepper(ROPE, arm=ARM)
 TRIAL = hf.Experiment("a", q0=[0.1, 0.2], duration=0.5)
 FIT: dict[str, Any] = {"recording": swing(), "rope_guess": PENDULUM, "free": ("friction",)}
-WAVE = {name: wave[:, None] for name, wave in (("q", np.sin(T)), ("qd", np.cos(T)), ("qdd", -np.sin(T)))}
+WAVE = dict.fromkeys(("q", "qd", "qdd"), np.sin(T)[:, None])
 SEARCH: dict[str, Any] = {"rope": CABLE, "arm": ARM, "time_budget": 0.1, "options": hf.SearchOptions(threads=1)}
 SEARCH |= {"conditions": hf.Conditions(time_limit=2.0)}
 
@@ -101,13 +101,13 @@ CALLS: dict[str, Callable[[], partial[Any]]] = {
     "read_plan": lambda: partial(hf.read_plan, path="nowhere.toml"),
     "read_trajectory": lambda: partial(hf.read_trajectory, path="nowhere.nc"),
     "identify": lambda: partial(hf.identify, **FIT, options=hf.FitOptions(window=1.0, intervals=None)),
-    "fit_regression": lambda: partial(hf.fit_regression, rope=PENDULUM, **WAVE),
+    "fit_regression": lambda: partial(hf.fit_regression, rope=PENDULUM, **WAVE, names=("friction:shared",)),
     "compare_models": lambda: partial(hf.compare_models, **FIT),
     "estimate_initial_state": lambda: partial(
-        hf.estimate_initial_state, recording=swing(), rope=PENDULUM, max_evaluations=5
+        hf.estimate_initial_state, recording=swing(), rope=PENDULUM, rates="rest", max_evaluations=5
     ),
     "iterative_revision": lambda: partial(
-        hf.iterative_revision, recording=swing(), rope_guess=PENDULUM, rounds=1, max_evaluations=5
+        hf.iterative_revision, recording=swing(), rope_guess=PENDULUM, rates="rest", rounds=1, max_evaluations=5
     ),
     "design_experiment": lambda: partial(
         hf.design_experiment, rope=ROPE, want=("friction",), candidates=[TRIAL], free=("friction",)

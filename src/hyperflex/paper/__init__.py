@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         swing_period,
     )
     from hyperflex.paper.part import Claim, Table, claims_table, verdicts
-    from hyperflex.paper.regression import LeastSquares, fit_regression
+    from hyperflex.paper.regression import LeastSquares, Regression, fit_regression
     from hyperflex.paper.reproduction import reproduce
     from hyperflex.paper.revision import (
         InitialState,

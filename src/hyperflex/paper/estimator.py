@@ -1,4 +1,4 @@
-"""The paper's online estimator (section III D, Fig. 7)."""
+"""The paper's online estimator (section III D, Fig. 7), and trackers without dynamics to compare it with."""
 
 from typing import NamedTuple
 
@@ -39,7 +39,27 @@ class Ahead(NamedTuple):
     places: Array  # (K, 2) m, of the markers in the end
     tip: Array  # (SAMPLES + 1, 2) m, from the frame on
     velocity: Array  # (2,) m/s, of the tip at the frame
-    rates: Array  # (n,) rad/s, of the links at the frame
+    rates: Array | float  # (n,) rad/s, of the links at the frame; NaN: not known
+
+
+class BlobTracker:
+    """Expects each marker, the last one on the tip, where it was, or, if `moving`, where it goes; knows no rope."""
+
+    def __init__(self, t: float, places: Array, *, moving: bool) -> None:
+        self.t, self.places, self.moving, self.velocity = t, places, moving, np.zeros_like(places)
+
+    def predict(self, t: float) -> Ahead:
+        """Predict to a time, s."""
+        times, velocity = np.linspace(0.0, t - self.t, SAMPLES + 1), self.velocity[-1]
+        tip = self.places[-1] + np.outer(times, velocity)
+        return Ahead(self.places + (t - self.t) * self.velocity, tip, velocity, np.nan)
+
+    def correct(self, t: float, seen: Array) -> None:
+        """Take markers (K, 2), m, found at the time, s, of the prediction; NaN: not found, the prediction is taken."""
+        places = np.where(np.isnan(seen), self.predict(t).places, seen)
+        if self.moving:
+            self.velocity = (places - self.places) / (t - self.t)
+        self.t, self.places = t, places
 
 
 class OnlineEstimator:

@@ -124,7 +124,7 @@ def revised(
 
 def whole_error(swing: Swing, found: IterativeRevision) -> float:
     """Return E over all 81 samples, rad^2, of a revision that may have used fewer."""
-    return squared_error(record(swing), found.rope, found.best.q)
+    return squared_error(record(swing), found.rope, np.append(found.best.q, found.best.qd))
 
 
 def per_sample(error: float) -> float:

@@ -21,14 +21,17 @@ from hyperflex.recording import Recording
 from hyperflex.simulation import AngleJacobian, angles
 from hyperflex.status import Status
 
+Rates = Literal["rest", "measured", "free"]
 RevisionProfile = Literal["response", "calculated", "measured", "measured rates"]
 
+RATES = get_args(Rates)
 PROFILES: tuple[RevisionProfile, ...] = get_args(RevisionProfile)
 SETTLED = 0.1  # standard deviations: revisions that move J and eta by less no longer count
 FALSE_DIGITS = 1e-6  # and so do relative changes below this, where nothing but rounding is left
 PRECISION = 1e-6  # tolerance of a rollout over the rope's length: some 1e-5 rad, far below the noise of a camera
-BEYOND = 1e3  # rad: no angle that a simplex may try
-EDGE = 0.05  # rad, of the first simplex
+BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
+EDGE = 0.05  # rad, of the first simplex in an angle; in a rate, this over PACE
+PACE = 0.2  # s, the time in which such a rate makes such an angle
 ANGLE_STEP, ERROR_STEP = 1e-4, 1e-6  # rad and rad^2: tolerances of the simplex, far below the noise of a camera
 MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
@@ -39,8 +42,8 @@ class InitialState:
 
     Attributes
     ----------
-    q : (n,) float64
-        Angles at the first sample, rad.
+    q, qd : (n,) float64
+        Angles, rad, and rates, rad/s, at the first sample.
     error : float
         E of (7): sum of squares over samples and links, rad^2; gaps left out.
     evaluations : int
@@ -50,6 +53,7 @@ class InitialState:
     """
 
     q: Array
+    qd: Array
     error: float
     evaluations: int
     status: Status
@@ -70,18 +74,21 @@ def estimate_initial_state(
     recording: Recording,
     rope: Rope,
     *,
-    start: ArrayLike | None = None,
+    rates: Rates = "rest",
+    start: tuple[ArrayLike, ArrayLike] | None = None,
     max_evaluations: int = MAX_EVALUATIONS,
 ) -> InitialState:
-    """Find the angles from which a rope at rest comes nearest to its recording: (7) by the Nelder-Mead simplex.
+    """Find the initial state from which a rope comes nearest to its recording: (7) by the Nelder-Mead simplex.
 
     Parameters
     ----------
     recording : Recording
-        Of angles, or of markers at the joints, of a rope that swings freely from a fixed point, let go at rest.
+        Of angles, or of markers at the joints, of a rope that swings freely from a fixed point.
     rope : Rope
-    start : (n,) array_like, optional
-        Angles to start from, rad; by default the measured ones.
+    rates : {"rest", "measured", "free"}
+        Initial rates: zero, taken from the first three samples, or sought along with the angles.
+    start : ((n,), (n,)) array_like, optional
+        Angles and rates to start from; by default the measured ones. Rates are used if they are sought.
     max_evaluations : int
         Maximum rollouts for each unknown, in each of two descents: a new simplex restarts where the first one ended,
         because a simplex may collapse.
@@ -100,62 +107,74 @@ def estimate_initial_state(
     Paper III B, step 2 of Fig. 4.
     """
     measured = matching_angles(recording, rope)
+    n = rope.n_links
+    best = first_state(measured, rates)
     limit = checks.count("max_evaluations", max_evaluations)
-    first = measured.data[0] if start is None else start
-    best = checks.array("start", first, (rope.n_links,), unit="rad")
+    if start is not None:
+        given = checks.sequence("start", start, "angles, rad, and rates, rad/s")
+        if len(given) != 2:
+            raise InvalidInput("start is not a pair", got=start, allowed="angles, rad, and rates, rad/s")
+        best[:n] = checks.array("start angles", given[0], (n,), unit="rad")
+        if rates == "free":
+            best[n:] = checks.array("start rates", given[1], (n,), unit="rad/s")
+    edges = np.append(np.full(n, EDGE), np.full(n, EDGE / PACE))[: 2 * n if rates == "free" else n]
     least, evaluations = squared_error(measured, rope, best), 1
     if not np.isfinite(least):
         raise IdentificationError(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
 
-    def error(q: Array) -> float:
-        """Return E of (7), and keep the best angles, so that Ctrl-C loses nothing."""
+    def error(unknown: Array) -> float:
+        """Return E of (7), and keep the best state, so that Ctrl-C loses nothing."""
         nonlocal best, least, evaluations
-        found, evaluations = squared_error(measured, rope, q), evaluations + 1
+        state = np.append(unknown, best[edges.size :])
+        found, evaluations = squared_error(measured, rope, state), evaluations + 1
         if found < least:
-            best, least = q.copy(), found
+            best, least = state, found
         return found
 
     converged = False
     with stoppable() as stop:
         for _ in range(2):
-            converged = _descend(error, best, limit)
+            converged = _descend(error, best[: edges.size], edges, limit)
     status = stop.status or (Status.SUCCESS if converged else Status.FAILED)
-    return stop.deliver(InitialState(best, least, evaluations, status))
+    return stop.deliver(InitialState(best[:n].copy(), best[n:].copy(), least, evaluations, status))
 
 
-def _descend(error: Callable[[Array], float], start: Array, max_evaluations: int) -> bool:
-    """Descend with a new simplex, and return whether it converged."""
+def _descend(error: Callable[[Array], float], start: Array, edges: Array, max_evaluations: int) -> bool:
+    """Descend with a new simplex of these edges, and return whether it converged."""
     from scipy.optimize import minimize
 
+    steepest = edges.max() / EDGE
     options = {
-        "initial_simplex": np.vstack([start, start + EDGE * np.eye(start.size)]),
-        "xatol": ANGLE_STEP,
+        "initial_simplex": np.vstack([start, start + np.diag(edges)]),
+        "xatol": ANGLE_STEP * steepest,
         "fatol": ERROR_STEP,
-        "maxfev": max_evaluations * start.size,
-        "maxiter": max_evaluations * start.size,
+        "maxfev": max_evaluations * edges.size,
+        "maxiter": max_evaluations * edges.size,
+        "adaptive": steepest > 1.0,
     }
     return bool(minimize(error, start, method="Nelder-Mead", options=options).success)
 
 
-def squared_error(measured: Recording, rope: Rope, q: Array) -> float:
-    """Return E of (7), rad^2, of a rope let go at rest; inf where it cannot be simulated.
+def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
+    """Return E of (7), rad^2; inf where the rope cannot be simulated.
 
     Parameters
     ----------
     measured, rope : Recording, Rope
         Angles of as many links as the rope's.
-    q : (n,) float64
-        Angles at the first sample, rad.
+    state : (2 n,) float64
+        Angles, rad, and rates, rad/s, at the first sample.
     """
-    if not np.isfinite(q).all() or np.abs(q).max() > BEYOND:
+    n = rope.n_links
+    if not np.isfinite(state).all() or np.abs(state).max() > BEYOND:
         return float("inf")
     try:
-        made = angles(rope, measured.t, q, np.zeros_like(q), tol=PRECISION * rope.total_length)[0]
+        q = angles(rope, measured.t, state[:n], state[n:], tol=PRECISION * rope.total_length)[0]
     except SimulationError:
         return float("inf")
-    return float(np.nansum((made - measured.data) ** 2))
+    return float(np.nansum((q - measured.data) ** 2))
 
 
 def matching_angles(recording: Recording, rope: Rope) -> Recording:
@@ -178,18 +197,27 @@ def matching_angles(recording: Recording, rope: Rope) -> Recording:
     return measured
 
 
+def first_state(measured: Recording, rates: Rates) -> Array:
+    """Return the measured initial angles with rates (2n,): zero, or from the first three samples."""
+    checks.choice("rates", rates, RATES)
+    initial = np.zeros(measured.n_links)
+    if rates != "rest":
+        initial = np.gradient(measured.data[:3], measured.t[:3], axis=0, edge_order=2)[0]
+    return np.append(measured.data[0], initial)
+
+
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One round of the revision: parameters, and the initial angles that suit them best.
+    """One round of the revision: parameters, and the initial state that suits them best.
 
     Attributes
     ----------
     inertia, friction : float
         J of each link, kg m^2, and eta of each joint, N m s/rad.
-    q : (n,) float64
-        Initial angles, rad.
+    q, qd : (n,) float64
+        Initial angles, rad, and rates, rad/s.
     error, measured_start : float
-        E of (7) from these angles, and from the measured initial angles, rad^2.
+        E of (7) with that state, and with the measured initial angles, rad^2.
     evaluations, seconds : int, float
         Rollouts of the downhill simplex; time since the revision began.
     """
@@ -197,6 +225,7 @@ class Round:
     inertia: float
     friction: float
     q: Array
+    qd: Array
     error: float
     measured_start: float
     evaluations: int
@@ -266,6 +295,7 @@ def iterative_revision(
     recording: Recording,
     rope_guess: Rope,
     *,
+    rates: Rates = "rest",
     profile: RevisionProfile = "response",
     rounds: int = 8,
     max_evaluations: int = MAX_EVALUATIONS,
@@ -279,10 +309,12 @@ def iterative_revision(
     Parameters
     ----------
     recording : Recording
-        Of angles, or of markers at the joints, of a rope that swings freely from a fixed point, let go at rest.
+        Of angles, or of markers at the joints, of a rope that swings freely from a fixed point.
     rope_guess : Rope
         Its inertia and friction, averaged over the links, are the first guess; one value of each is sought for all
         links.
+    rates : {"rest", "measured", "free"}
+        Initial rates, see :func:`estimate_initial_state`.
     profile : {"response", "calculated", "measured", "measured rates"}
         Quantities of the least squares. ``"calculated"`` is (6) with the calculated angles, rates and accelerations, as
         step 4 is printed; ``"measured"`` takes angles and rates (by three successive samples) from the recording;
@@ -319,18 +351,23 @@ def iterative_revision(
     if progress is not None and not callable(progress):
         raise InvalidInput("progress cannot be called", got=progress, allowed="a function of a round, or None")
     rope = rope_guess.replace(inertia=rope_guess.inertia.mean(), friction=rope_guess.friction.mean())
-    start = measured.data[0]
-    jacobian = AngleJacobian(Setup(rope_guess), ["inertia", "friction", "q0"]) if profile == "response" else None
+    first = first_state(measured, rates)
+    start = (first[: measured.n_links], first[measured.n_links :])
+    names = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
+    jacobian = AngleJacobian(Setup(rope_guess), names) if profile == "response" else None
     done: list[Round] = []
     status, std = Status.FAILED, dict.fromkeys(("inertia", "friction"), float("inf"))
     with stoppable() as stop:
         try:
             for _ in range(checks.count("rounds", rounds) + 1):
-                state = estimate_initial_state(measured, rope, start=start, max_evaluations=max_evaluations)
-                plain, start = squared_error(measured, rope, measured.data[0]), state.q
+                state = estimate_initial_state(
+                    measured, rope, rates=rates, start=start, max_evaluations=max_evaluations
+                )
+                plain = squared_error(measured, rope, first)
+                start = (state.q, state.qd)
                 values = (float(rope.inertia[0]), float(rope.friction[0]))
                 spent = time.perf_counter() - began
-                done.append(Round(*values, state.q, state.error, plain, state.evaluations, spent))
+                done.append(Round(*values, state.q, state.qd, state.error, plain, state.evaluations, spent))
                 if progress is not None:
                     progress(done[-1])
                 if len(done) > 1 and _unchanged(done[-2], done[-1], std):
@@ -363,24 +400,24 @@ def _unchanged(before: Round, now: Round, std: dict[str, float]) -> bool:
 
 def _by_torques(measured: Recording, rope: Rope, at: Round, profile: RevisionProfile) -> tuple[Array, Array]:
     """Solve (6) with a mixture of measured and calculated motion: J and eta, and their standard deviations (2,)."""
-    q, qd = angles(rope, measured.t, at.q, np.zeros_like(at.q))
+    q, qd = angles(rope, measured.t, at.q, at.qd)
     qdd = np.array([np.linalg.solve(mass_matrix(rope, a), -bias(rope, a, b)) for a, b in zip(q, qd, strict=True)])
     if profile != "calculated":
         qd = np.full(q.shape, np.nan)  # three successive samples make a rate: none at the ends
         qd[1:-1] = np.gradient(measured.data, measured.t, axis=0)[1:-1]
         q = measured.data if profile == "measured" else q
-    found = fit_regression(rope, q, qd, qdd)
-    return np.maximum([found.inertia, found.friction], 0.0), np.array(list(found.std.values()))
+    found = fit_regression(rope, q, qd, qdd).solve()
+    return np.maximum(found.values, 0.0), found.std
 
 
 def _by_response(measured: Recording, rope: Rope, at: Round, jacobian: AngleJacobian) -> tuple[Array, Array]:
-    """Fit J and eta, both at least 0, and the initial angles to the measured angles by the linearised motion.
+    """Fit J and eta, both at least 0, and the initial state to the measured angles by the linearised motion.
 
     Returns J and eta, and their standard deviations (2,).
     """
     from scipy.optimize import lsq_linear
 
-    q, _, dq, _ = jacobian(measured.t, at.q, np.zeros_like(at.q), rope)
+    q, _, dq, _ = jacobian(measured.t, at.q, at.qd, rope)
     known = np.isfinite(measured.data)
     left, matrix = (measured.data - q)[known], dq[known]
     scale = np.sqrt((matrix**2).sum(axis=0))
