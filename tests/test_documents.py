@@ -142,7 +142,7 @@ def test_page_on_files_names_every_table_and_key_of_a_set_up():
         row = rows_of(page, f'"{kind}"') or page
         assert {name for name in signature(maker).parameters if f"`{name}`" not in row} == set(), kind
     for table, obstacle in KINDS.items():
-        row = rows_of(page, f"[{table}]")
+        row = rows_of(page, f"[[{table}]]")
         assert {each.name for each in fields(obstacle) if f"`{each.name}`" not in row} == set(), table
 
 
@@ -151,7 +151,7 @@ def test_set_ups_on_the_page_on_files_can_be_read():
     first, *others = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
     for other in others:
         setup = Setup.loads(other if "[rope]" in other else first + other)
-        assert ("[pegs]" in other) == bool(setup.pegs)
+        assert ("[[pegs]]" in other) == bool(setup.pegs)
 
 
 def test_page_on_accuracy_has_a_row_for_every_status_of_a_run():

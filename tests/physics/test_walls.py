@@ -115,4 +115,7 @@ def test_obstacles_survive_their_file():
     setup = hf.Setup(hf.Rope.uniform(1.0, 0.1, 5, RADIUS, friction=0.0), pegs=obstacles)
     assert hf.Setup.loads(setup.dumps()).pegs == tuple(obstacles)
     refuses(r"table \[walls\] does not know this key: got 'x3'", hf.Setup.loads, setup.dumps().replace("x2", "x3"))
-    refuses("grounds table lacks x", hf.Setup.loads, setup.dumps().split("[grounds]")[0] + "[grounds]\ny = 1.0\n")
+    ropes = hf.Setup(setup.rope).dumps()
+    assert hf.Setup.loads(ropes + "[grounds]\nx = 0.0\ny = 1.0\n").pegs == (hf.Ground(0.0, 1.0),)  # one alone
+    several = "[[grounds]]\nx = 0.0\ny = 1.0\n[[grounds]]\ny = 1.0\n"
+    refuses("grounds table lacks x", hf.Setup.loads, ropes + several)

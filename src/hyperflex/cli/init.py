@@ -55,13 +55,13 @@ length = {arm!r}  # m, from the shaft to where the rope hangs
 {motion}
 {pegs}"""
 PEGS = """\
-[pegs]  # round obstacles; arrays for several, x = [0.8, 1.0]
+[[pegs]]  # a round obstacle; as often as there are some
 x = {x!r}  # m
 y = {y!r}  # m
 radius = {radius!r}  # m
 mu = 0.3  # Coulomb friction between rope and peg
 """
-NO_PEGS = "# [pegs]  # round obstacles\n# x = 0.8\n# y = -0.6\n# radius = 0.03\n# mu = 0.3\n"
+NO_PEGS = "# [[pegs]]  # a round obstacle\n# x = 0.8\n# y = -0.6\n# radius = 0.03\n# mu = 0.3\n"
 LIFTED = "q0 = [{q0}]  # rad, the links' angles at the start; without it the rope hangs at rest\n"
 
 

@@ -33,7 +33,6 @@ from hyperflex.planning import (
 
 _T = TypeVar("_T")
 _DATA, _PICTURE = "reach-map.nc", "reach-map.png"  # files of a reach map
-_OBSTACLES = ("pegs", "walls", "grounds")  # tables of a set-up file
 _WRITTEN = {
     "page": "all results on one page",
     "motion": "the motion for the motor",
@@ -122,11 +121,10 @@ class Source:
 
     def _of_tables(self, content: ByName, aim: "Aim | None") -> Problem:
         """Return the problem and the targets of a set-up file's tables, or of the rope's file alone."""
-        tables = {name: content.get(name, {}) for name in ("limits", "target", "slot", "behind")}
+        tables = {name: content.get(name, {}) for name in ("limits", "target", "slot")}
         for name, table in tables.items():
             checks.mapping(f"{name} of {self.setup}", table)
-        for name, kind in (("limits", MotorLimits), ("behind", Peg)):
-            checks.keys(f"the table [{name}]", tables[name], [each.name for each in fields(kind)])
+        checks.keys("the table [limits]", tables["limits"], [each.name for each in fields(MotorLimits)])
         if self.rope is not None:
             content["rope"] = Rope.from_toml(self.rope).table()
         elif self.setup is not None:
@@ -143,11 +141,11 @@ class Source:
             output.note(f"{' and '.join(swinging)} of {where}: not used, plans begin with a rope that hangs at rest")
         with located(where, files.toml_words):
             rope, arm = Rope.from_table(content["rope"]), Arm.from_table(content.get("arm", {}))
-            obstacles = obstacles_of({name: content[name] for name in _OBSTACLES if name in content})
+            obstacles = obstacles_of(content)
+            behind = obstacles_of({"pegs": content.get("behind", [])})
         if "arm" not in content and self.arm_length is None:
             advice = "give --arm-length, or a table [arm] in the set-up file, for another"
             output.note(f"no arm is given, so the paper's is used, {arm.length:g} m long; {advice}")
-        behind = obstacles_of({"pegs": tables["behind"]}) if tables["behind"] else ()
         criteria, conditions = WindCriteria(behind=checked_behind(behind)), Conditions(obstacles=tuple(obstacles))
         return Problem(rope, arm, MotorLimits(**tables["limits"]), criteria, conditions, tables)
 

@@ -1,8 +1,8 @@
 """Obstacles that a rope may touch: round pegs, walls and grounds; in files, and as kernel arrays."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -290,36 +290,27 @@ def round_places(obstacles: Sequence[Obstacle]) -> list[int]:
 
 
 def obstacle_tables(obstacles: Sequence[Obstacle]) -> dict[str, Any]:
-    """Return the tables of a TOML file: arrays with one entry per obstacle; a fixed peg's inertia is inf."""
-    named = {}
+    """Return the tables of a TOML file, one for each obstacle, by the names of their kinds."""
+    named: dict[str, Any] = {}
     for name, kind in KINDS.items():
-        some = [each for each in obstacles if isinstance(each, kind)]
-        axles = any(isinstance(each, Peg) and each.turns for each in some)
-        shown = [f.name for f in fields(kind) if axles or f.name not in ("inertia", "bearing")]
+        some = [asdict(each) for each in obstacles if isinstance(each, kind)]
         if some:
-            named[name] = {field: [getattr(each, field) for each in some] for field in shown}
-        if axles:
-            named[name]["inertia"] = [inertia or math.inf for inertia in named[name]["inertia"]]
+            named[name] = [{key: value for key, value in each.items() if value is not None} for each in some]
     return named
 
 
 def obstacles_of(named: Mapping[str, Any]) -> tuple[Obstacle, ...]:
     """Build obstacles from the tables of a file; the order is that of KINDS."""
-    return tuple(each for name, kind in KINDS.items() if name in named for each in _rows(kind, name, named[name]))
+    found: list[Obstacle] = []
+    for name, kind in KINDS.items():
+        known, needed = [f.name for f in fields(kind)], [f.name for f in fields(kind) if f.default is MISSING]
+        for row in rows_of(named.get(name, [])):
+            what = f"the {name} table"
+            checks.keys(what, checks.mapping(what, row), known, needed=needed, elsewhere=ELSEWHERE)
+            found.append(kind(**row))
+    return tuple(found)
 
 
-def _rows(kind: type[Obstacle], what: str, table: Mapping[str, Any]) -> Iterator[Obstacle]:
-    """Yield the obstacles of a table; a number applies to one obstacle, or to all in a field with a default."""
-    names = [f.name for f in fields(kind)]
-    needed = [f.name for f in fields(kind) if f.default is MISSING]
-    checks.keys(f"the {what} table", table, names, needed=needed, elsewhere=ELSEWHERE)
-    columns = {
-        name: np.atleast_1d(checks.array(f"{what} {name}", value, np.shape(value), infinite=name == "inertia"))
-        for name, value in table.items()
-    }
-    sizes = {name: value.size for name, value in columns.items() if name in needed or value.size > 1}
-    if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
-        raise InvalidInput(f"{what} arrays have different numbers of {what}", got=sizes, allowed="arrays of one length")
-    for row in zip(*(np.broadcast_to(value, columns["x"].shape) for value in columns.values()), strict=True):
-        given = dict(zip(columns, map(float, row), strict=True))
-        yield kind(**{name: value for name, value in given.items() if value != math.inf})
+def rows_of(given: object) -> list[Any]:
+    """Return the tables of several obstacles in a file, or the only one, as a list."""
+    return given if isinstance(given, list) else [given]

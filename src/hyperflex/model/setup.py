@@ -18,7 +18,16 @@ from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.arm import Arm
-from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacle_tables, obstacles_of, packed
+from hyperflex.model.obstacles import (
+    KINDS,
+    Obstacle,
+    Peg,
+    checked_obstacles,
+    obstacle_tables,
+    obstacles_of,
+    packed,
+    rows_of,
+)
 from hyperflex.model.refine import COARSE, FINE, cuts
 from hyperflex.model.rope import Rope, table_keys
 from hyperflex.motion import Motion, from_spec, hold_arm, motion_keys, to_spec, torque_profile
@@ -289,7 +298,7 @@ class Setup:
             content["rope"] = Rope.from_table(content["rope"])
             if "arm" in content:
                 content["arm"] = Arm.from_table(content["arm"])
-            content["pegs"] = obstacles_of({kind: content.pop(kind) for kind in KINDS if kind in content})
+            content["pegs"] = obstacles_of({kind: content.pop(kind, []) for kind in KINDS})
             for motion in ("motion", "torque"):
                 if motion in content:
                     content[motion] = from_spec(content[motion], folder)
@@ -345,8 +354,8 @@ def check_tables(name: str, content: Mapping[str, Any], more: Sequence[str] = ()
     places = {f"in the table [{table}]": keys for table, keys in known.items()}
     places["at the top, above all tables"] = top
     checks.keys(name, content, (*known, *top, *more), needed=("rope",), elsewhere=places)
-    for table, keys in known.items():
-        if table in content and not isinstance(content[table], Mapping):
-            raise InvalidInput(f"{name}: {table} is not a table", got=content[table], allowed=f"[{table}]")
-        if table in content:
-            checks.keys(f"{name}, table [{table}]", content[table], keys, elsewhere=places)
+    for table in filter(content.__contains__, known):
+        for row in rows_of(content[table]) if table in KINDS else [content[table]]:
+            if not isinstance(row, Mapping):
+                raise InvalidInput(f"{name}: {table} is not a table", got=row, allowed=f"[{table}]")
+            checks.keys(f"{name}, table [{table}]", row, known[table], elsewhere=places)
