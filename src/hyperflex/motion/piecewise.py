@@ -262,8 +262,8 @@ def quintics(begin: Array, end: Array, span: Array) -> Array:
     return np.asarray((_QUINTIC @ np.concatenate([begin * scale, end * scale])).T / span[:, None] ** np.arange(POWERS))
 
 
-# Time constants after a break at which a piece ends: what fades there is no polynomial, and is drawn through these.
-NODES = np.geomspace(0.5, 20.0, 9)
+# Time constants after a break at which a piece begins: what fades there is no polynomial, and is drawn through these.
+NODES = np.append(0.0, np.geomspace(0.5, 20.0, 9))
 NEAR = 0.99  # of a piece, beyond which a node is not worth a piece of its own
 FADED = 25.0  # time constants after the end at which the arm stands still
 
@@ -304,35 +304,21 @@ def lagged(motion: Motion, lag: float) -> Motion:
         )
     if lag == 0.0:
         return motion
-    still = np.zeros((1, POWERS))  # of the arm after the last break
-    still[0, 0] = motion.angle(motion.breaks[-1])
-    spans = np.append(np.diff(motion.breaks), lag * FADED)[:, None]
-    nodes = lag * np.array([0.0, *NODES, np.inf])
-    s = np.where(nodes < NEAR * spans, nodes, spans)  # (pieces, nodes), since each began
-    steady = _steady(np.vstack([motion.coef[:, ANGLE], still]).T, lag, s)
-    fading = np.exp(-s / lag)
-    value = float(motion.coef[0, ANGLE, 0])
-    for k, (begin, end) in enumerate(steady[0][:, [0, -1]]):
-        fading[k] *= value - begin
-        value = end + fading[k, -1]
-    states = np.stack([steady[d] + fading * (-1.0 / lag) ** d for d in range(3)])
-    states[:, -1, -1] = still[0, :3]
-    span = np.diff(s)
-    pieces = span > 0.0
-    coef = np.zeros((np.count_nonzero(pieces), CHANNELS, POWERS))
-    coef[:] = motion.coef[0] * (np.arange(POWERS) == 0)
-    coef[:, ANGLE] = quintics(states[:, :, :-1][:, pieces], states[:, :, 1:][:, pieces], span[pieces])
-    breaks = np.append(motion.breaks[0], (motion.breaks[:, None] + s[:, 1:])[pieces])
-    firsts = np.broadcast_to(np.arange(span.shape[1]) == 0, span.shape)
-    return Motion(breaks, coef, np.append(firsts[pieces], True))
-
-
-def _steady(coef: Array, lag: float, s: Array) -> list[Array]:
-    """Values, rates and accelerations (P, K) at times s (P, K) of the polynomials that solve the filter's equation.
-
-    `coef` (POWERS, P) are those of the input.
-    """
-    solution = np.asarray(np.linalg.solve(np.eye(POWERS) + lag * DERIVATIVE, coef).T, dtype=np.float64)
-    return [
-        np.asarray(polyval(s, _derived(solution, k).T[..., None], tensor=False), dtype=np.float64) for k in range(3)
-    ]
+    rest = np.append(motion.angle(motion.end), np.zeros(POWERS - 1))  # after the last break
+    spans = np.append(np.diff(motion.breaks), FADED * lag)
+    value, starts, ends = float(motion.coef[0, ANGLE, 0]), [], []
+    for begin, span, asked in zip(motion.breaks, spans, [*motion.coef[:, ANGLE], rest], strict=True):
+        s = np.append(NODES[NODES * lag < NEAR * span] * lag, span)
+        steady = np.linalg.solve(np.eye(POWERS) + lag * DERIVATIVE, asked)  # a polynomial that solves the equation
+        fading = (value - steady[0]) * np.exp(-s / lag)
+        states = np.array([polyval(s, _derived(steady, k)) + fading * (-1.0 / lag) ** k for k in range(3)])
+        value = states[0, -1]
+        starts.append(begin + s[:-1])
+        ends.append(states)
+    states[:, -1] = rest[:3]
+    breaks = np.append(np.concatenate(starts), motion.end + spans[-1])
+    coef = np.zeros((breaks.size - 1, CHANNELS, POWERS))
+    coef[:, :, 0] = motion.coef[0, :, 0]
+    befores, afters = (np.concatenate([each[:, part] for each in ends], axis=1) for part in (slice(-1), slice(1, None)))
+    coef[:, ANGLE] = quintics(befores, afters, np.diff(breaks))
+    return Motion(breaks, coef, np.isin(breaks, [*motion.breaks, breaks[-1]]))
