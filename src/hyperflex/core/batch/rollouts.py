@@ -194,9 +194,9 @@ def lane_polynomial(path, k, j, channel, t):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def base_motion(width, path):  # type: ignore[no-untyped-def]
+def base_motion(path):  # type: ignore[no-untyped-def]
     """Torque on link 0 (EXTERNAL) and motion of the first joint (BASE) in every lane, at the time SINCE."""
-    k = len(width)
+    k = len(MEMBERS)
     for j in range(k):
         t = path[SINCE * k + j]
         arm, x, y = (
@@ -313,9 +313,9 @@ def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: igno
 
 
 @non_allocating
-def begin_column(width, lanes, sums):  # type: ignore[no-untyped-def]
+def begin_column(lanes, sums):  # type: ignore[no-untyped-def]
     """Set every lane back to the state at the start of its step; with `sums`, also clear the extrapolated sums."""
-    k = len(width)
+    k = len(MEMBERS)
     n = lanes.size // (ROW * k) - 2
     for i in range(1, n + 1):
         row = lanes[i * ROW * k : (i + 1) * ROW * k]
@@ -327,9 +327,9 @@ def begin_column(width, lanes, sums):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def end_column(width, lanes, best, gap):  # type: ignore[no-untyped-def]
+def end_column(lanes, best, gap):  # type: ignore[no-untyped-def]
     """Add the increments of a finished column to the result and to the error estimate."""
-    k = len(width)
+    k = len(MEMBERS)
     n = lanes.size // (ROW * k) - 2
     for i in range(1, n + 1):
         row = lanes[i * ROW * k : (i + 1) * ROW * k]
@@ -341,9 +341,9 @@ def end_column(width, lanes, best, gap):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
+def measure(lanes, tip):  # type: ignore[no-untyped-def]
     """Sine and cosine of the result, and the largest squared errors of any joint's position and velocity (in `tip`)."""
-    k = len(width)
+    k = len(MEMBERS)
     n = lanes.size // (ROW * k) - 2
     for j in range(k):
         write(tip, k, j, ln.ERRORS, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -370,13 +370,13 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
     base = path[BASE * k :].reshape(9, k)
     energy[:, 2:] = 0.0
     for col in range(1, order + 1):
-        begin_column(MEMBERS, lanes, col == 1)
+        begin_column(lanes, col == 1)
         for j in range(k):
             tip[ln.STEP * k + j] = lane[j, NEXT_STEP] / col
             write(lanes, k, j, (WORK, LOST), (0.0, 0.0))
             path[SINCE * k + j] = lane[j, T] - lane[j, ORIGIN]
         for s in range(col):
-            base_motion(MEMBERS, path)
+            base_motion(path)
             for j in range(k):
                 tip[ln.EXTERNAL * k + j] = path[EXTERNAL * k + j]
                 path[SINCE * k + j] += tip[ln.STEP * k + j]
@@ -386,11 +386,11 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
                 ln.euler(MEMBERS, terms.reaction, ln.MORE, lanes, tip, base)
             else:
                 ln.euler(MEMBERS, terms.reaction, ln.LAST, lanes, tip, base)
-        end_column(MEMBERS, lanes, terms.best[col], terms.gap[col])
+        end_column(lanes, terms.best[col], terms.gap[col])
         for j in range(k):
             energy[j, 2] += terms.best[col] * lanes[WORK * k + j]
             energy[j, 3] += terms.best[col] * lanes[LOST * k + j]
-    measure(MEMBERS, lanes, tip)
+    measure(lanes, tip)
 
 
 @non_allocating

@@ -123,31 +123,19 @@ def write_base(length, arm, x, y, base, at, stride):  # type: ignore[no-untyped-
 
 
 @non_allocating
-def write_inner_torques(drive, part, t, out, at, stride):  # type: ignore[no-untyped-def]
-    """Write the torque of motors in inner joints on each link up to the last, N m, to ``out[at + stride i]``.
-
-    A motor acts on its joint's link, and with the opposite torque on the link before it.
-    """
-    piece, s, still = within(drive, part, t)
-    beyond = 0.0
-    for i in range(drive.coef.shape[1] - TORQUE - 1, -1, -1):
-        own = polynomial(drive.coef[piece, TORQUE + i], s)[0] if i > 0 and not still else 0.0
-        out[at + stride * i] = own - beyond
-        beyond = own
-
-
-@non_allocating
 def motion_at(drive, t, base):  # type: ignore[no-untyped-def]
     """Write the motion of the first joint at time t as :func:`base_state` does; return the motor torque, N m."""
     return base_state(drive, segment(drive, t), t, base)
 
 
 @non_allocating
-def first_joint(drive, part, t, base):  # type: ignore[no-untyped-def]
+def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
     """Motion of the first joint at time t within the Segment `part`.
 
     Writes ``base`` (9 or more,): acceleration x, y (m/s^2); alpha, rate, angle of the arm (rad/s^2, rad/s, rad);
-    velocity x, y (m/s); position x, y (m). Returns the torque of the first joint's motor, N m.
+    velocity x, y (m/s); position x, y (m). If `base` is large enough (:func:`base_size`), the torques of motors in
+    inner joints on each link, N m, follow: one acts on its joint's link, and with the opposite torque on the link
+    before it. Returns the torque of the first joint's motor, N m.
     """
     j, s, still = within(drive, part, t)
     angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
@@ -157,16 +145,9 @@ def first_joint(drive, part, t, base):  # type: ignore[no-untyped-def]
     if still:
         rate = alpha = vx = ax = vy = ay = torque = 0.0
     write_base(drive.arm_length, (angle, rate, alpha), (x, vx, ax), (y, vy, ay), base, 0, 1)
+    beyond = 0.0
+    for i in range(base.size - BASE_SIZE - 1, -1, -1):
+        own = polynomial(drive.coef[j, TORQUE + i], s)[0] if i > 0 and not still else 0.0
+        base[BASE_SIZE + i] = own - beyond
+        beyond = own
     return min(max(torque, -drive.torque_limit), drive.torque_limit)
-
-
-@non_allocating
-def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
-    """Write the motion of the first joint like :func:`first_joint`, and return the torque of its motor.
-
-    If `base` is large enough (:func:`base_size`), the torques of motors in inner joints on each link, N m, follow.
-    """
-    torque = first_joint(drive, part, t, base)
-    if base.size > BASE_SIZE:
-        write_inner_torques(drive, part, t, base, BASE_SIZE, 1)
-    return torque

@@ -118,8 +118,8 @@ def set_state(j, q, w, trig, lanes):  # type: ignore[no-untyped-def]
 
 @inlined
 def set_base(j, chain, motion, base):  # type: ignore[no-untyped-def]
-    """Write the motion (9,) of the first joint to lane j of `base` (9 or more, k), less gravity."""
-    for s in range(BASE_SIZE):
+    """Write the motion (9 or more,) of the first joint to lane j of `base` (9 or more, k), less gravity."""
+    for s in range(motion.size):
         base[s, j] = motion[s]
     base[0, j] -= chain.gx
     base[1, j] -= chain.gy

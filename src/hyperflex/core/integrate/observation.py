@@ -20,8 +20,6 @@ def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type
     k = len(ln.COLUMNS)
     ln.set_state(j, q, w, trig, lanes)
     ln.set_base(j, chain, base, motion)
-    for s in range(BASE_SIZE, base.size):
-        motion[s, j] = base[s]
     tip[ln.STEP * k + j], tip[ln.EXTERNAL * k + j] = 0.0, torque
 
 

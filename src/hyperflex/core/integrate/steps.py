@@ -18,7 +18,7 @@ import numpy.typing as npt
 from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import BASE_SIZE, Array, accelerations, lost_power, motor_torque, sines
-from hyperflex.core.chain.drive import base_size, base_state, first_joint, write_inner_torques
+from hyperflex.core.chain.drive import base_size, base_state
 from hyperflex.core.jit import inlined, kernel, non_allocating, read, summing, write, zeros
 
 MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
@@ -169,7 +169,7 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
     Arguments as for ``extrapolate``; `trig` contains the sines and cosines of the angles in `y`.
     """
     k, n = len(ln.COLUMNS), chain.length.size
-    motion = np.empty(BASE_SIZE)
+    motion = np.empty(base.shape[0])
     for j in range(k):
         col, done = table.column[turn, j], table.done[turn, j]
         if col > 0 and done == 0:
@@ -177,10 +177,8 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
             write(lanes, k, j, (ln.WORK, ln.LOST), (y[2 * n], y[2 * n + 1]))
         h = step / col if col > 0 else 0.0
         tip[ln.STEP * k + j] = h
-        tip[ln.EXTERNAL * k + j] = first_joint(drive, part, t + done * h, motion)
+        tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done * h, motion)
         ln.set_base(j, chain, motion, base)
-        if base.shape[0] > BASE_SIZE:
-            write_inner_torques(drive, part, t + done * h, base.reshape(-1), BASE_SIZE * k + j, k)
 
 
 @inlined

@@ -244,13 +244,14 @@ def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def set_start(values, store):  # type: ignore[no-untyped-def]
-    """Make derivatives (2 n, p) the start in every lane of `store` (b, n PARTS CELL)."""
-    n = values.shape[0] // 2
+def set_start(nodes, store):  # type: ignore[no-untyped-def]
+    """Make derivatives (m, 2 n, p) the start in the lanes of `store` (b, n PARTS CELL); further lanes get the last."""
+    n = nodes.shape[1] // 2
     for b in range(store.shape[0]):
         for i in range(n):
             cell = store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
             for j in range(K):
+                values = nodes[min(j, nodes.shape[0] - 1)]
                 cell[j] = values[i, 2 * b]
                 cell[K + j] = values[i, 2 * b + 1]
                 cell[2 * K + j] = values[n + i, 2 * b]
@@ -359,12 +360,8 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
             dys[j, i] = ys[j, n + i]
             dys[j, n + i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * K + j]
     workspace.stretch[:] = 0.0
+    set_start(workspace.nodes, workspace.store)
     for b in range(directions.parameters.size):
-        for i in range(n):
-            cell = workspace.store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
-            for x in range(CELL):
-                lane, d, rate = min(x % K, 2), (x // K) % 2, x // (2 * K)
-                cell[x] = workspace.nodes[lane, rate * n + i, 2 * b + d]
         enter(lanes, workspace.store[b], workspace.anew, True)
         set_ends(drive, part, directions, b, workspace)
         still = workspace.stretch[2 * b : 2 * b + 2]
@@ -545,7 +542,7 @@ def is_chatter(drive, part, t, step, y, slip, joint, workspace):  # type: ignore
 def event_sensitivity(chain, drive, part, t, step, y, values, slip, joint, directions, workspace):  # type: ignore[no-untyped-def]
     """End the step in ``workspace.nodes`` at the change of the mode of `joint`; sets ``workspace.change``."""
     margin = margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, workspace)
-    set_start(values, workspace.store)  # where it was before
+    set_start(values.reshape((1, values.shape[0], values.shape[1])), workspace.store)  # where it was before
     slope, nodes = margin[-2], workspace.nodes[2]
     for x in range(margin.size - 2):
         change = -margin[x] / slope if slope != 0.0 else 0.0
@@ -651,7 +648,7 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
             ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
             workspace.shift[-2:] = values[:, -2:] = 0.0
             workspace.change[-2:] = 1.0 if joint >= 0 else 0.0
-        set_start(values, workspace.store)
+        set_start(values.reshape((1, values.shape[0], values.shape[1])), workspace.store)
         tangent_step(chain, drive, part, table, t, step, y, workspace.out, directions, workspace.nodes[2], workspace)
         assign(workspace.ys[0], y)
         assign(workspace.ys[2], workspace.out)
