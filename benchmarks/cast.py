@@ -68,7 +68,6 @@ class Cast:
             arm=self.arm,
             duration=self.duration,
             t_eval=self.times,
-            method="rk4",
             step=1e-4,
         ).tip
 

@@ -35,4 +35,4 @@ def contestants(cast: Cast, quick: bool) -> Iterator[Contestant]:
     for tol in TOLERANCES[1:3] if quick else TOLERANCES:
         yield Contestant(NAME, "extrapolation", f"tol {tol:g} m", lambda tol=tol: run(cast, tol=tol), adaptive=True)
     step = 0.99 * runge_kutta_limit(cast.rope.chain())
-    yield Contestant(f"{NAME}, explicit", "rk4", f"step {step:.3g} s", lambda: run(cast, method="rk4", step=step))
+    yield Contestant(f"{NAME}, explicit", "rk4", f"step {step:.3g} s", lambda: run(cast, step=step))

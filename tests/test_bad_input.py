@@ -76,8 +76,6 @@ MOTIONS = [
 
 SETUPS = [
     case("q0-of-another-rope", lambda: hf.Setup(rope=cable(), q0=np.zeros(4)), "q0", "(4,)", "shape 5"),
-    case("unknown-method", lambda: hf.Setup(rope=cable(), method="euler"), "method", "'euler'", "'rk4'"),
-    case("rk4-without-step", lambda: hf.Setup(rope=cable(), method="rk4"), "step", "rk4"),
     case("arm-motion-without-arm", lambda: hf.Setup(rope=cable(), motion=hf.arm_swings()), "motion", "arm"),
     case("not-a-motion", lambda: hf.Setup(rope=cable(), motion=[0.0, 1.0]), "motion", "[0.0, 1.0]"),
     case("motion-and-torque", lambda: hf.Setup(rope=cable(), arm=hf.Arm(), motion=hf.hold_arm(), torque=PUSH), "both"),
@@ -94,7 +92,7 @@ RUNS = [
     case("endless-outputs", lambda: run(duration=1e6), "1e+08", "t_eval"),
     case("times-after-the-end", lambda: run(t_eval=[0.0, 0.2]), "t_eval", "0.2"),
     case("unsorted-times", lambda: run(t_eval=[0.0, 0.05, 0.02]), "t_eval goes back", "[0.05, 0.02]"),
-    case("negative-step", lambda: run(method="rk4", step=-1e-4), "step", "-0.0001"),
+    case("negative-step", lambda: run(step=-1e-4), "step", "-0.0001"),
     case("not-a-state", lambda: run(state=0.0), "state", "0.0"),
 ]
 

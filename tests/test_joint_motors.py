@@ -34,9 +34,7 @@ def test_motors_in_both_joints():
     np.testing.assert_allclose(run.motor_torque[:-1], TORQUES[:-1, 0], atol=1e-12)  # which is 0 after its last sample
     gained = run.kinetic_energy + run.potential_energy - run.motor_work + run.dissipated_energy
     np.testing.assert_allclose(gained, gained[0], rtol=0, atol=1e-8)
-    fixed = hf.simulate(
-        rope_of(TWO), torque=hf.torque_profile(T, TORQUES), duration=2.0, t_eval=T, method="rk4", step=1e-3, **START
-    )
+    fixed = hf.simulate(rope_of(TWO), torque=hf.torque_profile(T, TORQUES), duration=2.0, t_eval=T, step=1e-3, **START)
     np.testing.assert_allclose(fixed.q, want[:, :2], rtol=0, atol=1e-7)
 
 

@@ -187,7 +187,7 @@ def test_what_cannot_be_used_is_refused_with_what_can(wrt, word):
 
 def test_what_has_no_derivative_is_refused():
     refuses(r"wrt is empty.*Say what.*wrt='friction'", hf.sensitivities, setup(), wrt=[])
-    refuses("extrapolation", hf.sensitivities, setup(method="rk4", step=1e-5), wrt="q0")
+    refuses("extrapolation", hf.sensitivities, setup(step=1e-5), wrt="q0")
     joined = hf.arm_swings().then(hf.arm_swings(), at=2.52)
     refuses("breaks and coef", hf.sensitivities, setup(motion=joined), wrt="motion.t_rest")
     refuses("without a rest", hf.sensitivities, setup(motion=hf.arm_swings(t_rest=0.0)), wrt="motion.t_rest")

@@ -26,7 +26,7 @@ def cable(**changes: object) -> hf.Rope:
     ("what", "words"),
     [
         ({"rope": {"friction_model": "printed"}}, "acts on both links"),
-        ({"method": "rk4", "step": 1e-5}, "a stepper of their own"),
+        ({"step": 1e-5}, "a stepper of their own"),
         ({"pegs": ["a peg"]}, "pegs holds something else"),
         ({"tip_force": (1.0, 0.0), "pegs": []}, "tip_force needs"),
         ({"contact_step": 0.0}, "contact_step has the wrong sign"),

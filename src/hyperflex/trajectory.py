@@ -258,7 +258,7 @@ class Trajectory:
         """Estimated error (T,), m: distance of the worst joint from a run with a tenth of the tolerance.
 
         The second run is made when this is read; it takes about as long as the first. Steps that no tolerance controls
-        are halved in it (in contact, and those of ``"rk4"``). NaN from where it fails, or would take half an hour. Of a
+        are halved in it (in contact, and a fixed step). NaN from where it fails, or would take half an hour. Of a
         set-up with a `control` both runs apply the recorded torques. Errors of the model, the number of links among
         them, are not included.
         """

@@ -39,7 +39,7 @@ seen = RopeFilter(rope, [0.4, 0.8, 1.2], readout=0.01, parameters=states, tests=
 for t, joints in zip(swung.t[:70], swung.joints[:70]):
     seen.update(Observations(t, joints[[2, 4, 6]], std=0.002, rows=[-0.5, 0.0, 0.5]))
 runs = [hf.simulate(each, swing, arm=arm, duration=0.1) for each in (rope, dry, airy, short)]
-hf.simulate(rope, swing, arm=arm, duration=0.1, method="rk4", step=1e-4)
+hf.simulate(rope, swing, arm=arm, duration=0.1, step=1e-4)
 hf.simulate(rope, swing, arm=arm, duration=0.3, until=hf.tip_speed_peak())
 hf.simulate(rope, torque=torque, arm=motor, duration=0.1)
 hf.simulate(rope, torque=lambda *_: 0.01, arm=motor, duration=0.1, control_rate=100.0)

@@ -19,7 +19,7 @@ T = np.array([0.01, 0.1004, 0.15, 0.2, 0.23, 0.3])
 def test_both_integrators_agree(rope):
     kept = {"arm": ARM, "duration": 0.3, "t_eval": T}
     run = hf.simulate(rope, MOTION, tol=1e-8, **kept)
-    check = hf.simulate(rope, MOTION, method="rk4", step=1e-4, **kept)
+    check = hf.simulate(rope, MOTION, step=1e-4, **kept)
     # some thirty steps of 1e-8 m in links of 0.1 m, in a motion that doubles small errors; RK4 errs less
     np.testing.assert_allclose(run.q, check.q, rtol=0, atol=1e-6)
     np.testing.assert_allclose(run.motor_work, check.motor_work, rtol=0, atol=1e-7)

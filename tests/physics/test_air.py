@@ -81,7 +81,7 @@ def test_a_cast_in_air_is_that_of_the_dense_equations(n, friction_model):
     vacuum = hf.simulate(rope.replace(drag=0.0), hf.arm_swings(0.4, 0.3), arm=ARM, duration=1.7, q0=0.3 * np.ones(n))
     assert np.abs(vacuum.q[-1] - run.q[-1]).max() > 0.01  # the air is no trifle here
     steps = hf.simulate(
-        rope, hf.arm_swings(0.4, 0.3), arm=ARM, duration=0.4, q0=0.3 * np.ones(n), method="rk4", step=2e-4, t_eval=[0.4]
+        rope, hf.arm_swings(0.4, 0.3), arm=ARM, duration=0.4, q0=0.3 * np.ones(n), step=2e-4, t_eval=[0.4]
     )
     # Runge and Kutta's own error at that step; to 1e-7 both integrate the same.
     np.testing.assert_allclose(steps.q[0], want[1, :n], rtol=0.0, atol=1e-7)

@@ -32,7 +32,7 @@ def slope(steps: np.ndarray, errors: list[float]) -> float:
 def test_runge_kutta_has_order_four():
     want = exact(1.0)[:2]
     counts = np.array([100, 200, 400])
-    runs = [hf.simulate(chain(), duration=1.0, q0=Q0, method="rk4", step=1.0 / k, t_eval=[1.0]) for k in counts]
+    runs = [hf.simulate(chain(), duration=1.0, q0=Q0, step=1.0 / k, t_eval=[1.0]) for k in counts]
     errors = [float(np.abs(run.q[-1] - want).max()) for run in runs]
     # Fitted over a factor of four; the next term bends the slope by some hundredths at these steps.
     assert slope(1.0 / counts, errors) == pytest.approx(4.0, abs=0.15)
@@ -134,13 +134,13 @@ def test_runge_kutta_refuses_a_step_beyond_its_limit_and_names_the_limit(n):
     rope = cable(n_links=n)
     known = 2.785 * rope.mass[0] * rope.length[0] ** 2 / (48 * 5e-4)  # the friction mode of neighbouring links
     with pytest.raises(InvalidInput, match="step is beyond the stability limit") as caught:
-        cast_with(rope, method="rk4", step=1.1 * known)
+        cast_with(rope, step=1.1 * known)
     named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))
     # The formula is for many links; the ends of a finite chain and gravity move the limit by a few per cent.
     assert named == pytest.approx(known, rel=0.05)
     assert f"{1.1 * known}"[:8] in str(caught.value)
     right = cast_with(rope, tol=1e-9)
-    just_inside = cast_with(rope, method="rk4", step=0.95 * named)
+    just_inside = cast_with(rope, step=0.95 * named)
     # RK4 near its limit is good to a micrometre here (prototype: 1e-6 mm at 4.6e-4 s and n = 50).
     assert np.abs(just_inside.tip - right.tip).max() < 1e-6
 
@@ -153,9 +153,9 @@ def test_the_limit_includes_every_joint_torque(changes):
     """Just inside the named limit each kind of joint is stable: the tip agrees with the method that has no limit."""
     rope = cable(n_links=20, **changes)
     with pytest.raises(InvalidInput) as caught:
-        cast_with(rope, method="rk4", step=1.0)
+        cast_with(rope, step=1.0)
     named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))
-    run = cast_with(rope, method="rk4", step=0.9 * named)
+    run = cast_with(rope, step=0.9 * named)
     # The step is stable, not small: some micrometres. Beyond the limit the tip is off by a hundred millimetres.
     assert np.abs(run.tip - cast_with(rope, tol=1e-9).tip).max() < 1e-5
 
@@ -163,6 +163,6 @@ def test_the_limit_includes_every_joint_torque(changes):
 def test_a_chain_without_any_torque_has_no_limit():
     """In free space nothing but inertia acts: every step is stable, and none is refused."""
     rope = hf.Rope(length=[0.5, 0.5], mass=[0.1, 0.1], gravity=(0.0, 0.0))
-    run = hf.simulate(rope, duration=1.0, qd0=[0.1, 0.1], method="rk4", step=0.01, t_eval=[1.0])
+    run = hf.simulate(rope, duration=1.0, qd0=[0.1, 0.1], step=0.01, t_eval=[1.0])
     # Both links turn together about a fixed end: no relative motion, so the angle grows at a constant rate.
     np.testing.assert_allclose(run.q[-1], [0.1, 0.1], rtol=0, atol=1e-12)

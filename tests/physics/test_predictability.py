@@ -186,7 +186,7 @@ def test_a_run_in_contact_shows_its_error_as_well():
 
 
 def test_steps_without_a_tolerance_are_halved():
-    run = hf.simulate(RODS, duration=1.0, q0=HIGH, method="rk4", step=2e-3)
-    half = hf.simulate(RODS, duration=1.0, q0=HIGH, method="rk4", step=1e-3)
+    run = hf.simulate(RODS, duration=1.0, q0=HIGH, step=2e-3)
+    half = hf.simulate(RODS, duration=1.0, q0=HIGH, step=1e-3)
     apart = np.linalg.norm(run.joints - half.joints, axis=2).max(axis=1)
     np.testing.assert_allclose(run.error_estimate, apart, rtol=1e-6)  # roundings: the last steps end a rounding apart

@@ -33,7 +33,7 @@ def through_a_file(run: hf.Trajectory, folder: Path) -> hf.State:
     return hf.read_trajectory(folder / "stopped.nc").state
 
 
-METHODS: list[dict[str, Any]] = [{"tol": 1e-6}, {"tol": 1e-9}, {"method": "rk4", "step": 1e-3}]
+METHODS: list[dict[str, Any]] = [{"tol": 1e-6}, {"tol": 1e-9}, {"step": 1e-3}]
 STOPS = [STOP, 0.73, 0.7301, 2.4999, np.nextafter(0.73, 0.0), np.nextafter(0.73, 1.0)]  # at a switch and next to it
 
 

@@ -26,6 +26,6 @@ def test_steps_do_not_run_across_samples(name, tol):
     how = {"arm": arm, "duration": 1.5, "t_eval": [0.5, 1.0, 1.5]}
     run = hf.simulate(ROPE, motion, tol=tol, **how)
     # Runge and Kutta's step of 0.1 ms errs by some h^3 / 6 of the jump in the third derivative, 1e4 m/s^3: 2e-9 m.
-    check = hf.simulate(ROPE, motion, method="rk4", step=1e-4, **how)
+    check = hf.simulate(ROPE, motion, step=1e-4, **how)
     # 75 shares of 20 ms, each of which may err by tol; in fact some ten times tol. A step across a sample: thousands.
     assert np.abs(run.joints - check.joints).max() < 75 * tol

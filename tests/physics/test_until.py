@@ -36,11 +36,11 @@ PASSES = [  # event, quarters of a swing from the start at +1.2 rad
 ]
 
 
-@pytest.mark.parametrize("method", [{"tol": 1e-12}, {"method": "rk4", "step": 1e-3}], ids=["extrapolation", "rk4"])
+@pytest.mark.parametrize("how", [{"tol": 1e-12}, {"step": 1e-3}], ids=["extrapolation", "rk4"])
 @pytest.mark.parametrize("case", range(len(PASSES)))
-def test_a_pendulum_passes_the_bottom(case, method):
+def test_a_pendulum_passes_the_bottom(case, how):
     until, quarters = PASSES[case]
-    run = hf.simulate(ROD, duration=10.0, q0=[START], until=until, **method)
+    run = hf.simulate(ROD, duration=10.0, q0=[START], until=until, **how)
     assert run.event is not None
     assert run.event[0] == until.name
     assert run.event[1] == run.t[-1] == run.state.t

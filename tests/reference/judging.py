@@ -178,7 +178,7 @@ def runge_kutta(setup: Setup, t: Real) -> tuple[Trajectory, Trajectory] | None:
     if setup.duration / step * chain.length.size > EFFORT:
         return None
     try:
-        fine, coarse = (simulate(replace(setup, method="rk4", step=h), t_eval=t) for h in (step, 2.0 * step))
+        fine, coarse = (simulate(replace(setup, step=h), t_eval=t) for h in (step, 2.0 * step))
     except SimulationError:
         return None
     return fine, coarse

@@ -133,7 +133,7 @@ def call(names: list[str]) -> None:
 def _simulate() -> None:
     hf, rope, how, _ = _parts()
     hf.sideways(hf.simulate(rope, **how))
-    hf.simulate(rope, **how, method="rk4", step=1e-4)
+    hf.simulate(rope, **how, step=1e-4)
     hf.simulate(rope, torque=lambda *_: 0.0, arm=hf.Arm(length=0.1, inertia=1e-3), duration=0.02, control_rate=100.0)
     hf.predictability(rope, **how | {"duration": 0.1})
     hf.forward_kinematics(rope, [0.0] * rope.n_links)

@@ -24,10 +24,10 @@ ADVICE: Final = {
     RUNNING: "",
     STEP_TOO_SMALL: "the tolerance cannot be met. Loosen tol, add joint friction, or check for links whose "
     "mass and inertia are nearly zero compared with their neighbours'",
-    NOT_FINITE: "the motion left the range of numbers. Check q0, qd0 and the motion for wild values; with "
-    "method='rk4' take a smaller step",
+    NOT_FINITE: "the motion left the range of numbers. Check q0, qd0 and the motion for wild values, "
+    "or take a smaller step",
     ENERGY: "the energy of the rope changed by more than the motor and friction explain, so the result cannot be "
-    "trusted. Tighten tol; with method='rk4' take a smaller step",
+    "trusted. Tighten tol, or take a smaller step",
     REACHED: "",
     LEFT: "",
     LIMIT: "a joint has reached its limit (max_bend), but derivatives and events do not support impacts. "

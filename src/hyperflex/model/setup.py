@@ -33,7 +33,6 @@ from hyperflex.model.rope import Rope, table_keys
 from hyperflex.motion import Motion, from_spec, hold_arm, motion_keys, to_spec, torque_profile
 from hyperflex.options import option
 
-METHODS = ("extrapolation", "rk4")
 _STILL = hold_arm(0.0)
 PLAN = "plan"  # table of data that only a planner uses
 PLANNING = (PLAN, "target", "slot", "limits", "behind")  # tables of a planner, which a run ignores
@@ -54,7 +53,6 @@ class SetupFields(TypedDict, total=False):
     arm_angle0: float | None
     arm_rate0: float | None
     tol: float | None
-    method: str | None
     step: float | None
     pegs: Sequence[Obstacle]
     contact_step: float | None
@@ -87,11 +85,9 @@ class Setup:
         Allowed error of the position of any joint in one step, m. The error at the tip after some seconds of casting is
         of the order of ten times as much (docs/models.md). In contact with pegs the bound of the energy error is
         proportional to it: at the default a millionth per second of the energy scale; 1e-3 suits a search.
-    method : {"extrapolation", "rk4"}
-        The linearly implicit extrapolation with error control, or, as a check, classical Runge-Kutta with a fixed
-        `step`. A step beyond its stability limit, which holds for a hanging rope, is refused.
     step : float, optional
-        Step of ``"rk4"``, s.
+        Fixed step of the classical Runge-Kutta method, s, as a check of the linearly implicit extrapolation with error
+        control, which is the default. A step beyond its stability limit, which holds for a hanging rope, is refused.
     pegs : sequence of Peg, Wall or Ground, optional
         Obstacles that the rope can touch and wind round; for ropes with friction_model="relative".
     contact_step : float
@@ -121,8 +117,9 @@ class Setup:
     arm_angle0: float = option(0.0, "angle of a torque-driven arm at the start", unit="rad")
     arm_rate0: float = option(0.0, "rate of a torque-driven arm at the start", unit="rad/s")
     tol: float = option(DEFAULT_TOL, "error of a step in the position of any joint", unit="m", sign="positive")
-    method: str = option("extrapolation", "integrator: extrapolation, or rk4 with a fixed step")
-    step: float | None = option(None, "step of rk4", unit="s", sign="positive")
+    step: float | None = option(
+        None, "fixed step of Runge-Kutta, as a check of the extrapolation", unit="s", sign="positive", shown="none"
+    )
     pegs: tuple[Obstacle, ...] = ()
     contact_step: float = option(DEFAULT_CONTACT_STEP, "longest step in contact", unit="s", sign="positive")
     tip_force: tuple[float, float] = (0.0, 0.0)
@@ -148,9 +145,6 @@ class Setup:
         for name, kind in (("rope", Rope), ("motion", Motion), ("arm", Arm), ("torque", Motion)):
             if getattr(self, name) is not None or name == "rope":
                 checks.instance(name, getattr(self, name), kind)
-        checks.choice("method", self.method, METHODS)
-        if (self.method == "rk4") != (self.step is not None):
-            raise InvalidInput("step belongs to method='rk4'", got=self.step, allowed="a step in s with rk4 alone")
         if (self.control is None) != (self.control_rate is None):
             got, allowed = self.control_rate, "both, or neither"
             raise InvalidInput("control_rate belongs to a torque callback", got=got, allowed=allowed)
@@ -178,11 +172,9 @@ class Setup:
                 got=f"torques of {self.torque.joints} joints",
                 allowed="one column, or a set-up without pegs and joint limits",
             )
-        if self.method != METHODS[0]:
+        if self.step is not None:
             raise InvalidInput(
-                "contact and joint limits have a stepper of their own",
-                got=self.method,
-                allowed=f"method={METHODS[0]!r}",
+                "contact and joint limits have a stepper of their own", got=self.step, fix="Leave the step out"
             )
 
     def _check_drive(self) -> None:

@@ -116,10 +116,10 @@ def runge_kutta_limit(chain: Chain) -> float:
     n = chain.length.size
     if n > RK4_LINKS:
         raise InvalidInput(
-            "method='rk4', a check, is not there for so many links",
+            "a fixed step, a check, is not there for so many links",
             got=n,
             allowed=f"up to {RK4_LINKS}",
-            fix="Take method='extrapolation', whose step does not shrink with the links",
+            fix="Leave it out: the step of the extrapolation does not shrink with the links",
         )
     mass = np.empty((n, n))
     mass_matrix(chain, np.zeros(n), mass)
@@ -171,10 +171,10 @@ def rollout_limits(setup: Setup, chain: Chain, stop: float, until: Until = NEVER
     least = DRY_ORDER if sticks_often(chain) else LEAST_ORDER
     if setup.step is not None and setup.step > (longest := runge_kutta_limit(chain)):
         raise InvalidInput(
-            "step is beyond the stability limit of rk4, where results look smooth and are wrong",
+            "step is beyond the stability limit of Runge-Kutta, where results look smooth and are wrong",
             got=setup.step,
             allowed=f"at most {longest:.3e} s for this rope",
-            fix="Take a smaller step, or method='extrapolation', which has no such limit",
+            fix="Take a smaller step, or none: the extrapolation has no such limit",
         )
     return Limits(stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, least, MOST_ORDER, budget, until)
 

@@ -196,7 +196,7 @@ def conclude(
         name, message = error.status, str(error)
     rows = slice(skip, good)
     t, y, (qdd, base, scalars) = run.t[rows], run.y[rows], (each[rows] for each in seen)
-    q, qd, attrs, contact = y[:, :n], y[:, n : 2 * n], {"method": setup.method, "tol": setup.tol}, dict[str, Any]()
+    q, qd, attrs, contact = y[:, :n], y[:, n : 2 * n], {"tol": setup.tol}, dict[str, Any]()
     if isinstance(run, ContactRollout):
         attrs |= run.facts()
         contact = run.outputs(rows, qdd, scalars)

@@ -236,8 +236,8 @@ def _own(setup: Setup, name: str, given: Mapping[str, ArrayLike]) -> ParameterCh
 
 def check_smooth(setup: Setup) -> None:
     """Refuse set-ups whose runs have no derivative that the kernels know."""
-    if setup.method != "extrapolation":
-        raise InvalidInput("sensitivities follow the extrapolation", got=setup.method, allowed="method='extrapolation'")
+    if setup.step is not None:
+        raise InvalidInput("sensitivities follow the extrapolation", got=setup.step, fix="Leave the step out")
     if setup.pegs:
         raise InvalidInput("derivatives are of free flight", got="a set-up with obstacles", fix="Make one without")
 
@@ -689,7 +689,7 @@ def predictability(
     count = checks.count("nudges", nudges, most=MOST_NUDGES)
     rng = np.random.default_rng(checks.count("seed", seed, least=0))
     spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
-    fine = replace(full, tol=FINE * full.rope.total_length, method="extrapolation", step=None)
+    fine = replace(full, tol=FINE * full.rope.total_length, step=None)
     run = AngleJacobian(fine, most=count)
     t = np.linspace(0.0, full.duration, max(2, math.ceil(full.duration / spacing - 1e-9) + 1))
     (q, qd), changes = full.start(), _first_nudges(full, count, rng)
