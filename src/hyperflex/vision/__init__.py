@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from hyperflex.vision.markers import Blobs, Gate, MarkerDetector
     from hyperflex.vision.renderer.motion import RopeMotion
     from hyperflex.vision.renderer.renderer import (
-        Bar,
         Occluder,
         Renderer,
         Scene,
