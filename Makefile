@@ -33,7 +33,7 @@ nightly: $(INSTALLED) browser docs ## all tests, kernels without the compiler, f
 	$(PYTEST)
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/core
 	HYPERFLEX_FAULTS=150 $(BIN)/python -m pytest -q tests/faults
-	$(BIN)/python -m tests.faults.interrupting --seeds 30
+	$(BIN)/python -m benchmarks.interrupting --seeds 30
 
 browser: # for the tests of pages, which skip without one (and fail in CI, and with REQUIRE_DATA=1)
 	@for program in $(BROWSERS); do command -v $$program >/dev/null && exit 0; done; \

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 from benchmarks import log, machine
+from benchmarks.hard_videos import HardVideo, follow
 
 from hyperflex import files
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.paper import estimation
 from hyperflex.vision import VideoReader
-from tests.estimate.videos import HardVideo, follow
 
 RESULTS = Path(__file__).parent / "results"
 HARD = {  # columns of the page: name, unit, factor, goal

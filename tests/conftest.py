@@ -72,7 +72,7 @@ def data_dir(pytestconfig: pytest.Config) -> Path:
 
 LOADED = (  # what children of the tests begin with
     *("pytest", "hyperflex.execution.stream", "hyperflex.hardware.emulate.process", "hyperflex.play.planning_process"),
-    *("hyperflex.estimate.live.state_source", "tests.execution.ideal_link", "tests.estimate.videos"),
+    *("hyperflex.estimate.live.state_source", "tests.execution.ideal_link", "benchmarks.hard_videos"),
 )
 
 

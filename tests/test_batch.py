@@ -11,8 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.core.batch import rollouts as core
 from hyperflex.simulation import batch as simulation_batch
-from tests.faults.interrupting import left_by
-from tests.refusals import refuses
+from tests.refusals import left_by, refuses
 
 ARM = hf.Arm(length=0.1)
 

@@ -23,8 +23,7 @@ from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
-from tests.faults.interrupting import left_by
-from tests.refusals import fails, refuses
+from tests.refusals import fails, left_by, refuses
 
 NOISE = 2e-3  # rad
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])

@@ -7,8 +7,7 @@ import hyperflex as hf
 from hyperflex import paper
 from hyperflex.errors import IdentificationError
 from hyperflex.paper import natural_frequency_inertia, natural_period, revision, squared_error, swing_period
-from tests.faults.interrupting import left_by
-from tests.refusals import refuses
+from tests.refusals import left_by, refuses
 
 T = np.arange(41) / 7.5
 ROPE = hf.Rope.uniform(0.6, 0.06, 3, inertia=2e-5, friction=2e-3)

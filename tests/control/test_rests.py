@@ -5,8 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.control import PumpingPlan, SwingModel, optimize_pumping
-from tests.faults.interrupting import left_by
-from tests.refusals import refuses
+from tests.refusals import left_by, refuses
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3)
 ARM = hf.Arm(length=0.08)

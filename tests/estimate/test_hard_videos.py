@@ -1,8 +1,7 @@
 """The fast part of a pumped cast, rendered: 30 % occluded, clutter, a blackout. `benchmarks.videos` runs ten whole."""
 
 import pytest
-
-from tests.estimate.videos import Followed, HardVideo, follow, rendered
+from benchmarks.hard_videos import Followed, HardVideo, follow, rendered
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from hyperflex.interruption import deferred, handle_signals, interruptible, rais
 from hyperflex.paper import reproduce
 from hyperflex.simulation import contact
 from hyperflex.vision import calibrate_camera, track_bars
-from tests.faults.interrupting import left_by
+from tests.refusals import left_by
 
 ROOT = Path(__file__).parents[2]
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=5e-4)

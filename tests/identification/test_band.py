@@ -11,8 +11,8 @@ from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import prediction_std
 from hyperflex.identification.uncertainty.covariance import Information
-from tests.faults.interrupting import left_by
 from tests.identification.twins import WHOLE
+from tests.refusals import left_by
 
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
 NOISE = 2e-3

@@ -16,9 +16,8 @@ from hyperflex.identification.model import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty import covariance
 from hyperflex.identification.uncertainty.noise import Piece, whiteness
-from tests.faults.interrupting import left_by
 from tests.identification.twins import recorded
-from tests.refusals import refuses
+from tests.refusals import left_by, refuses
 
 NOISE = 2e-3  # rad
 STIFF = DOUBLE.replace(stiffness=[0.0, 4e-3])

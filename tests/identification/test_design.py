@@ -14,9 +14,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, RecordingSetup
 from hyperflex.identification import experiment_design as _design
 from hyperflex.identification.experiment_design import default_experiments, expected_information, variations
-from tests.faults.interrupting import left_by
 from tests.identification.twins import WHOLE
-from tests.refusals import refuses
+from tests.refusals import left_by, refuses
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
 SHORT = Experiment("short", q0=0.8, rate=40.0, duration=3.0)

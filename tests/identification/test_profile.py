@@ -19,10 +19,9 @@ from hyperflex.identification.uncertainty.covariance import Basis, Interval, qua
 from hyperflex.identification.uncertainty.profile import Profile, all_intervals, profiled, skewed, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
-from tests.faults.interrupting import left_by
 from tests.identification.linear import Line, autoregressive, fitted, waves
 from tests.identification.twins import recorded
-from tests.refusals import refuses
+from tests.refusals import left_by, refuses
 
 NOISE = 0.01  # rad
 PAPER = Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)

@@ -19,8 +19,8 @@ from hyperflex.identification.measurements import measure
 from hyperflex.identification.multi_start import search_delay
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.symptoms import _far, _of_prediction, score_findings
-from tests.faults.interrupting import left_by
 from tests.identification.twins import QUICK, WHOLE_QUICK, recorded
+from tests.refusals import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
 T = np.arange(0.0, 4.0, 0.02)

@@ -5,8 +5,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput, SimulationError
-from tests.faults.interrupting import left_by
-from tests.refusals import fails, refuses
+from tests.refusals import fails, left_by, refuses
 
 ARM = hf.Arm(length=0.105, inertia=1e-3)
 

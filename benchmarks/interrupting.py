@@ -1,6 +1,6 @@
 """Calls and commands that a signal ends at a chosen time, each in a forked process, and what came of each.
 
-``python -m tests.faults.interrupting --seeds 3 --calls simulate --commands cast`` prints a name and a JSON
+``python -m benchmarks.interrupting --seeds 3 --calls simulate --commands cast`` prints a name and a JSON
 object a trial, with what is wrong in ``faults``; without ``--calls`` and ``--commands`` it tries all of them. The exit
 code says whether anything was wrong.
 """
@@ -20,10 +20,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import pytest
-
-from hyperflex.errors import Interrupted
 
 PATIENCE = 120.0  # s, after which a trial hangs
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -99,13 +95,6 @@ def _processor_time(process: int) -> float:
 
 
 # ---- calls
-
-
-def left_by(work: Callable[[], Any]) -> Any:
-    """Return the partial result of a call that must be interrupted."""
-    with pytest.raises(Interrupted) as stop:
-        work()
-    return stop.value.partial
 
 
 def call(work: Callable[[], Any]) -> Callable[[], dict[str, Any]]:
@@ -205,7 +194,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "whip": lambda: hf.plan_whip(few, arm, hf.TipTarget(0.3, -2.05), time_budget=10.0),
         "insert": lambda: hf.plan_insert(few, arm, hf.Slot(0.56, -1.9, -0.78), time_budget=10.0),
         "pumping": lambda: optimize_pumping(model, 0.9),
-        "track": lambda: twin.track(),
+        "track": twin.track,
     }
 
 
