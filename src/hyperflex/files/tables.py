@@ -76,10 +76,8 @@ class Table:
         its column's, in a file without a final line feed: most likely it was cut off.
         """
         at = [self.names.index(name) for name in names]
-        values = self._plain(at)
-        if values is None:
-            values = self._by_cell(at)
-            self._check_commas(at)
+        values = self._numbers(at)
+        self._check_commas(at)
         if self.cut and len(self.names) - 1 in at:
             self._check_end()
         return values
@@ -138,21 +136,8 @@ class Table:
             )
         return row
 
-    def _plain(self, at: list[int]) -> Array | None:
-        """Return the columns of rows without gaps, quotes or decimal commas; None for any other."""
-        marks, space = len(self.names) - 1, self.mark == " "
-        if not space and any(row.count(self.mark) != marks or '"' in row for row in self.rows):
-            return None
-        if space and any(len(row.split()) != marks + 1 for row in self.rows):
-            return None
-        try:
-            values = np.loadtxt(self.rows, delimiter=None if space else self.mark, comments=None, usecols=at, ndmin=2)
-        except ValueError:
-            return None
-        return values if bool((np.abs(values) <= LARGEST).all()) else None
-
-    def _by_cell(self, at: list[int]) -> Array:
-        """Return the columns of any rows."""
+    def _numbers(self, at: list[int]) -> Array:
+        """Return columns as they stand."""
         values = np.empty((len(self.rows), len(at)))
         for k in range(len(self.rows)):
             row = self.cells(k)
