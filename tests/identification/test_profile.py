@@ -49,8 +49,8 @@ def found(recording: Recording) -> Identification:
 @pytest.mark.parametrize("freedom", [8.0, 100.0, 1e9])
 def test_away_from_bounds_the_limit_is_that_of_f(freedom):
     expected = f.ppf(0.95, 1, freedom)
-    assert quantile(0.95, freedom) == pytest.approx(expected, rel=1e-5)  # 1e9 is taken as infinite
-    assert threshold(0.95, freedom, np.inf) == threshold(0.95, freedom, 2.0) == quantile(0.95, freedom)
+    assert quantile(freedom) == pytest.approx(expected, rel=1e-5)  # 1e9 is taken as infinite
+    assert threshold(freedom, np.inf) == threshold(freedom, 2.0) == quantile(freedom)
 
 
 @pytest.mark.parametrize("above", [0.0, 0.3, 1.0, 1.7, 3.0])
@@ -69,17 +69,16 @@ def test_beside_its_own_bound_intervals_hold_the_truth_as_often_as_they_say(abov
         return float(norm.cdf(root) - norm.cdf(-0.5 * (above**2 + limit) / above))
 
     expected = brentq(lambda limit: held(limit) - 0.95, 0.5, 4.0)
-    limit = threshold(0.95, 1e9, above)
+    limit = threshold(1e9, above)
     assert held(limit) == pytest.approx(0.95, abs=1e-6)
     assert limit == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.parametrize("level", [0.68, 0.9, 0.95])
-def test_the_limit_joins_the_usual_one_where_the_bound_is_no_longer_felt(level):
+def test_the_limit_joins_the_usual_one_where_the_bound_is_no_longer_felt():
     """Just below that place rounding leaves no root between the two, and the usual limit is right to 1e-6."""
-    usual = quantile(level, np.inf)
+    usual = quantile(np.inf)
     for below in (2e-8, 1e-9, 1e-12, 2.2e-16):
-        assert threshold(level, np.inf, np.sqrt(usual) * (1.0 - below)) == pytest.approx(usual, rel=1e-6)
+        assert threshold(np.inf, np.sqrt(usual) * (1.0 - below)) == pytest.approx(usual, rel=1e-6)
 
 
 @pytest.mark.parametrize("tied", [1.33, -0.58, -3.04])  # correlations of -0.8, 0.5 and 0.95
@@ -90,7 +89,7 @@ def test_a_bound_of_another_parameter_leaves_intervals_about_as_often_right(tied
     basis = fitted(waves(1000, tied=tied), random.standard_normal((1000, 1)))
     covariance = basis.information.covariance
     std = np.sqrt(np.diag(covariance))
-    limit = threshold(0.95, basis.information.freedom, (basis.fit.x[0] - basis.plant.parameters.lower[0]) / std[0])
+    limit = threshold(basis.information.freedom, (basis.fit.x[0] - basis.plant.parameters.lower[0]) / std[0])
     r = covariance[0, 1] / (std[0] * std[1])
     u, v = np.linalg.cholesky([[1.0, r], [r, 1.0]]) @ random.standard_normal((2, 40_000))
     least = np.minimum(v + above, 0.0) ** 2  # both free, the second at its bound
@@ -110,14 +109,14 @@ def last_intervals(basis: Basis, how: How) -> tuple[dict[str, Interval], list[Fi
 
 def first(basis: Basis) -> Profile:
     """The profile of the first parameter."""
-    return profiled(basis, 0, 0.95)
+    return profiled(basis, 0)
 
 
 def test_a_linear_problem_has_the_interval_of_its_covariance():
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     plain, _ = last_intervals(basis, "covariance")
     for k, (label, one) in enumerate(plain.items()):
-        found = profiled(basis, k, 0.95)
+        found = profiled(basis, k)
         width = one.high - one.low
         assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * width)  # CLOSE
         scale = 0.5 * width / np.sqrt(found.limit[0])
@@ -136,11 +135,11 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all():
     basis = replace(plain, information=errors)
     by_std, _ = last_intervals(basis, "covariance")
     for k, (label, one) in enumerate(last_intervals(basis, "profile")[0].items()):
-        alone, same = profiled(basis, k, 0.95), profiled(plain, k, 0.95)
+        alone, same = profiled(basis, k), profiled(plain, k)
         assert (alone.low, alone.high) == (same.low, same.high)
         # 1 + 1 + 2^2, of which 2^2 was declared: Welch and Satterthwaite's degrees of freedom are those over (2 / 6)^2
         freedom = information.freedom
-        student = np.sqrt(quantile(0.95, 9.0 * freedom) / quantile(0.95, freedom))
+        student = np.sqrt(quantile(9.0 * freedom) / quantile(freedom))
         assert one.high - one.low == pytest.approx(np.sqrt(6.0) * student * (alone.high - alone.low), rel=0.01)
         assert one.high - one.low == pytest.approx(by_std[label].high - by_std[label].low, rel=0.01)
 
@@ -306,8 +305,6 @@ def test_intervals_are_found_as_asked(recording):
 
 def test_refusals(found):
     refuses("no such parameter.*inertia:shared", profile, found, "inertia")
-    for level in (0.0, 1.0, np.nan):
-        refuses("level", profile, found, FREE[0], level)
     refuses("no longer has its fit", profile, replace(found, _basis=None), FREE[0])
 
 

@@ -15,7 +15,6 @@ from hyperflex.identification.fit import NORMAL, POOR, residuals_of
 from hyperflex.identification.model import Plant, common_factor, lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import (
-    LEVEL,
     MASSES,
     TOUCHED,
     Basis,
@@ -349,7 +348,7 @@ def _limits(
     if not information.agrees:
         yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)
     elif widening(information.freedom) > REPORTED.wider:
-        half = float(np.sqrt(quantile(LEVEL, information.freedom)))
+        half = float(np.sqrt(quantile(information.freedom)))
         yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom, "half": half})
 
 

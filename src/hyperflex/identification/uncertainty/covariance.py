@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -237,7 +236,7 @@ def fisher_information(parameters: Parameters, x: Array, rows: Sequence[Array]) 
 
 @dataclass(frozen=True)
 class Interval:
-    """Confidence interval, SI units.
+    """Confidence interval of 95 %, SI units.
 
     `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``, or ``unknown``
     where the data set no limits.
@@ -246,7 +245,6 @@ class Interval:
     low: float
     high: float
     kind: IntervalKind
-    level: float = LEVEL
 
     def __str__(self) -> str:
         return f"{self.low:.5g} to {self.high:.5g} ({self.kind})"
@@ -255,18 +253,11 @@ class Interval:
         return self.low <= value <= self.high
 
 
-def checked_level(level: float) -> float:
-    """Return a confidence level, refused outside of 0 to 1."""
-    if checks.number("level", level, sign="positive") >= 1.0:
-        raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
-    return float(level)
-
-
-def quantile(level: float, freedom: float) -> float:
-    """Return the quantile of F(1, freedom): the square of Student's."""
+def quantile(freedom: float) -> float:
+    """Return the 95 % quantile of F(1, freedom): the square of Student's."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, 0.5 * (1.0 + level))) ** 2
+    return float(stdtrit(freedom, 0.5 * (1.0 + LEVEL))) ** 2
 
 
 def freedom_with(freedom: float, std: Array, declared: Array) -> Array:
@@ -282,7 +273,7 @@ def freedom_with(freedom: float, std: Array, declared: Array) -> Array:
 
 def widening(freedom: float) -> float:
     """Return how many times wider Student's distribution makes an interval than a deviation that is known."""
-    return float(np.sqrt(quantile(LEVEL, freedom) / quantile(LEVEL, np.inf)))
+    return float(np.sqrt(quantile(freedom) / quantile(np.inf)))
 
 
 def interval(
@@ -290,14 +281,13 @@ def interval(
     std: float,
     freedom: float,
     least: float,
-    level: float = LEVEL,
     value: Callable[[float], float] = float,
 ) -> Interval:
     """Return the interval of a value, a function of `at`, from the standard deviation of `at` and its bound `least`."""
     if not np.isfinite(std):
-        return Interval(value(least), np.inf, "unknown", level)
-    half = std * float(np.sqrt(quantile(level, freedom)))
-    return Interval(value(max(at - half, least)), value(at + half), "covariance", level)
+        return Interval(value(least), np.inf, "unknown")
+    half = std * float(np.sqrt(quantile(freedom)))
+    return Interval(value(max(at - half, least)), value(at + half), "covariance")
 
 
 def of_ratios(

@@ -18,7 +18,6 @@ from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
     Basis,
     Interval,
-    checked_level,
     freedom_with,
     interval,
     quantile,
@@ -63,9 +62,9 @@ class Profile(Interval):
     ----------
     name : str
         Of the parameter, as in ``Identification.parameters``.
-    low, high, level : float
-        The interval, SI units, inf where the data set no limit; its confidence level. Of noise alone:
-        ``Identification.intervals`` add errors of the model and of the lengths.
+    low, high : float
+        The interval of 95 %, SI units, inf where the data set no limit. Of noise alone: ``Identification.intervals``
+        add errors of the model and of the lengths.
     values, rise, limit : (K,) array
         The curve: values of the parameter (SI units, increasing), rise of the least sum of squares over the residual
         variance, and the rise at which a value is refused.
@@ -88,7 +87,7 @@ class Profile(Interval):
 
 
 @interruptible(Profile)
-def profile(found: Identification, name: str, level: float = 0.95, *, progress: Report | None = None) -> Profile:
+def profile(found: Identification, name: str, *, progress: Report | None = None) -> Profile:
     """Return the profile likelihood interval of one parameter.
 
     Parameters
@@ -97,8 +96,6 @@ def profile(found: Identification, name: str, level: float = 0.95, *, progress: 
         Of :func:`identify`, in the same session.
     name : str
         One of ``found.parameters``, e.g. ``inertia:shared``.
-    level : float
-        Confidence level.
     progress : callable, optional
         Gets each round of each fit, as that of :func:`identify` does.
 
@@ -114,10 +111,10 @@ def profile(found: Identification, name: str, level: float = 0.95, *, progress: 
     F(1, freedom), or near a bound with the distribution there (see :func:`threshold`). Robust losses are treated as in
     :func:`estimate_covariance`. Cost: about three fits of two or three rounds a side, a hundred rounds at most.
     """
-    basis, level, labels = found.basis, checked_level(level), found.basis.plant.parameters.labels
+    basis, labels = found.basis, found.basis.plant.parameters.labels
     if name not in labels:
         raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
-    return profiled(basis, labels.index(name), level, report=progress)
+    return profiled(basis, labels.index(name), report=progress)
 
 
 def bottom(basis: Basis, budget: Budget | None = None, report: Report | None = None) -> Fit:
@@ -132,7 +129,6 @@ def bottom(basis: Basis, budget: Budget | None = None, report: Report | None = N
 def profiled(
     basis: Basis,
     which: int,
-    level: float,
     *,
     begun: Fit | None = None,
     budget: Budget | None = None,
@@ -144,14 +140,14 @@ def profiled(
     deviations = information.deviations(np.ones(basis.fit.x.size))
     std = float(np.sqrt(information.covariance[which, which])) if np.isfinite(deviations[which]) else np.inf
     if not np.isfinite(std) or std == 0.0:
-        every = Interval(parameter.value(bound), np.inf, "profile", level)
+        every = Interval(parameter.value(bound), np.inf, "profile")
         return Profile(**vars(every), name=parameter.label, values=np.zeros(0), rise=np.zeros(0), limit=np.zeros(0))
-    walk = _ProfileSearch(basis, which, std, level, begun or bottom(basis, budget, report), budget or Budget(), report)
+    walk = _ProfileSearch(basis, which, std, begun or bottom(basis, budget, report), budget or Budget(), report)
     try:
         below, above = walk.side(-1.0), walk.side(1.0)
-        found = Interval(parameter.value(below), parameter.value(above), "profile", level)
+        found = Interval(parameter.value(below), parameter.value(above), "profile")
     except _TooLong:
-        found = interval(float(basis.fit.x[which]), std, information.freedom, bound, level, parameter.value)
+        found = interval(float(basis.fit.x[which]), std, information.freedom, bound, parameter.value)
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: p.at)
     values, rise, limit = np.array([(parameter.value(p.at), max(p.rise, 0.0), p.limit) for p in known]).T
     best = min(known, key=lambda p: p.rise)
@@ -185,10 +181,8 @@ class _Point:
 class _ProfileSearch:
     """Walks away from the optimum along one parameter, to either side."""
 
-    def __init__(
-        self, basis: Basis, which: int, std: float, level: float, best: Fit, budget: Budget, report: Report | None
-    ) -> None:
-        self.basis, self.which, self.level, self.budget = basis, which, level, budget
+    def __init__(self, basis: Basis, which: int, std: float, best: Fit, budget: Budget, report: Report | None) -> None:
+        self.basis, self.which, self.budget = basis, which, budget
         information = basis.information
         self.bound, self.std = float(basis.plant.parameters.lower[which]), std
         self.rounds = WALK.most_rounds  # that one side may still take
@@ -205,7 +199,7 @@ class _ProfileSearch:
     def _point(self, found: Fit) -> _Point:
         self.budget.check()  # else a fit that the budget has ended would pass for one that has settled
         at = float(found.x[self.which])
-        limit = threshold(self.level, self.basis.information.freedom, (at - self.bound) / self.std)
+        limit = threshold(self.basis.information.freedom, (at - self.bound) / self.std)
         return _Point(at, found.x, found.states, (found.cost - self.least) / self.unit, limit)
 
     def at(self, value: float) -> _Point | None:
@@ -233,7 +227,7 @@ class _ProfileSearch:
         self.rounds = WALK.most_rounds
         inside, outside = self.points[0], None
         origin, bound = inside.at, self.bound if sign < 0.0 else np.inf
-        value = origin + sign * self.std * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
+        value = origin + sign * self.std * float(np.sqrt(quantile(self.basis.information.freedom)))
         for _ in range(WALK.tries):
             value = max(value, bound) if sign < 0.0 else value
             if value == inside.at:  # at the bound, and allowed
@@ -282,7 +276,7 @@ def all_intervals(
         at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
         heard = None if report is None else with_entries(report, at)
         which = every.index(label)
-        found = profiled(basis, which, LEVEL, begun=begun, budget=budget, report=heard)
+        found = profiled(basis, which, begun=begun, budget=budget, report=heard)
         if found.kind == "profile":
             result[label] = _with_model_error(basis, which, found)
         if found.gain > WALK.better:
@@ -297,12 +291,12 @@ def _with_model_error(basis: Basis, which: int, found: Profile) -> Interval:
     information, x, parameter = basis.information, float(basis.fit.x[which]), basis.plant.parameters.all[which]
     gradient = np.eye(basis.fit.x.size)[[which]] * parameter.derivative(x)
     whole, declared = information.spread(gradient), information.declared.model_spread(gradient)
-    freedom, usual = float(freedom_with(information.freedom, whole, declared)[0]), quantile(LEVEL, information.freedom)
-    wider = float(np.sqrt(quantile(LEVEL, freedom) / usual))
+    freedom, usual = float(freedom_with(information.freedom, whole, declared)[0]), quantile(information.freedom)
+    wider = float(np.sqrt(quantile(freedom) / usual))
     model, value = float(information.model_spread(gradient)[0]) * float(np.sqrt(usual)), parameter.value(x)
     low = value - wider * float(np.hypot(value - found.low, model))
     high = value + wider * float(np.hypot(found.high - value, model))
-    return Interval(max(low, parameter.value(float(basis.plant.parameters.lower[which]))), high, "profile", found.level)
+    return Interval(max(low, parameter.value(float(basis.plant.parameters.lower[which]))), high, "profile")
 
 
 def skewed(basis: Basis) -> list[int]:
@@ -320,7 +314,7 @@ def skewed(basis: Basis) -> list[int]:
     return order[(known & tied)[order]][: WALK.most].tolist()  # type: ignore[no-any-return]
 
 
-def threshold(level: float, freedom: float, above: float) -> float:
+def threshold(freedom: float, above: float) -> float:
     """Return the rise, over the residual variance, at which a value so many deviations `above` its bound is refused.
 
     `freedom` is of the residual variance; `above` is inf where there is no bound.
@@ -334,11 +328,11 @@ def threshold(level: float, freedom: float, above: float) -> float:
     from scipy.optimize import brentq
     from scipy.special import ndtr
 
-    usual, normal, above = quantile(level, freedom), quantile(level, np.inf), max(above, 1e-9)
+    usual, normal, above = quantile(freedom), quantile(np.inf), max(above, 1e-9)
 
     def excess(limit: float) -> float:
-        """Return by how much more often than `level` the truth is held with a limit."""
-        return float(ndtr(np.sqrt(limit)) - ndtr(-0.5 * (above**2 + limit) / above)) - level
+        """Return by how much more often than in 95 % the truth is held with a limit."""
+        return float(ndtr(np.sqrt(limit)) - ndtr(-0.5 * (above**2 + limit) / above)) - LEVEL
 
     if above**2 >= normal or not excess(above**2) < 0.0 < excess(normal):  # the latter by rounding, just below it
         return usual
