@@ -19,6 +19,7 @@ from hyperflex.estimate.doubts import Doubt
 from hyperflex.estimate.observations import UNMEASURED
 from hyperflex.files import read_toml, write_toml
 from hyperflex.vision import (
+    Board,
     Camera,
     FoundRope,
     NoRope,
@@ -483,7 +484,7 @@ def test_a_rope_that_is_seen_too_short_is_named():
         scene(np.zeros((480, 640, 3), np.uint8), [0.0, 0.0, 100.0, 0.0, 1.0], find).check("size")
 
 
-def test_the_size_of_the_picture_is_known_by_points_or_a_sheet():
+def test_the_size_of_the_picture_is_known_by_points_a_sheet_or_a_board():
     image = np.full((480, 640, 3), 128, np.uint8)
     near = scene(image, [100.0, 50.0, 100.0, 80.0, 0.15])
     assert near.camera.pixels_per_metre == pytest.approx(200.0)
@@ -493,3 +494,12 @@ def test_the_size_of_the_picture_is_known_by_points_or_a_sheet():
     assert scene(image, corners).camera.pixels_per_metre == pytest.approx(200.0, rel=1e-3)
     with pytest.raises(InvalidInput, match="not the corners of an A4 sheet"):
         _ = scene(image, [*corners[:5], 142.0, 142.0, 142.0]).camera
+    with pytest.raises(InvalidInput, match="no chessboard was found"):
+        _ = scene(image, [7.0, 5.0, 0.03]).camera
+    board = Board((7, 5), 0.1).draw(20)
+    image[100:200, 200:340] = board[..., None]
+    image[90:100, 190:350] = image[200:210, 190:350] = image[90:210, 190:200] = image[90:210, 340:350] = 255
+    camera = scene(image, [7.0, 5.0, 0.1]).camera
+    assert camera.pixels_per_metre == pytest.approx(200.0, rel=0.01)
+    assert camera.project([[0.0, 0.0]])[0] == pytest.approx([320.0, 20.0], abs=1e-6)
+    assert abs(camera.plane_view.roll) < 2.0

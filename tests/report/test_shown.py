@@ -37,7 +37,10 @@ def test_a_result_is_named_in_a_line(kind, found):
     assert "array(" not in told
 
 
-def test_a_notebook_shows_an_identification(found):
+def test_a_notebook_shows_a_rope_and_an_identification(found):
+    page = ROPE._repr_html_()
+    assert "170 to 230\N{NO-BREAK SPACE}mm" in page
+    assert "<table>" in page
     told = found._repr_html_()
     assert "success" in told
     assert found.report().splitlines()[0] in told

@@ -49,6 +49,7 @@ QUESTIONS = (
             Way("the rope's own length", word="rope"),
             Way("two points in the swing plane, and their distance", 2, ("distance in m",)),
             Way("the four corners of an A4 sheet in the swing plane", 4),
+            Way("a chessboard in the swing plane", 0, ("squares across", "squares down", "side of a square in m")),
         ),
     ),
     Question(
@@ -72,8 +73,8 @@ class Plain:
     tip: Annotated[str | None, "Pixel U,V of a plain rope's free end in the first frame; found: by the command."] = None
     size: Annotated[
         str | None,
-        "What tells the size of the picture: rope (its own length), U,V,U,V,METRES (two points), or the four "
-        "corners of an A4 sheet as U,V,...; all in the swing plane.",
+        "What tells the size of the picture: rope (its own length), U,V,U,V,METRES (two points), the four "
+        "corners of an A4 sheet as U,V,..., or ACROSS,DOWN,METRES of a chessboard; all in the swing plane.",
     ] = None
     mass: Annotated[str | None, "Mass of a plain rope, kg, or unknown."] = None
     exposure: Annotated[float | None, "Exposure of a plain rope's video, s. [default: 0.004]"] = None
@@ -258,12 +259,14 @@ class PlainScene:
 
     @cached_property
     def camera(self) -> "vision.Camera":
-        """The camera: level and at a right angle to the swing plane, unless it is known."""
+        """The camera: level and at a right angle to the swing plane, unless it is known or a chessboard shows it."""
         if self.known_camera is not None:
             return self.known_camera.with_origin(self.answers["pivot"])
         size, (height, width) = self.answers["size"], self.image.shape[:2]
         numbers = [] if isinstance(size, str) else size
         timing: dict[str, Any] = {"exposure": self.exposure, "readout_direction": self.readout_direction}
+        if len(numbers) == 3:
+            return self._on_board(vision.Camera.pinhole((width, height), **timing), *numbers)
         if len(numbers) == 5:
             if not (apart := self._clicked_apart) >= CLICK_STD:  # NaN, too
                 raise InvalidInput("--size: its two points are the same", got=numbers[:4], fix="Give two points")
@@ -288,6 +291,15 @@ class PlainScene:
         """Distance of the first two points of the answer on the size, px."""
         return float(np.hypot(*np.subtract(self.answers["size"][:2], self.answers["size"][2:4])))
 
+    def _on_board(self, lens: "vision.Camera", across: float, down: float, square: float) -> "vision.Camera":
+        if (view := vision.Board((round(across), round(down)), square).find(self.image)) is None:
+            allowed = "a chessboard of so many squares, whole and sharp in the first frame"
+            raise InvalidInput("--size: no chessboard was found", got=f"{across:g} by {down:g}", allowed=allowed)
+        seen = lens.with_plane(view.points, view.pixels)
+        if abs(seen.plane_view.roll) > 90.0:  # a chessboard looks the same upside down
+            seen = lens.with_plane(-view.points, view.pixels)
+        return seen.with_origin(self.answers["pivot"])
+
     def asked(self, question: Question) -> Question:
         """Return a question with its default, and the line that it is about."""
         line = list[list[float]]()
@@ -301,7 +313,7 @@ class PlainScene:
     def check(self, name: str) -> None:
         """Refuse an answer that cannot be right."""
         numbers = self.answers[name] if not isinstance(self.answers[name], str) else []
-        pixels = numbers[: {"mass": 0, "size": 8 if len(numbers) == 8 else 4}.get(name, 2)]
+        pixels = numbers[: {"mass": 0, "size": {5: 4, 8: 8}.get(len(numbers), 0)}.get(name, 2)]
         width, height = self.image.shape[1::-1]
         places = np.reshape(pixels, (-1, 2))
         if not ((places >= -0.5) & (places <= np.array([width, height]) - 0.5)).all():  # NaN, too
@@ -358,7 +370,8 @@ class PlainScene:
         clicked = CLICK_STD / self.camera.pixels_per_metre
         found = {"offset_x": clicked, "offset_y": clicked}
         if self.known_camera is None:
-            apart = self.found.length if self.by_rope else self._clicked_apart
+            size = self.answers["size"]
+            apart = self.found.length if self.by_rope else self._clicked_apart if len(size) > 3 else np.inf
             found |= _OPEN_CAMERA | {"scale": float(np.hypot(_OPEN_CAMERA["scale"], np.sqrt(2.0) * CLICK_STD / apart))}
         return found if self.known_rope else found | _OPEN_ROPE
 

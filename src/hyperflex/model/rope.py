@@ -317,6 +317,11 @@ class Rope:
         links = f"{self.n_links} link{'' if self.n_links == 1 else 's'}"
         return f"Rope({name}{links}, {self.total_length:.4g} m, {self.total_mass:.4g} kg)"
 
+    def _repr_html_(self) -> str:
+        from hyperflex.report import rope_html
+
+        return rope_html(self)
+
     def chain(self) -> Chain:
         """Return the arrays of the kernels."""
         chain = Chain(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.report.identification.tables import parameters_table, predicted, ratios_table
     from hyperflex.report.maps import reach_figure, vibration_figure
-    from hyperflex.report.notebook import identification_html, plan_figure, plan_html, run_html
+    from hyperflex.report.notebook import identification_html, plan_figure, plan_html, rope_html, run_html
     from hyperflex.report.page import (
         Film,
         Picture,

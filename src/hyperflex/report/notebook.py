@@ -6,14 +6,27 @@ from typing import Any
 import numpy as np
 
 from hyperflex.identification import Identification
+from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Rope
 from hyperflex.report.cast import CastReport
-from hyperflex.report.identification.tables import parameters_table
+from hyperflex.report.identification.tables import parameters_table, present
 from hyperflex.report.page import TextTable, render
 from hyperflex.report.plan import Plan, PlanReport
 from hyperflex.report.player import FRAME_RATE, player_html
 from hyperflex.report.style import Axes, Figure
 from hyperflex.report.tip import InsertReport, WhipReport
+from hyperflex.report.units import readable_unit
 from hyperflex.trajectory import Trajectory
+
+
+def rope_html(rope: Rope) -> str:
+    """Return a rope as a table of its links' properties."""
+    rows = []
+    for name in (each.name for each in LINK_PROPERTIES if present(rope)[each.name]):
+        values, unit = getattr(rope, name), readable_unit(name, getattr(rope, name))
+        low, high = values.min() / unit.size, values.max() / unit.size
+        span = f"{low:.4g}" if np.isclose(low, high, rtol=1e-9) else f"{low:.4g} to {high:.4g}"
+        rows.append((name, PROPERTIES[name].words, span + unit.after))
+    return _shown(repr(rope), table=TextTable(("of each link", "what it is", "value"), tuple(rows)))
 
 
 def run_html(run: Trajectory) -> str:
