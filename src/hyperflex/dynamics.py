@@ -17,7 +17,7 @@ from hyperflex.core.integrate.observation import observe, senses
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.simulation import Interval, Stepper, acceleration_slopes, setup_for
+from hyperflex.simulation import Interval, Stepper, commanded_accelerations, setup_for
 
 
 class PartialLinearization(NamedTuple):
@@ -161,7 +161,7 @@ def linearize(
     checks.choice("command", command, ("acceleration", "torque"))
     angles, rates = _joined(rope, q, "q", "rad", arm, arm_angle), _joined(rope, qd, "qd", "rad/s", arm, arm_rate)
     setup = setup_for(command, Setup(rope, None, arm))
-    slopes = acceleration_slopes(command, setup, angles, rates, checks.number("u", u))
+    _, slopes = commanded_accelerations(command, setup, angles, rates, checks.number("u", u))
     result = np.concatenate([np.eye(angles.size, slopes.shape[1], angles.size), slopes])
     return result[:, :-1].copy(), result[:, -1:].copy()
 

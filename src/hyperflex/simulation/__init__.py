@@ -32,6 +32,6 @@ if TYPE_CHECKING:
         predictability,
         sensitivities,
     )
-    from hyperflex.simulation.stepper import Linearization, Stepper, acceleration_slopes, setup_for
+    from hyperflex.simulation.stepper import Linearization, Stepper, arm_polynomials, commanded_accelerations, setup_for
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

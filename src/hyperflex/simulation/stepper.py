@@ -21,7 +21,7 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Rope, Setup, SetupFields
 from hyperflex.motion import torque_profile
 from hyperflex.simulation.contact import ContactRollout
-from hyperflex.simulation.rollouts import Interval, Rollout, check_state
+from hyperflex.simulation.rollouts import Interval, Rollout, check_state, link_accelerations
 from hyperflex.simulation.runs import setup_of
 from hyperflex.simulation.sensitivity import ParameterDirections, check_smooth, forward_derivatives
 from hyperflex.trajectory import State
@@ -88,8 +88,8 @@ def set_commands(command: str, seeds: Directions, powers: Array) -> None:
     seeds.coef[: len(rows), 0, COMMANDS[command]] = rows
 
 
-def acceleration_slopes(command: str, setup: Setup, q: Array, qd: Array, u: float) -> Array:
-    """Return the derivatives (n + 1, 2 n + 3) of the accelerations of arm and links, rad/s^2, by q, qd and u.
+def commanded_accelerations(command: str, setup: Setup, q: Array, qd: Array, u: float) -> tuple[Array, Array]:
+    """Return the accelerations (n + 1,) of arm and links under a command u, rad/s^2, and their derivatives.
 
     Parameters
     ----------
@@ -100,6 +100,12 @@ def acceleration_slopes(command: str, setup: Setup, q: Array, qd: Array, u: floa
         Angles, rad, and rates, rad/s, of the arm and the links; joints that stick there are locked.
     u : float
         rad/s^2 or N m.
+
+    Returns
+    -------
+    accelerations : (n + 1,) float64
+    slopes : (n + 1, 2 n + 3) float64
+        By q, qd and u.
     """
     chain, interval, powers = setup.chain(), Interval(setup.drive()), arm_polynomials(command, 1.0)[0]
     interval.set(0.0, 1.0, COMMANDS[command], np.array([q[0], qd[0], u]) @ powers)
@@ -111,9 +117,10 @@ def acceleration_slopes(command: str, setup: Setup, q: Array, qd: Array, u: floa
     set_slip(COLUMNS, workspace.lanes, senses(chain, drive, np.zeros(1), y[None])[0])
     workspace.ys[:, : 2 * n], workspace.nodes[:] = y, varied.start(n)
     acceleration_derivatives(chain, drive, part, 0.0, 0.0, seeds, workspace)
-    slopes = np.eye(1, size, size - 1).repeat(q.size, axis=0)  # those of the arm
+    accelerations, slopes = np.full(q.size, u), np.eye(1, size, size - 1).repeat(q.size, axis=0)  # those of the arm
+    accelerations[-n:] = link_accelerations(chain, drive, 0.0, y[:n], y[n:])
     slopes[-n:] = workspace.bends[0][:, :size]
-    return slopes
+    return accelerations, slopes
 
 
 @dataclass(frozen=True, eq=False)
