@@ -186,7 +186,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "identify": lambda: hf.identify(noisy, guess, free, options=hf.FitOptions(intervals="profile")),
         "identify default": lambda: hf.identify(noisy, guess),
         "compare models": lambda: hf.compare_models(noisy, guess),
-        "profile": lambda: [profile(fitted, name) for name in fitted.parameters],
+        "profile": lambda: [profile(fitted, name, points=4) for name in fitted.parameters],
         "revision": lambda: hf.iterative_revision(noisy, guess),
         "design": lambda: hf.design_experiment(rods, "friction"),
         "cast": lambda: hf.plan_cast(cable, arm, near, time_budget=20.0),

@@ -1,8 +1,8 @@
-"""Sensor models with derivatives, for identification and filters: angles, markers, motor torque."""
+"""Sensor models with derivatives, for identification and filters: angles, markers, accelerometers, motor torque."""
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,16 +10,17 @@ from numpy.typing import ArrayLike
 from hyperflex import checks
 from hyperflex.checks import Array, ByName, Indices
 from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import Drive
+from hyperflex.core.chain.drive import ANGLE, Drive
 from hyperflex.core.integrate.observation import observe, senses
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.model import PROPERTIES, Arm, Rope, unit_across, unit_along
-from hyperflex.simulation import ParameterChange
+from hyperflex.model import PROPERTIES, Arm, Rope, Setup, unit_across, unit_along
+from hyperflex.simulation import Interval, ParameterChange, arm_polynomials, commanded_accelerations
 from hyperflex.trajectory import State
 
-__all__ = ["Angles", "Markers", "Measurement", "MotorTorque", "PostureSensor", "lever_arms"]
+__all__ = ["Accelerometer", "Angles", "Markers", "Measurement", "MotorTorque", "PostureSensor", "Sensor", "lever_arms"]
 
+ROUNDING = 1e-9  # of the rope's length: larger than the rounding error of sums of link lengths
 ANGLE_STEP = 1e-5  # rad, and relative: step of differences, which have relative errors of 1e-10 for a smooth function
 RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so only rounding errors occur
 
@@ -30,13 +31,49 @@ class Measurement(NamedTuple):
     Attributes
     ----------
     y : (C,) float64
-        The channels: rad or m.
+        The channels: rad, m, N m or m/s^2.
     H : (C, 2 n + 2) float64
         Their derivatives with respect to x.
+    D : (C, 1) float64
+        With respect to the arm's acceleration, per rad/s^2.
     """
 
     y: Array
     H: Array
+    D: Array
+
+
+class Sensor(Protocol):
+    """Sensor of a rope on an arm."""
+
+    def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the channels in one state, with derivatives.
+
+        Parameters
+        ----------
+        rope, arm : Rope, Arm
+        state : State
+            Unknown (None) ``arm_angle`` and ``arm_rate`` count as 0.
+        acceleration : float
+            Of the arm, rad/s^2; it has no effect on positions and angles.
+
+        Raises
+        ------
+        InvalidInput
+            If an argument cannot be used.
+        """
+        ...
+
+
+def angles_and_rates(rope: Rope, arm: Arm, state: State) -> tuple[Array, Array]:
+    """Return angles, rad, and rates, rad/s, (n + 1,) of the arm and all links, validated."""
+    if not isinstance(rope, Rope) or not isinstance(arm, Arm) or not isinstance(state, State):
+        got = [type(each).__name__ for each in (rope, arm, state)]
+        raise InvalidInput("a sensor measures a rope on an arm", got=got, allowed="Rope, Arm, State")
+    q, w = (checks.array(f"state {name}", getattr(state, name), (rope.n_links,)) for name in ("q", "qd"))
+    angle = checks.number("state arm_angle", 0.0 if state.arm_angle is None else state.arm_angle, unit="rad")
+    rate = checks.number("state arm_rate", 0.0 if state.arm_rate is None else state.arm_rate, unit="rad/s")
+    return np.append(angle, q), np.append(rate, w)
 
 
 class PostureSensor(ABC):
@@ -65,20 +102,17 @@ class PostureSensor(ABC):
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
         """Return derivatives of the channels with respect to the sensor's values (m, C, V)."""
 
-    def measure(self, rope: Rope, arm: Arm, state: State) -> Measurement:
-        """Return the channels in one state of a rope on an arm, with derivatives.
-
-        Unknown (None) ``arm_angle`` of the state counts as 0. Raises InvalidInput if an argument cannot be used.
-        """
-        for name, value, kind in (("rope", rope, Rope), ("arm", arm, Arm), ("state", state, State)):
-            checks.instance(name, value, kind)
-        n, q = rope.n_links, checks.array("state q", state.q, (rope.n_links,))[None]
-        angle = checks.number("state arm_angle", 0.0 if state.arm_angle is None else state.arm_angle, unit="rad")
+    def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the channels in one state, with derivatives; see :class:`Sensor`."""
+        angles, _ = angles_and_rates(rope, arm, state)
+        checks.number("acceleration", acceleration, unit="rad/s^2")
+        n, angle, q = rope.n_links, angles[0], angles[None, 1:]
         dq, dpivot = np.zeros((1, n, 2 * n + 2)), np.zeros((1, 2, 2 * n + 2))
         dq[0, :, 1 : n + 1] = np.eye(n)
-        dpivot[0, :, 0] = arm.length * unit_across(np.array(angle))
+        dpivot[0, :, 0] = arm.length * unit_across(angle)
         y = self.predict(rope, q, arm.tip(np.array([angle])))[0].copy()
-        return Measurement(y, self.jacobian(rope, q, dq, dpivot, np.zeros((n, 2 * n + 2)))[0])
+        slopes = self.jacobian(rope, q, dq, dpivot, np.zeros((n, 2 * n + 2)))[0]
+        return Measurement(y, slopes, np.zeros((y.size, 1)))
 
 
 class Angles(PostureSensor):
@@ -174,6 +208,108 @@ def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[Indices, Array]:
     return link, arms
 
 
+class Accelerometer:
+    """Proper acceleration (2,) of a point on a link, acceleration minus gravity, m/s^2, in the frame of the link.
+
+    The frame is the world's, rotated by the link's angle q: x is (cos q, sin q), across the link, and y is
+    (-sin q, cos q), along it towards the motor. A rope that hangs at rest reads (0, 9.81).
+
+    Parameters
+    ----------
+    link : int
+        Link with the sensor, from 0.
+    arc_length : float
+        Along the rope, m from the first joint; on that link, ends included. At a joint, the two links read
+        differently.
+    bias : (2,) array_like
+        Reading in free fall without rotation, m/s^2.
+
+    Attributes
+    ----------
+    values : (3,) float64
+        Bias, m/s^2, and arc length, m.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, or the link is no whole number from 0.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> from hyperflex.sensors import Accelerometer
+    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=4, radius=0.002, friction=0.0)
+    >>> seen = Accelerometer(1, 0.75).measure(rope, hf.Arm(length=0.1), hf.State(0.0, [0.0] * 4, [0.0] * 4))
+    >>> abs(seen.y).round(9).tolist(), seen.H.shape, seen.D.shape
+    ([0.0, 9.81], (2, 10), (2, 1))
+    """
+
+    def __init__(self, link: int, arc_length: float, bias: ArrayLike = (0.0, 0.0)) -> None:
+        self.link = checks.count("link", link, least=0)
+        self.arc_length = checks.number("arc_length", arc_length, unit="m")
+        self.bias = checks.array("bias", bias, (2,), unit="m/s^2")
+        self.values = np.append(self.bias, self.arc_length)
+
+    def with_values(self, values: Array) -> "Accelerometer":
+        """Return the same sensor with another bias and arc length (3,)."""
+        return Accelerometer(self.link, float(values[2]), values[:2])
+
+    def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the measurement in one state, y (2,), with derivatives; see :class:`Sensor`.
+
+        Raises
+        ------
+        InvalidInput
+            If the point is not on the link, or an argument cannot be used.
+
+        Notes
+        -----
+        Derivatives are exact, as in :func:`hyperflex.linearize`: in free flight, with joints locked that dry friction
+        holds in this state. If a torque drives the arm, its acceleration depends on the state too: with A, B of
+        ``linearize(..., command="torque")`` without `dt`, the derivatives are H + D A[n + 1] and D B[n + 1].
+        """
+        q, w, alphas, slopes = _moving(rope, arm, state, acceleration)
+        link, arms = self.link + 1, np.append(arm.length, rope.length)  # the arm is treated as a link before the others
+        arms[link:] = 0.0
+        arms[link] = self._beyond(rope)
+        dq, dw = np.eye(q.size, slopes.shape[1]), np.eye(q.size, slopes.shape[1], k=q.size)
+        across, along = arms * unit_across(q, 0), arms * unit_along(q, 0)  # (2, n + 1)
+        seen = across @ alphas - along @ w**2 - rope.gravity
+        moved = across @ slopes - (along * alphas + across * w**2) @ dq - (2.0 * along * w) @ dw
+        frame = np.array([unit_across(q[link]), -unit_along(q[link])])
+        x, y = frame @ seen
+        moved = frame @ moved + np.outer([y, -x], dq[link])
+        return Measurement(self.bias + np.array([x, y]), moved[:, :-1], moved[:, -1:])
+
+    def value_jacobian(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Array:
+        """Return the derivatives (2, 3) by bias and arc length; arguments as of :meth:`measure`."""
+        _, rates, alphas, _ = _moving(rope, arm, state, acceleration)
+        self._beyond(rope)
+        return np.column_stack([np.eye(2), [alphas[self.link + 1], rates[self.link + 1] ** 2]])
+
+    def _beyond(self, rope: Rope) -> float:
+        """Return the distance of the sensor from its link's first joint, m."""
+        if self.link >= rope.n_links:
+            raise InvalidInput("link is not of this rope", got=self.link, allowed=f"0 to {rope.n_links - 1}")
+        begin = float(rope.length[: self.link].sum())
+        end, faint = begin + float(rope.length[self.link]), ROUNDING * rope.total_length
+        if not begin - faint <= self.arc_length <= end + faint:
+            raise InvalidInput(
+                f"arc_length is not on link {self.link}",
+                got=self.arc_length,
+                allowed=f"{begin:g} to {end:g} m",
+                fix="Give the link that the place is on",
+            )
+        return self.arc_length - begin
+
+
+def _moving(rope: Rope, arm: Arm, state: State, acceleration: float) -> tuple[Array, Array, Array, Array]:
+    """Return angles, rates and accelerations (n + 1,) of the arm and all links, and the latter's derivatives."""
+    angles, rates = angles_and_rates(rope, arm, state)
+    u = checks.number("acceleration", acceleration, unit="rad/s^2")
+    return angles, rates, *commanded_accelerations("acceleration", Setup(rope, None, arm), angles, rates, u)
+
+
 class MotorTorque:
     """Torque (m,) of the motor of a prescribed `arm`, N m, as ``Trajectory.motor_torque`` defines it.
 
@@ -197,6 +333,24 @@ class MotorTorque:
         """Return the same sensor with other values (4,)."""
         inertia, friction, dry, constant = (float(each) for each in values)
         return MotorTorque(replace(self.arm, inertia=inertia, friction=friction, dry_friction=dry), constant)
+
+    def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the torque in one state, y (1,), with derivatives; see :class:`Sensor`.
+
+        Inertia and friction are the sensor's own values, not those of `arm`.
+        """
+        angles, rates = angles_and_rates(rope, arm, state)
+        motor = MotorTorque(arm).with_values(self.values)
+        n, interval = rope.n_links, Interval(Setup(rope, None, arm).drive())
+        u = checks.number("acceleration", acceleration, unit="rad/s^2")
+        rows, _ = arm_polynomials("acceleration", 1.0)
+        interval.set(0.0, 1.0, ANGLE, np.array([angles[0], rates[0], u]) @ rows)
+        y = np.concatenate([angles[1:], rates[1:]])[None]
+        parts = tuple({"coef": np.pad(row[None, None], ((0, 0), (ANGLE, 3 - ANGLE), (0, 0)))} for row in rows)
+        t, chain, moved = np.zeros(1), rope.chain(), np.eye(2 * n, 2 * n + 3)[None]
+        slopes = motor.jacobian(chain, interval.drive, parts, t, y, moved)
+        order = [2 * n, *range(n), 2 * n + 1, *range(n, 2 * n)]
+        return Measurement(motor.predict(chain, interval.drive, t, y), slopes[:, order], slopes[:, 2 * n + 2 :])
 
     def predict(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
         """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""

@@ -102,9 +102,10 @@ def test_doctor_tells_what_is_there(hyperflex_json):
     assert code == 0
     assert told["wrong"] == []
     found = {each["name"]: each for each in told["findings"]}
-    assert {"hyperflex", "packages", "kernels", "this folder"} <= found.keys()
+    assert {"hyperflex", "packages", "kernels", "this folder", "speed"} <= found.keys()
     assert not any(name.startswith("camera") for name in found)
     assert "numpy" in found["packages"]["found"]
+    assert told["processor_seconds_per_simulated_second"] > 0.0
 
 
 def test_doctor_names_what_is_wrong(hyperflex, monkeypatch, tmp_path):
@@ -119,7 +120,7 @@ def test_doctor_names_what_is_wrong(hyperflex, monkeypatch, tmp_path):
         doctor, "unwritable", lambda folder: "cannot be written to" if "kernels" in str(folder) else None
     )
     monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path / "kernels"))
-    code, said, _ = hyperflex("doctor", "--source", 97)
+    code, said, _ = hyperflex("doctor", "--no-speed", "--source", 97)
     assert code == 2
     said = " ".join(said.split())
     assert "3 wrong: packages, kernels, camera 97" in said

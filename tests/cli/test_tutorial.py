@@ -14,7 +14,6 @@ import hyperflex as hf
 from hyperflex.demo import twin
 from hyperflex.identification import identify
 from hyperflex.vision import Board
-from tests.paper.test_twin import exact
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "video.md"
 LIVE, PLAIN = PAGE.with_name("live.md"), PAGE.with_name("plain.md")
@@ -51,7 +50,7 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     intervals = json.loads((filmed / FIGURES[1]).read_text())["intervals"]["friction:shared"]
     assert (intervals["low"], intervals["high"]) == pytest.approx((867 * MICRO, 1018 * MICRO), rel=0.02)
     arcs = [float(each) for each in twin.ARC_LENGTHS]
-    clean = exact()
+    clean = twin.exact()
     places = hf.Recording(clean.t, clean.data[:, 2:], kind="markers")
     guess = hf.Rope.uniform(2.0, 0.125, 20, 0.0025, friction=3e-3)
     best = identify(

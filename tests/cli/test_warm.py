@@ -22,7 +22,7 @@ import hyperflex as hf
 from hyperflex.core.jit import compiling
 from hyperflex.estimate import ChangeTests, EstimatedParameter, Observations, RopeFilter, TrackingTask
 from hyperflex.planning.clearance import rope_clearance
-from hyperflex.dynamics import partial_linearization
+from hyperflex.sensors import MotorTorque
 from hyperflex.vision import Camera, MarkerColour
 
 rope = hf.Rope.uniform(length=1.2, mass=0.1, n_links=6, radius=0.004, friction=4e-4)
@@ -68,7 +68,7 @@ rest = np.zeros(6)
 hf.mass_matrix(rope, rest)
 hf.forward_kinematics(rope, rest)
 hf.linearize(rope, arm, rest, rest)
-partial_linearization(rope, motor, rest, rest, 0.0, 0.0)
+MotorTorque(motor).measure(rope, motor, hf.State(0.0, rest, rest))
 hf.identify(hf.Recording(swung.t, swung.q + 1e-3 * np.cos(97.0 * swung.t)[:, None], kind="angles"), rope)
 view = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0))
 TrackingTask(rope, np.array([0.4, 0.8, 1.2]), view, [MarkerColour((30.0, 30.0, 200.0))], arm).rehearse()

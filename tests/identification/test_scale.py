@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperflex.identification import Identification, Kind, identify
+from hyperflex.identification import FitOptions, Identification, Kind, identify
 from hyperflex.identification.model import Parameters, in_common_factor, parse, scaling
 from hyperflex.identification.uncertainty.covariance import of_ratios
 from hyperflex.model import Rope
@@ -33,9 +33,9 @@ def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(record
         assert found.values["friction"][1] == 0.0
         assert np.isinf(found.std["friction"]).all()
         alone = found.intervals["friction[1]"]
-        assert (alone.low, alone.high, alone.kind) == (0.0, np.inf, "unknown")
+        assert (alone.low, alone.high, alone.kind, alone.ends) == (0.0, np.inf, "unknown", ("bound", "open"))
         ratio = found.intervals["c/p1[1]"]
-        assert ratio.low == 0.0
+        assert (ratio.low, ratio.ends[0]) == (0.0, "bound")
         assert np.isfinite(ratio.high)
         assert found.has(Kind.COMMON_FACTOR)
     # the mass that was guessed is no part of a ratio; 1 %: where either fit stops
@@ -58,6 +58,7 @@ def test_ratios_end_at_0_where_they_cannot_be_negative():
     stds, none = ({name: np.array([std]) for name in values} for std in (1.0, 0.0))
     found = of_ratios(values, stds, none, np.inf)
     assert found["J/p1[0]"].low == found["c/p1[0]"].low == 0.0
+    assert found["J/p1[0]"].ends == found["c/p1[0]"].ends == ("bound", "crossed")
     assert found["p/p1[0]"].low < -1.0  # a centre of mass may lie behind its joint
     assert found["c/p1[0]"].high == pytest.approx(1.96, abs=0.01)  # the normal quantile
 
@@ -67,3 +68,20 @@ def test_what_was_declared_has_no_students_doubt():
     value, std = {"J/p1": np.array([1.0])}, {"J/p1": np.array([0.01])}
     widths = [of_ratios(value, std, {"J/p1": np.array([part])}, 1.0)["J/p1[0]"].high - 1.0 for part in (0.0, 0.01)]
     assert widths == pytest.approx([0.127, 0.0196], rel=0.01)  # Student's quantile with one degree of freedom is 12.7
+
+
+def test_what_held_centres_of_mass_change_is_what_a_fit_with_others_finds():
+    """1 % of each: a linear estimate, so 3 % of it; noise is 50 times smaller than its effect."""
+    t = np.arange(300) / 30.0
+    true = TRUE.replace(friction=1e-3)
+    swing = simulate(true, duration=10.0, t_eval=t, q0=[0.9, 1.2]).q
+    seen = Recording(t, swing + 1e-4 * np.random.default_rng(0).standard_normal(swing.shape))
+    options = FitOptions(intervals=None, length_std=1e-6, clock_std=1e-6)
+
+    def found(com):
+        return identify(seen, true.replace(com=com), ["inertia", "friction"], options=options)
+
+    held = found(true.com)
+    (scale,) = [each for each in held.findings if each.kind is Kind.HELD_SCALE]
+    moved = [found(true.com * (1.0 + 0.01 * row)).ratios["J/p1"] / held.ratios["J/p1"] - 1.0 for row in np.eye(2)]
+    assert scale.values["moved"] == pytest.approx(np.abs(moved).max(), rel=0.03)

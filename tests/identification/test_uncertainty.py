@@ -237,7 +237,7 @@ def scatter(noise: list[Array], loss: LossName, pieces: int = 1) -> tuple[Array,
     bases = [fitted(plant, each, loss, pieces) for each in noise]
     away = np.array([b.fit.x - plant.truth for b in bases])
     variance = np.array([np.diag(b.information.covariance) for b in bases])
-    limit = np.sqrt([quantile(b.information.freedom) for b in bases])[:, None]
+    limit = np.sqrt([quantile(0.95, b.information.freedom) for b in bases])[:, None]
     return (np.abs(away) <= limit * np.sqrt(variance)).sum(axis=0), variance.mean(axis=0) / away.var(axis=0)
 
 

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-import hyperflex as hf
 from hyperflex.demo import twin
 from hyperflex.vision import VideoReader
-
-MAPPED = {"friction": 6.21387e-4, "inertia": 5.91523e-5}  # SI: the best that ten links can do for a rope of forty
 
 
 @pytest.fixture(scope="module")
@@ -40,16 +37,9 @@ def test_the_markers_are_where_the_rope_was(tracked):
     assert "40 links" in recording.source
 
 
-def exact() -> hf.Recording:
-    """Return the joints of the coarse chain in the same swing, without a camera."""
-    run = twin.swing(np.arange(round(twin.SECONDS * twin.RATE) + 1) / twin.RATE)
-    places = run.joints[:, :: twin.FINE // twin.COARSE].reshape(run.t.size, -1)
-    return hf.Recording(run.t, places, kind="markers")
-
-
 @pytest.mark.nightly
 def test_the_mapped_truth_is_what_a_fit_without_noise_finds():
-    found = twin.fit(exact()).values
-    for name, value in MAPPED.items():
+    found = twin.fit(twin.exact()).values
+    for name, value in twin.mapped_truth().items():
         # The fit stops when parameters move by less than a tenth of their standard deviation, here 1 to 2 %.
         assert float(found[name][0]) == pytest.approx(value, rel=2e-3), name

@@ -87,7 +87,7 @@ def test_many_channels_are_shown_by_a_few_and_all_of_them_elsewhere(tmp_path, ma
     text = page(tmp_path, markers)
     assert '<a href="#all">All 6 channels</a>' in text
     assert '<section id="all">' in text
-    assert text.count("data:image/png;base64,") == 4  # along the rope, fit, residuals, all channels
+    assert text.count("data:image/png;base64,") == 5  # along the rope, fit, shapes, residuals, all channels
     assert "Nothing was predicted" in text
     assert "0.2, 0.4, 0.6 m along the rope" in text
 

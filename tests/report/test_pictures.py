@@ -130,9 +130,22 @@ def test_pegs_and_targets_are_drawn_to_scale_and_in_view(tmp_path):
     assert np.ptp(columns) + 1 == pytest.approx(300 * 0.08 / view, abs=1.5)  # whole pixels
     run = planned_whip().run
     far = Overlay(targets=np.array([[1.5, 0.5]]))  # beyond all that the rope reaches: the view must grow
+    animate(run, tmp_path / "b.gif", end=0.1, frame_rate=10, width=300, overlay=far)
+    rows, columns = reddish(tmp_path / "b.gif")
+    assert 18 <= np.ptp(columns) + 1 <= 26  # a ring of 15 points and its line at 100 dots an inch: 23 pixels
+    assert columns.min() > 200
+    assert rows.max() < 0.4 * 300
     assert strobe_figure(run, start=0.5, end=1.0, count=4, overlay=far).axes[0].get_xlim()[1] > 1.5
     width, height = strobe_figure(run, start=0.0, end=0.05, count=4).get_size_inches()
     assert height == pytest.approx(1.15 * width)
+
+
+def test_a_film_has_room_for_its_note(short_cast, tmp_path):
+    heights = []
+    for note in (None, lambda _: "one", lambda _: "one\ntwo\nthree"):
+        animate(short_cast, tmp_path / "a.gif", end=0.1, frame_rate=10, width=200, overlay=Overlay(note))
+        heights.append(opened((tmp_path / "a.gif").read_bytes()).height)
+    assert heights == [heights[0], heights[0] + 36, heights[0] + 72]
 
 
 def test_a_film_has_its_frames_in_time(short_cast, tmp_path):

@@ -161,7 +161,7 @@ def identify(
     unusable = 0 if result.success else output.ExitCode.NOT_USABLE
     output.show(
         summary | {"files": written},
-        *blocks(result, str(written.get("page", "the folder"))),
+        *_blocks(result, str(written.get("page", "the folder"))),
         Rows("Written", [(_WRITTEN[kind], path) for kind, path in written.items()]),
         interrupted=f"Interrupted; the best so far is in {out}, marked as interrupted." if stopped else "",
         code=unusable if result.converged and result.ended is None else output.ExitCode.NOT_CONVERGED,
@@ -180,7 +180,7 @@ def _drive(path: Path | None) -> ByName:
     return {"motion": setup.motion or motion.hold_arm(0.0), "arm": setup.arm}
 
 
-def blocks(found: "identification.Identification", whole: str) -> Iterator[Block]:
+def _blocks(found: "identification.Identification", whole: str) -> Iterator[Block]:
     """Yield the grade, the fit, tables of parameters and ratios; `whole` is where the whole tables are."""
     unit = report.readable_unit(found.unit, found.residual_rms)
     rows = [("ended", str(found.status)), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import os
 import pkgutil
 import subprocess
 import sys
@@ -48,13 +49,14 @@ def warm(
     if why := unwritable(cache.folder()):
         fix = "HYPERFLEX_CACHE_DIR names another folder."
         raise FileProblem(f"Compiled kernels cannot be kept in {cache.folder()}: {why}. {fix}")
-    _compile(kernels, count)
+    spent = _compile(kernels, count)
     _remove_old(cache.folder())
     result = {
         "kernels": len(kernels),
         "compiled": cache.compiled(kernels) - before,
         "already_there": before,
         "seconds": time.monotonic() - begin,
+        "processor_seconds": spent,
         "folder": cache.folder(),
     }
     done = f"Compiled {result['compiled']} of {len(kernels)} kernels"
@@ -105,11 +107,11 @@ def unwritable(folder: Path) -> str:
     return ""
 
 
-def _compile(kernels: list[tuple[str, str]], count: int) -> None:
-    """Run the lanes in `count` processes."""
+def _compile(kernels: list[tuple[str, str]], count: int) -> float:
+    """Run the lanes in `count` processes, and return the processor time that they took, s."""
     from hyperflex.core import cache
 
-    lanes = [sum(LANES[k::count], ()) for k in range(count)]
+    begin, lanes = _children_time(), [sum(LANES[k::count], ()) for k in range(count)]
     with contextlib.ExitStack() as stack:
         workers = [stack.enter_context(compiling_ahead(*lane)) for lane in lanes]
         with progress_bar(0.0, len(kernels), True, "compiling", "kernels") as report:
@@ -121,6 +123,7 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> None:
                 said = worker.stderr.read().splitlines()  # type: ignore[union-attr]  # a pipe
                 last = said[-1] if said else f"exit status {worker.returncode}"
                 raise HyperflexError(f"a process that compiled kernels failed: {last}. Compiled kernels are kept.")
+    return _children_time() - begin
 
 
 def call(names: list[str]) -> None:
@@ -128,6 +131,12 @@ def call(names: list[str]) -> None:
     for name in names:
         with contextlib.suppress(MissingPackage):  # what an extra needs, and is not there
             CALLS[name]()
+
+
+def _children_time() -> float:
+    """Return the processor time of all processes that this one has waited for, s."""
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def _simulate() -> None:
@@ -197,12 +206,13 @@ def _dense() -> None:
     import numpy as np
 
     from hyperflex import dynamics
+    from hyperflex.sensors import MotorTorque
 
     hf, rope, how, _ = _parts()
-    rest = np.zeros(rope.n_links)
+    rest, arm = np.zeros(rope.n_links), how["arm"]
     hf.mass_matrix(rope, rest)
     dynamics.bias(rope, rest, rest)
-    dynamics.partial_linearization(rope, how["arm"], rest, rest, 0.0, 0.0)
+    MotorTorque(arm).measure(rope, arm, hf.State(0.0, rest, rest))
 
 
 def _vision() -> None:

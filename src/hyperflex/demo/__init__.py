@@ -5,6 +5,6 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.demo.report import Demo, write_demo
+    from hyperflex.demo.report import Demo, Parameter, write_demo
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

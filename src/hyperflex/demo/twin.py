@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker, VideoTrack, track_video
 from hyperflex.identification import FitOptions, Identification, identify
@@ -30,6 +31,7 @@ ARC_LENGTHS = LENGTH * np.arange(1, COARSE + 1) / COARSE  # m, of the markers: a
 RATE, SECONDS = 30.0, 10.0  # Hz, s: frames and length of the video
 FREE = ("friction:shared", "inertia:shared")
 BUNDLED = Path(__file__).parent / "data" / "demo_swing.mp4"
+MAPPED = Path(__file__).parent / "data" / "demo_mapped.toml"
 
 
 def coarse_rope() -> Rope:
@@ -107,6 +109,17 @@ def recording(found: VideoTrack) -> Recording:
     )
 
 
+def exact() -> Recording:
+    """Return the joints of the coarse chain in the same swing, without a camera."""
+    run = swing(np.arange(round(SECONDS * RATE) + 1) / RATE)
+    return Recording(run.t, run.joints[:, :: FINE // COARSE].reshape(run.t.size, -1), kind="markers")
+
+
 def fit(recording: Recording, progress: bool | Callable[[dict[str, float]], None] = False) -> Identification:
     """Identify friction and inertia of the 10-link chain from the first 7 s of a recording, as in the demo."""
     return identify(recording, guess(), FREE, options=FitOptions(train=7.0, window=3.5), progress=progress)
+
+
+def mapped_truth() -> dict[str, float]:
+    """Read the result of the fit without noise: one friction and one inertia for all links, SI."""
+    return {name: float(value) for name, value in files.read_toml(MAPPED)["mapped"].items()}

@@ -286,8 +286,8 @@ class Kind(StrEnum):
     )
     NOT_FINISHED = (
         "work not finished",
-        """The fit has converged, but work ended early ({ended}). | Tests, intervals or predictions may be missing.
-        Allow more time.""",
+        """The fit has converged, but work ended early ({ended}). | Other starts, tests, intervals or predictions may be
+        missing. Allow more time.""",
     )
     POOR_FIT = (
         "poor fit",
@@ -362,6 +362,11 @@ class Kind(StrEnum):
         """Poorly determined: {parts:each (std %)}. | Their standard deviations are large; all other {others} are known
         better. Record longer or larger swings, or fix what you know from elsewhere.""",
     )
+    LONE_START = (
+        "one start alone",
+        """Only one of {starts} starts led to this fit. | It may be a local optimum. Give a better guess, or shorter
+        windows.""",
+    )
     NOISE_UNDERSTATED = (
         "declared noise too small",
         """Residuals are {times:.3g} times as large as the declared noise. | The noise is larger, or the model omits an
@@ -415,7 +420,8 @@ class Kind(StrEnum):
     HELD_SCALE = (
         "proportional to held masses",
         """Masses, inertias and frictions are proportional to the held masses and centres of mass. | No motion tests
-        these. Use ratios alone, or weigh the links and find where each balances.""",
+        these{moved:? (1 % of a centre of mass moves ratios by {moved:most})}. Use ratios alone, or weigh the links
+        and find where each balances.""",
     )
     COMMON_FACTOR = (
         "unknown common factor",

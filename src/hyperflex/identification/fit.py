@@ -166,7 +166,7 @@ class Fit:
     states: list[Array]
     residuals: list[Array]
     loss: Loss = field(default_factory=Loss)
-    prior_cost: float = 0.0  # sum of squares of the residuals of the states' prior
+    prior_cost: float = 0.0  # sum of squares of the residuals of the states' prior, and of a target
     expected: float = 0.0  # the same of what is known of x beforehand, in standard deviations
     noise: float = 1.0  # standard deviation of the residuals, which makes these comparable
     converged: bool = False
@@ -191,6 +191,24 @@ def residuals_of(windows: Sequence[Window], fit: Fit) -> Array:
     weights = np.concatenate([window.weight for window in windows])
     away = -np.concatenate(fit.residuals).reshape(weights.shape)
     return np.asarray(np.divide(away, weights, out=np.full_like(away, np.nan), where=weights > 0.0))
+
+
+@dataclass(frozen=True)
+class Target:
+    """A value that a function of x (P,) is drawn to: one residual more, the difference times `weight`.
+
+    Where all residuals together are least, those of the data are the least of all x with the function's value there,
+    whatever the weight is: a point of the function's profile likelihood.
+    """
+
+    function: Callable[[Array], float]
+    gradient: Callable[[Array], Array]
+    value: float
+    weight: float
+
+    def residual(self, x: Array) -> float:
+        """Return the weighted difference."""
+        return self.weight * (self.function(x) - self.value)
 
 
 @dataclass(frozen=True)
@@ -244,12 +262,12 @@ def fit(
     enough: float | None = None,
     budget: Budget | None = None,
     report: Report | None = None,
-    held: int | None = None,
+    target: Target | None = None,
 ) -> Fit:
     """Fit parameters and all states together, or the states alone, from first guesses.
 
-    The parameter of the number `held` stays as it is. Out of time it returns the best so far. It ends with a round that
-    gains less than the part `enough` of the cost; by default less than parameters move by chance.
+    A `target` counts as one residual more. Out of time it returns the best so far. It ends with a round that gains less
+    than the part `enough` of the cost; by default less than parameters move by chance.
 
     Raises
     ------
@@ -258,7 +276,7 @@ def fit(
     InvalidInput
         When the guess cannot be simulated.
     """
-    budget, problem = budget or Budget(), _Problem(plant, windows, held, states_only)
+    budget, problem = budget or Budget(), _Problem(plant, windows, target, states_only)
     best = problem.evaluated(x, states, loss or Loss())
     if best is None:
         raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
@@ -313,11 +331,11 @@ def least_squares(matrix: Array, right: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is fitted: windows, by the parameters (P of them; none with `states_only`; one may be held) and states."""
+    """What is fitted: windows and a target, by the parameters (P of them; none with `states_only`) and states."""
 
     plant: Plant
     windows: Sequence[Window]
-    held: int | None
+    target: Target | None
     states_only: bool
 
     @property
@@ -328,7 +346,7 @@ class _Problem:
     def evaluated(self, x: Array, states: list[Array], loss: Loss, noise: float = 1.0) -> Fit | None:
         """Return a fit with all windows' residuals, or None as soon as a rollout fails."""
         residuals: list[Array] = []
-        prior_cost = 0.0
+        prior_cost = 0.0 if self.target is None else self.target.residual(x) ** 2
         for window, state in zip(self.windows, states, strict=True):
             residual = window.residual(self.plant, x, state)
             if residual is None:
@@ -339,11 +357,14 @@ class _Problem:
         return Fit(x, states, residuals, loss, prior_cost, expected, noise)
 
     def linear(self, at: Fit) -> list[Linear]:
-        """Return the linear models of all windows, and that of the prior: rows without a state."""
+        """Return the linear models of all windows, and those of the target and of the prior: rows without a state."""
         found = [
             linearise(self.plant, window, at.x, state, residual, at.loss)
             for window, state, residual in zip(self.windows, at.states, at.residuals, strict=True)
         ]
+        if (target := self.target) is not None:
+            row = target.weight * target.gradient(at.x)
+            found.append(Linear(np.zeros((1, 0)), row[None, :], np.array([target.residual(at.x)])))
         prior = self.plant.parameters.prior
         if len(prior):
             left = at.noise * self.plant.parameters.prior_residual(at.x)
@@ -369,7 +390,7 @@ class _Problem:
             matrix += left.T @ left
             gradient += left.T @ rest
             padded.append(wide)
-        move = _bounded(matrix, gradient, at.x[: lower.size], lower, self.held)
+        move = _bounded(matrix, gradient, at.x[: lower.size], lower)
         return move, [-least_squares(each.state, each.residual + each.shared @ move) for each in padded]
 
     def predicted_decrease(self, at: Fit, linear: Sequence[Linear]) -> float:
@@ -389,7 +410,7 @@ class _Problem:
         """
         while damping < MOST_DAMPING:
             shared, moves = self.step(at, linear, damping)
-            states = [state + move for state, move in zip(at.states, moves, strict=False)]  # the prior has none
+            states = [state + move for state, move in zip(at.states, moves, strict=False)]  # a target has none
             tried = self.evaluated(at.x if self.states_only else at.x + shared, states, at.loss, at.noise)
             if tried is not None and tried.cost <= at.cost:
                 free = damping <= 1.0 and any(each.known for each in linear)  # else its gain says nothing
@@ -398,13 +419,13 @@ class _Problem:
         return at, DAMPING, False
 
 
-def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array, fixed: int | None = None) -> Array:
-    """Return the step -matrix^-1 gradient that keeps x >= lower (active set), and the number `fixed` where it is.
+def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
+    """Return the step -matrix^-1 gradient that keeps x >= lower (active set).
 
     Steps of logarithms and the like are kept below 1 (a factor of e); x far above its bound approaches it gradually,
     since the linear model of a far point says little about the bound.
     """
-    free = ((x > lower) | (gradient < 0.0)) & (np.arange(x.size) != fixed)
+    free = (x > lower) | (gradient < 0.0)
     move = np.zeros(x.size)
     for _ in range(x.size):
         held = ~free

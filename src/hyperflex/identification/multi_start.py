@@ -1,11 +1,13 @@
-"""The fit: multiple shooting over windows from short to long.
+"""The fit: multiple shooting from several starts, each over windows from short to long.
 
-Windows that fit badly may have begun in another state than was guessed: outliers and gaps spoil guesses, a sticking
-joint has no gradient, and with few markers a shape looks like its mirror image. So the states of windows that fit badly
-are searched from several starts, where shapes look alike in turn with fits of the parameters to the windows that fit.
+A start is a guess x of the parameters. Windows that fit badly may have begun in another state than was guessed:
+outliers and gaps spoil guesses, a sticking joint has no gradient, and with few markers a shape looks like its mirror
+image. So the states of windows that fit badly are searched from several starts, where shapes look alike in turn with
+fits of the parameters to the windows that fit.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -39,7 +41,7 @@ from hyperflex.model import Rope
 # windows so many times shorter come first; how many windows, spread over the recording
 FIRST = 8
 FIRST_WINDOWS = 40
-# times what a value of the middle window costs, or of known noise: worth another state
+# times what a value of the middle window costs, or of known noise: worth another state, or start
 WORSE = 2.0
 # times at most that parameters and states take turns; a rope that is seen at its tip needed four
 TURNS = 6
@@ -49,7 +51,7 @@ AMISS = 10.0
 BETTER_PART = 0.25
 # rounds of fitting parameters after which states are searched
 SHORT = 15
-# ratio of costs within which two states of a window have come to the same
+# ratio of costs within which two starts, or states of a window, have come to the same
 SAME_COST = 1.05
 # part of the motion that predictions of windows twice as long may err by for these to be fitted
 PREDICTED = 0.3
@@ -86,7 +88,7 @@ def diverges(window: Window, linear: Linear) -> bool:
 
 @dataclass(frozen=True)
 class MultiStart:
-    """What all fits of a recording have in common.
+    """What all starts have in common.
 
     length: of the windows, s. usual: that which is usual for this recording (see :func:`usual_length`), and which sets
     the decimation. ambiguous: whether states have several guesses, of shapes that look alike.
@@ -129,7 +131,7 @@ class MultiStart:
         return not found.converged or part_left(windows, found.residuals, found.loss) > POOR
 
     def fits(self) -> Iterator[Basis]:
-        """Yield ever better fits: of shorter windows, and of those of the length.
+        """Yield ever better fits: of shorter windows, of those of the length, and, if that is bad, from other starts.
 
         Short windows come first, but where states have several guesses, which too few samples do not tell apart. Then
         the `usual` length is doubled until the required one is reached. Only a fit of windows of `length` counts as
@@ -151,7 +153,7 @@ class MultiStart:
         if not self.ambiguous and lengths[0] / FIRST >= FEWEST_SAMPLES * float(np.median(np.diff(channels.t))):
             lengths.insert(0, lengths[0] / FIRST)
         known: dict[float, Array] = {}
-        history = tuple[dict[str, float], ...]()
+        starts, history = list[Array](), tuple[dict[str, float], ...]()
         for number, part in enumerate(lengths):
             windows, dropped = self.windows(part)
             if part < length:
@@ -162,6 +164,7 @@ class MultiStart:
             heard = with_entries(self.report, stage)
             usable, states = self._first_states(windows, x, known, refine=number > 0 or self.ambiguous)
             settings = self.settings(part, usable, dropped + len(windows) - len(usable))
+            starts.append(x)
             if part == length:
                 tries = self.settled(usable, x, states, heard)
             else:
@@ -173,6 +176,7 @@ class MultiStart:
                 yield best
             x, history = best.fit.x, now
             known = {window.t[0]: state for window, state in zip(usable, best.fit.states, strict=True)}
+        yield from self.other_starts(best, starts)
 
     def settings(self, length: float, windows: Sequence[Window], left_out: int) -> dict[str, Any]:
         """Return what tells how windows of `length`, s, were used."""
@@ -219,6 +223,28 @@ class MultiStart:
         self.budget.check()
         now = replace(now, history=found.fit.history + tuple(entry | stage for entry in now.history))
         return Basis.begun(found.plant, windows, now, self.usual, found.settings)
+
+    def other_starts(self, best: Basis, starts: Sequence[Array]) -> Iterator[Basis]:
+        """Yield the best fit so far from each of other `starts`, as long as it is bad.
+
+        With the states of the best fit, which have followed the data.
+        """
+        costs, length = [best.fit.cost], best.settings["window"]
+        for number, x in enumerate(starts):
+            if not self.is_bad(best.windows, best.fit):
+                break
+            entry: dict[str, Any] = {"phase": "start", "start": number, "window": length, "stage": 0, "stages": 1}
+            before = best.fit
+            with suppress(InvalidInput):
+                for tried in self.settled(best.windows, x, list(before.states), with_entries(self.report, entry)):
+                    found = replace(before, status=tried.status)
+                    if tried.cost < before.cost:
+                        found = replace(tried, history=before.history + tuple(each | entry for each in tried.history))
+                    agree = sum(cost <= SAME_COST * found.cost for cost in (*costs, tried.cost))
+                    about = {"starts": len(costs) + 1, "starts_agree": agree}
+                    best = replace(best, fit=found, settings=best.settings | about)
+                    yield best
+                costs.append(tried.cost)
 
     def settled(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report) -> Iterator[Fit]:
         """Yield fits of all windows, again from other states of those that fit badly, as long as that gains.

@@ -85,7 +85,8 @@ class Identification:
     unit : str
         ``rad`` or ``m``.
     history : tuple of dict
-        Round by round: window length, stage (of how many stages), round, cost, gain, damping.
+        Round by round: window length, stage (of how many stages), round, cost, gain, damping; `start` where it is
+        another start's.
     torque_residuals : (m,) N m, or None
         Measured less fitted motor torque; NaN in gaps.
     _basis : Basis or None
@@ -261,7 +262,7 @@ class Identification:
                     lines.append(f"  {title} {name:<13} {said}")
         ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
         ranges = [(name, each) for name, each in ranges if each.kind != "unknown"]
-        lines += [f"  95 % {name:<13} {each}" for name, each in ranges[:LISTED]]
+        lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:LISTED]]
         if len(ranges) > LISTED:
             lines.append(f"  and {len(ranges) - LISTED} more in intervals")
         lines.append(f"  fit error, m{self.unit}       {listed([f'{1e3 * x:.2f}' for x in self.residual_rms])}")

@@ -12,13 +12,15 @@ from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS
 from hyperflex.identification.declarations.score_tests import TESTING, Scatter, ScoreTest, determined
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import NORMAL, POOR, residuals_of
-from hyperflex.identification.model import Plant, common_factor, lumped
+from hyperflex.identification.model import Plant, common_factor, extended, lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import (
+    LEVEL,
     MASSES,
     TOUCHED,
     Basis,
     quantile,
+    ratio_gradients,
     ratio_spread,
     ratios,
     widening,
@@ -310,6 +312,25 @@ def _com_held(basis: Basis) -> Iterator[Finding]:
         yield Finding(Kind.COM_HELD, Severity.DOUBT if default else Severity.NOTE, values)
 
 
+def _com_sensitivity(basis: Basis, tests: Sequence[ScoreTest]) -> float:
+    """Return by what part 1 % of held centres of mass moves a ratio that seems to be known better; 0 for none.
+
+    They move the ratio itself, and what was fitted.
+    """
+    information, worst = basis.information, 0.0
+    plant, x, groups = extended(basis.plant, information.x, ["com"])
+    gradients, known = ratio_gradients(plant.parameters, x), ratios(plant.parameters.rope(x))
+    stds = ratio_spread(basis.plant.parameters, information)
+    for test in [each for each in tests if each.name == "com" and not each.freed_with]:
+        steps = [0.01 * each.start / each.derivative(each.first) for each in groups["com"]]
+        along = np.vstack([test.rate, np.eye(len(steps))]) * steps
+        for name in MASSES:
+            moved = np.max(np.abs(gradients[name] @ along), axis=1)
+            beyond = (moved > 2.0 * stds[name]) & (stds[name] > 0.0)
+            worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
+    return worst
+
+
 def moves_alike(plant: Plant) -> bool:
     """Whether a longer and slower rope moves exactly alike: nothing but gravity and the lengths has a scale.
 
@@ -333,7 +354,7 @@ def _limits(
     elif basis.plant.constants is not None:
         yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
     else:
-        yield Finding(Kind.HELD_SCALE, Severity.LIMIT)
+        yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"moved": _com_sensitivity(basis, tests)})
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
         yield Finding(Kind.UNDETECTABLE, Severity.LIMIT)
     part, name, included = law_error(basis, tests)
@@ -343,12 +364,14 @@ def _limits(
     missing = max(0, settings["left_out"] - 1)  # what remains at the end is no window, as a rule
     if missing > LEFT_OUT * (missing + settings["windows"]):
         yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})
+    if settings.get("starts", 1) > 1 and settings["starts_agree"] <= 1:
+        yield Finding(Kind.LONE_START, Severity.LIMIT, {"starts": settings["starts"]})
     if not information.white:
         yield Finding(Kind.COLOURED, Severity.LIMIT, {"samples": information.correlation})
     if not information.agrees:
         yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)
     elif widening(information.freedom) > REPORTED.wider:
-        half = float(np.sqrt(quantile(information.freedom)))
+        half = float(np.sqrt(quantile(LEVEL, information.freedom)))
         yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom, "half": half})
 
 

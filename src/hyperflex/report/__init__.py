@@ -10,12 +10,7 @@ if TYPE_CHECKING:
     from hyperflex.report.drives import cast_run_figure, drive_figure, learning_figure
     from hyperflex.report.folder import Progress, check_folder, silent, whole_folder
     from hyperflex.report.identification.figures import FittedChannels, fit_figure
-    from hyperflex.report.identification.page import (
-        identification_page,
-        identification_sections,
-        write_found,
-        write_identification,
-    )
+    from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.tables import parameters_table, predicted, ratios_table
     from hyperflex.report.maps import reach_figure, vibration_figure
     from hyperflex.report.notebook import identification_html, plan_figure, plan_html, rope_html, run_html

@@ -120,6 +120,7 @@ def animate(
     speed: float = 1.0,
     width: int = 640,
     title: str = "",
+    overlay: Overlay = PLAIN,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write an animated GIF, or an MP4 video, of a run, whole or not at all.
@@ -139,6 +140,8 @@ def animate(
         Width of the picture, pixels; the height follows from the rope's reach.
     title : str
         Text in the upper left corner.
+    overlay : Overlay
+        Trail of the tip, targets, obstacles, and a note, which has as many lines at each time.
     progress : callable, optional
         Called with the numbers of frames done and in all.
 
@@ -158,7 +161,7 @@ def animate(
     step = checks.positive("speed", speed) / frame_rate
     first, last = span(run, start, end)
     times = np.arange(first, last + 0.5 * step, step)
-    draw = _film(run, times, checks.count("width", width, least=64), title)
+    draw = _film(run, times, checks.count("width", width, least=64), title, overlay)
 
     def frames() -> "Iterator[Image.Image]":
         for k in range(times.size):
@@ -176,19 +179,21 @@ def animate(
             video.write(np.asarray(frame)[..., ::-1], k / frame_rate)  # blue, green, red
 
 
-def _film(run: Trajectory, times: Array, width: int, title: str) -> "Callable[[int], Image.Image]":
+def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overlay) -> "Callable[[int], Image.Image]":
     """Return a function that draws frame k at ``times[k]``, s."""
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgba_array
     from PIL import Image
 
-    low, high = view(run, run.joints.reshape(-1, 2), above=2.0)
-    height = 2 * round(0.5 * width * (high[1] - low[1]) / (high[0] - low[0]))
+    note = overlay.note or (lambda _: "")
+    low, high = view(run, np.concatenate([run.joints.reshape(-1, 2), overlay.targets]), above=2.0)
+    header = 0 if overlay.note is None else 18 * (note(float(times[-1])).count("\n") + 2)  # pixels, for the note
+    height = header + 2 * round(0.5 * width * (high[1] - low[1]) / (high[0] - low[0]))
     with new_figure(width / _DPI, height / _DPI, layout=None) as figure:
         figure.set_dpi(_DPI)
         figure.set_facecolor(NIGHT)
-        axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        _stage(axis, run, low, high, PLAIN)
+        axis = figure.add_axes((0.0, 0.0, 1.0, 1.0 - header / height))
+        _stage(axis, run, low, high, overlay)
         for line in (axis.axhline, axis.axvline):
             line(0.0, color=GROUND, lw=0.7, zorder=0)
         opacities = (0.07, 0.13, 0.2, 0.27, 0.33, 1.0)  # of five earlier ropes, and the rope now
@@ -198,7 +203,7 @@ def _film(run: Trajectory, times: Array, width: int, title: str) -> "Callable[[i
         axis.add_collection(trail)
         (arm,) = axis.plot([], [], color="white", lw=3.5)
         dots = axis.scatter([0.0, 0.0], [0.0, 0.0], s=30.0, color="white", zorder=5)
-        place: ByName = {"va": "top", "x": 14.0 / width}
+        place: ByName = {"va": "top", "x": 14.0 / width, "linespacing": 1.35}
         figure.text(y=1.0 - 12.0 / height, s=title, fontsize=10.0, color="white", **place)
         text = figure.text(y=1.0 - 33.0 / height, s="", fontsize=8.5, color=PALE, **place)
     moving = (trail, ropes, dots, arm, text)
@@ -213,10 +218,10 @@ def _film(run: Trajectory, times: Array, width: int, title: str) -> "Callable[[i
         t, start = float(times[k]), run.t[0]
         now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), start))
         ropes.set_segments(list(now.joints))
-        trail.set_segments(_pieces(shapes(run, np.linspace(max(t - PLAIN.trail, start), t, 80)).joints[:, -1]))
+        trail.set_segments(_pieces(shapes(run, np.linspace(max(t - overlay.trail, start), t, 80)).joints[:, -1]))
         arm.set_data(*np.stack([now.pivots[-1], now.joints[-1, 0]]).T)
         dots.set_offsets(np.stack([now.pivots[-1], now.joints[-1, -1]]))
-        text.set_text(f"t = {t:5.2f} s")
+        text.set_text(f"t = {t:5.2f} s\n{note(t)}")
         canvas.restore_region(background)
         for artist in moving:
             figure.draw_artist(artist)

@@ -137,7 +137,7 @@ class PlanReport(ABC, Generic[PlanT]):
         with whole_folder(directory) as stage:
             written = write_pictures(stage, shown) | {"page": "report.html"}
             write_page(
-                stage / "report.html", self.title, self.texts.text("lead"), "simulated", self.sections(shown, remarks)
+                stage / "report.html", self.title, self.texts.text("lead"), "simulated", self._sections(shown, remarks)
             )
         return {kind: Path(directory) / name for kind, name in written.items()}
 
@@ -157,8 +157,7 @@ class PlanReport(ABC, Generic[PlanT]):
         """Return arguments of :func:`hyperflex.report.player_html`."""
         return {"title": f"planned {self.noun}, simulated", "speed": self.film_speed, "overlay": self.overlay()}
 
-    def sections(self, shown: Mapping[str, Picture | Film], remarks: Sequence[str] = ()) -> list[Section]:
-        """Return the sections of the page, with what :meth:`pictures` returns."""
+    def _sections(self, shown: Mapping[str, Picture | Film], remarks: Sequence[str]) -> list[Section]:
         plan, texts, verdict = self.plan, self.texts, (self.plan.success, self.verdict)
         notes = texts.paragraphs("search")
         sections: list[Section] = [

@@ -41,14 +41,14 @@ class Dots(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Additional content of a picture or player of a run; each shows what it supports.
+    """Additional content of a picture, film or player of a run; each shows what it supports.
 
     Attributes
     ----------
     note : callable, optional
-        Called with the simulated time, s; returns the text of a player's frame.
+        Called with the simulated time, s; returns the text of a film's or player's frame.
     trail : float
-        Time for which the path of the tip stays visible in a player, s.
+        Time for which the path of the tip stays visible in a player or film, s.
     targets : (k, 2) float64
         Points to mark with a ring, m.
     obstacles : tuple of Peg, Wall, Ground

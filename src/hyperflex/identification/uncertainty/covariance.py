@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -36,6 +37,7 @@ from hyperflex.model import RESISTANCES, Rope
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
+End = Literal["crossed", "bound", "open"]
 IntervalKind = Literal["covariance", "profile", "unknown"]
 LEVEL = 0.95
 GRACE = 0.5  # s of work: what an interrupted fit may still take for its deviations
@@ -236,15 +238,17 @@ def fisher_information(parameters: Parameters, x: Array, rows: Sequence[Array]) 
 
 @dataclass(frozen=True)
 class Interval:
-    """Confidence interval of 95 %, SI units.
+    """Confidence interval, SI units.
 
-    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``, or ``unknown``
-    where the data set no limits.
+    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
+    or ``unknown`` where the data set no limits. `ends`: ``crossed``, the parameter's own ``bound``, or ``open``.
     """
 
     low: float
     high: float
     kind: IntervalKind
+    ends: tuple[End, End] = ("crossed", "crossed")
+    level: float = LEVEL
 
     def __str__(self) -> str:
         return f"{self.low:.5g} to {self.high:.5g} ({self.kind})"
@@ -253,11 +257,18 @@ class Interval:
         return self.low <= value <= self.high
 
 
-def quantile(freedom: float) -> float:
-    """Return the 95 % quantile of F(1, freedom): the square of Student's."""
+def checked_level(level: float) -> float:
+    """Return a confidence level, refused outside of 0 to 1."""
+    if checks.number("level", level, sign="positive") >= 1.0:
+        raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
+    return float(level)
+
+
+def quantile(level: float, freedom: float) -> float:
+    """Return the quantile of F(1, freedom): the square of Student's."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, 0.5 * (1.0 + LEVEL))) ** 2
+    return float(stdtrit(freedom, 0.5 * (1.0 + level))) ** 2
 
 
 def freedom_with(freedom: float, std: Array, declared: Array) -> Array:
@@ -273,7 +284,7 @@ def freedom_with(freedom: float, std: Array, declared: Array) -> Array:
 
 def widening(freedom: float) -> float:
     """Return how many times wider Student's distribution makes an interval than a deviation that is known."""
-    return float(np.sqrt(quantile(freedom) / quantile(np.inf)))
+    return float(np.sqrt(quantile(LEVEL, freedom) / quantile(LEVEL, np.inf)))
 
 
 def interval(
@@ -281,13 +292,16 @@ def interval(
     std: float,
     freedom: float,
     least: float,
+    level: float = LEVEL,
     value: Callable[[float], float] = float,
 ) -> Interval:
     """Return the interval of a value, a function of `at`, from the standard deviation of `at` and its bound `least`."""
     if not np.isfinite(std):
-        return Interval(value(least), np.inf, "unknown")
-    half = std * float(np.sqrt(quantile(freedom)))
-    return Interval(value(max(at - half, least)), value(at + half), "covariance")
+        low = value(least)
+        return Interval(low, np.inf, "unknown", ("open" if np.isneginf(low) else "bound", "open"), level)
+    half = std * float(np.sqrt(quantile(level, freedom)))
+    ends: tuple[End, End] = ("bound" if at - half < least else "crossed", "crossed")
+    return Interval(value(max(at - half, least)), value(at + half), "covariance", ends, level)
 
 
 def of_ratios(

@@ -1,4 +1,4 @@
-"""Profile likelihood of a parameter, all else fitted again; and which intervals are found by it."""
+"""Profile likelihood of a parameter or ratio, all else fitted again; and which intervals are found by it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,24 +6,115 @@ from functools import partial
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit import Fit, Loss, Report, fit, with_entries
+from hyperflex.identification.fit import Fit, Loss, Report, Target, fit, with_entries
 from hyperflex.identification.model import Mask
 from hyperflex.identification.options import How
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import (
     LEVEL,
+    SIGNED,
     Basis,
+    End,
     Interval,
+    checked_level,
     freedom_with,
     interval,
     quantile,
+    ratio_gradients,
+    ratios,
 )
 from hyperflex.interruption import interruptible
 from hyperflex.model import Rope
+
+
+class Coordinate:
+    """A function of x (P,) that a profile follows: the x of a parameter, or a ratio such as ``J/p1[0]``, by its label.
+
+    Attributes
+    ----------
+    label : str
+        As in ``Identification.intervals``.
+    bound : float
+        The least value of the coordinate, -inf where none is known beforehand.
+    slope : (P,) array
+        Its derivatives at the fit.
+    std : float
+        Standard deviation by noise; 0 or not finite where the data do not determine it.
+    """
+
+    def __init__(self, basis: Basis, label: str) -> None:
+        self.basis, self.label, self.parameters = basis, label, basis.plant.parameters
+        self.name, _, link = label.removesuffix("]").partition("[")
+        self.own = label in self.parameters.labels  # a parameter, else a ratio
+        self.which = self.parameters.labels.index(label) if self.own else int(link)
+        information, x = basis.information, basis.fit.x
+        self.slope = self.gradient(x)
+        variance = float(self.slope @ information.covariance @ self.slope)
+        if self.own:
+            spread = information.deviations(np.ones(x.size))[self.which]
+            self.bound = self.least = float(self.parameters.lower[self.which])
+        else:
+            spread = information.spread(self.slope[None])[0]
+            self.bound = -np.inf if self.name in SIGNED else 0.0
+            self.least = self._least_ratio() if self.name in ("J/p1", *SIGNED) else 0.0
+        self.std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(spread) else np.inf
+
+    def at(self, x: Array) -> float:
+        """Return its value at x (P,)."""
+        if self.own:
+            return float(x[self.which])
+        return float(ratios(self.parameters.rope(x), self.parameters.names)[self.name][self.which])
+
+    def gradient(self, x: Array) -> Array:
+        """Return its derivatives (P,) at x (P,)."""
+        if self.own:
+            return np.asarray(np.eye(x.size)[self.which])
+        return np.asarray(ratio_gradients(self.parameters, x)[self.name][self.which])
+
+    def value(self, at: float) -> float:
+        """Return the value in SI units from that of the coordinate."""
+        return self.parameters.all[self.which].value(at) if self.own else max(at, self.bound)
+
+    def limit(self, x: Array, level: float) -> float:
+        """Return the rise of the squares, over the residual variance, at which the value at x is refused."""
+        return threshold(level, self.basis.information.freedom, (self.at(x) - self.least) / self.std)
+
+    def _least_ratio(self) -> float:
+        """Return the least ratio that the bound of the parameter allows by which alone it moves; else -inf."""
+        lowest, movers = self.basis.fit.x.copy(), np.flatnonzero(self.slope)
+        lowest[movers] = self.parameters.lower[movers]
+        alone = movers.size == 1 and self.slope[movers[0]] > 0.0 and np.isfinite(lowest).all()
+        return self.at(lowest) if alone and self.parameters.possible(lowest) is not None else -np.inf
+
+    @property
+    def unit(self) -> float:
+        """Rise of the squares one `std` away: the residual variance, as far as autocorrelation widens that of it."""
+        information = self.basis.information
+        return information.variance * self.std**2 / float(self.slope @ information.plain @ self.slope)
+
+    def aimed(self, x: Array, at: float) -> Array:
+        """Return where a fit at `at` begins: x moved with its estimate, as far as the coordinate goes along."""
+        away = at - self.at(x)
+        move = self.basis.information.covariance @ self.slope / self.std**2 * away
+        for halvings in range(WALK.tried):
+            begun: Array = np.maximum(x + 0.5**halvings * move, self.parameters.lower)
+            if self.parameters.possible(begun) is not None and abs(at - self.at(begun)) < 0.75 * abs(away):
+                return begun
+        return x
+
+    def target(self, at: float, firmness: float) -> Target:
+        """Return the target that draws a fit to `at`, so many times more firmly than usual.
+
+        It lies beyond by what the data hold it back.
+        """
+        weight = firmness * WALK.weight
+        beyond = at + (at - self.at(self.basis.fit.x)) / weight**2
+        return Target(self.at, self.gradient, beyond, weight * float(np.sqrt(self.unit)) / self.std)
 
 
 @dataclass(frozen=True)
@@ -36,6 +127,8 @@ class ProfileOptions:
     close: float = 0.01
     # std, and part of the way to it; an end that is not known so well after all tries is not reported
     loose: float = 0.1
+    # part of the way that a ratio may stay short of its aim
+    reached: float = 0.1
     # factor by which a step may grow
     longest: float = 3.0
     # points on either side
@@ -44,6 +137,14 @@ class ProfileOptions:
     most_rounds: int = 100
     # fall of the squares, over the residual variance, from which another optimum is reported as better
     better: float = 1.0
+
+    # of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is
+    # at its bound they may do so a thousand times more than the standard deviation suggests
+    weight: float = 1000.0
+    # times this weight, one after the other, before a bound is taken to be in the way of a ratio
+    firmness: tuple[float, ...] = (1.0, 10.0, 100.0)
+    # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
+    tried: int = 2
     # std: a bound so far off is not felt; correlation with a parameter near its bound from which that matters
     near: float = 4.0
     tied: float = 0.1
@@ -56,18 +157,22 @@ WALK = ProfileOptions()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Profile(Interval):
-    """Profile likelihood of one parameter, and its interval.
+    """Profile likelihood of one parameter or ratio, and its interval.
 
     Attributes
     ----------
     name : str
-        Of the parameter, as in ``Identification.parameters``.
-    low, high : float
-        The interval of 95 %, SI units, inf where the data set no limit. Of noise alone: ``Identification.intervals``
-        add errors of the model and of the lengths.
+        Of the parameter or ratio, as in ``Identification.intervals``.
+    low, high, level : float
+        The interval, SI units, inf where the data set no limit; its confidence level. Of noise alone:
+        ``Identification.intervals`` add errors of the model and of the lengths.
+    ends : tuple of str
+        Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where a bound of the parameter, or of
+        those that move the ratio, comes first, ``open`` where neither was found (no limit in the data, or the rope
+        cannot be simulated there).
     values, rise, limit : (K,) array
-        The curve: values of the parameter (SI units, increasing), rise of the least sum of squares over the residual
-        variance, and the rise at which a value is refused.
+        The curve: values of the parameter or ratio (SI units, increasing), rise of the least sum of squares over the
+        residual variance, and the rise at which a value is refused.
     kind : str
         ``profile``; ``covariance`` where the curve took too many rounds: the interval is then that of the standard
         deviation.
@@ -87,34 +192,45 @@ class Profile(Interval):
 
 
 @interruptible(Profile)
-def profile(found: Identification, name: str, *, progress: Report | None = None) -> Profile:
-    """Return the profile likelihood interval of one parameter.
+def profile(
+    found: Identification, name: str, level: float = 0.95, points: int = 0, *, progress: Report | None = None
+) -> Profile:
+    """Return the profile likelihood interval of one parameter or ratio.
 
     Parameters
     ----------
     found : Identification
         Of :func:`identify`, in the same session.
     name : str
-        One of ``found.parameters``, e.g. ``inertia:shared``.
+        One of ``found.parameters``, e.g. ``inertia:shared``, or of a link's ratios, e.g. ``J/p1[0]``.
+    level : float
+        Confidence level.
+    points : int
+        So many more points of the curve on either side, for drawing.
     progress : callable, optional
         Gets each round of each fit, as that of :func:`identify` does.
 
     Raises
     ------
     InvalidInput
-        For a name that was not free, or a result without its fit (read from a file).
+        For a name that was not free, a ratio that nothing free moves, or a result without its fit (read from a file).
 
     Notes
     -----
     At each value all other parameters and states are fitted again, starting from a linear extrapolation of the last
-    point. The rise of the squares, divided by the factor by which autocorrelation widens the variance, is compared with
-    F(1, freedom), or near a bound with the distribution there (see :func:`threshold`). Robust losses are treated as in
+    point; a ratio is drawn to its value by one residual more, whose squares do not count. The rise of the squares,
+    divided by the factor by which autocorrelation widens the variance, is compared with F(1, freedom), or near a
+    bound with the distribution there (see :func:`threshold`). Robust losses are treated as in
     :func:`estimate_covariance`. Cost: about three fits of two or three rounds a side, a hundred rounds at most.
     """
-    basis, labels = found.basis, found.basis.plant.parameters.labels
-    if name not in labels:
-        raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
-    return profiled(basis, labels.index(name), report=progress)
+    basis, level, points = found.basis, checked_level(level), checks.count("points", points, least=0)
+    every = [f"{ratio}[{k}]" for ratio, std in found.ratio_std.items() for k in np.flatnonzero(std)]
+    every = [*basis.plant.parameters.labels, *every]
+    if name not in every:
+        raise InvalidInput(
+            "no such parameter was free, and no free one moves such a ratio", got=name, allowed=", ".join(every)
+        )
+    return profiled(Coordinate(basis, name), level, points, report=progress)
 
 
 def bottom(basis: Basis, budget: Budget | None = None, report: Report | None = None) -> Fit:
@@ -127,34 +243,34 @@ def bottom(basis: Basis, budget: Budget | None = None, report: Report | None = N
 
 
 def profiled(
-    basis: Basis,
-    which: int,
+    along: Coordinate,
+    level: float,
+    points: int = 0,
     *,
     begun: Fit | None = None,
     budget: Budget | None = None,
     report: Report | None = None,
 ) -> Profile:
-    """Return the profile of a parameter, by its number, from the fit `begun`, see :func:`bottom`."""
-    parameters, information = basis.plant.parameters, basis.information
-    parameter, bound = parameters.all[which], float(parameters.lower[which])
-    deviations = information.deviations(np.ones(basis.fit.x.size))
-    std = float(np.sqrt(information.covariance[which, which])) if np.isfinite(deviations[which]) else np.inf
-    if not np.isfinite(std) or std == 0.0:
-        every = Interval(parameter.value(bound), np.inf, "profile")
-        return Profile(**vars(every), name=parameter.label, values=np.zeros(0), rise=np.zeros(0), limit=np.zeros(0))
-    walk = _ProfileSearch(basis, which, std, begun or bottom(basis, budget, report), budget or Budget(), report)
+    """Return the profile along a coordinate from the fit `begun`, see :func:`bottom`; see :func:`profile`."""
+    if not np.isfinite(along.std) or along.std == 0.0:
+        every = Interval(along.value(along.bound), np.inf, "profile", ("open", "open"), level)
+        return Profile(**vars(every), name=along.label, values=np.zeros(0), rise=np.zeros(0), limit=np.zeros(0))
+    walk = _ProfileSearch(along, level, begun or bottom(along.basis, budget, report), budget or Budget(), report)
     try:
-        below, above = walk.side(-1.0), walk.side(1.0)
-        found = Interval(parameter.value(below), parameter.value(above), "profile")
+        (below, first), (above, second) = walk.side(-1.0), walk.side(1.0)
+        found = Interval(along.value(below), along.value(above), "profile", (first, second), level)
     except _TooLong:
-        found = interval(float(basis.fit.x[which]), std, information.freedom, bound, parameter.value)
+        at, freedom = along.at(along.basis.fit.x), along.basis.information.freedom
+        found = interval(at, along.std, freedom, along.bound, level, along.value)
+    if points:
+        walk.fill(points)
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: p.at)
-    values, rise, limit = np.array([(parameter.value(p.at), max(p.rise, 0.0), p.limit) for p in known]).T
+    values, rise, limit = np.array([(along.value(p.at), max(p.rise, 0.0), p.limit) for p in known]).T
     best = min(known, key=lambda p: p.rise)
-    gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
-    better = parameters.rope(best.x) if gain > WALK.better else None
+    gain = (along.basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
+    better = along.parameters.rope(best.x) if gain > WALK.better else None
     return Profile(
-        **vars(found), name=parameter.label, values=values, rise=rise, limit=limit, gain=max(gain, 0.0), better=better
+        **vars(found), name=along.label, values=values, rise=rise, limit=limit, gain=max(gain, 0.0), better=better
     )
 
 
@@ -164,7 +280,7 @@ class _TooLong(Exception):
 
 @dataclass(frozen=True)
 class _Point:
-    """A fit with the parameter held at `at`."""
+    """A fit with the coordinate held at `at`."""
 
     at: float
     x: Array
@@ -179,66 +295,75 @@ class _Point:
 
 
 class _ProfileSearch:
-    """Walks away from the optimum along one parameter, to either side."""
+    """Walks away from the optimum along one coordinate, to either side."""
 
-    def __init__(self, basis: Basis, which: int, std: float, best: Fit, budget: Budget, report: Report | None) -> None:
-        self.basis, self.which, self.budget = basis, which, budget
-        information = basis.information
-        self.bound, self.std = float(basis.plant.parameters.lower[which]), std
+    def __init__(self, along: Coordinate, level: float, best: Fit, budget: Budget, report: Report | None) -> None:
+        self.along, self.level, self.budget = along, level, budget
         self.rounds = WALK.most_rounds  # that one side may still take
         self.settled = True  # whether the last fit that could be simulated has converged
-        # rise one `std` away: the residual variance, as far as autocorrelation widens that of the parameter
-        self.unit = information.variance * self.std**2 / float(information.plain[which, which])
+        basis = along.basis
+        self.unit = along.unit
         enough = WALK.finish * self.unit / max(basis.fit.cost, 1e-300)
         self._fit = partial(
-            fit, basis.plant, basis.windows, loss=best.loss, enough=enough, budget=budget, report=report, held=which
+            fit, basis.plant, basis.windows, loss=best.loss, enough=enough, budget=budget, report=report
         )
         self.least = best.cost
-        self.points = [self._point(best)]
+        self.points = [self._point(best, best.cost)]
 
-    def _point(self, found: Fit) -> _Point:
+    def _point(self, found: Fit, squares: float) -> _Point:
         self.budget.check()  # else a fit that the budget has ended would pass for one that has settled
-        at = float(found.x[self.which])
-        limit = threshold(self.basis.information.freedom, (at - self.bound) / self.std)
-        return _Point(at, found.x, found.states, (found.cost - self.least) / self.unit, limit)
+        rise, limit = (squares - self.least) / self.unit, self.along.limit(found.x, self.level)
+        return _Point(self.along.at(found.x), found.x, found.states, rise, limit)
 
     def at(self, value: float) -> _Point | None:
-        """Return the fit with the parameter held at `value`; None where none can be found."""
-        if self.rounds <= 0:
-            raise _TooLong
-        start, information = min(self.points, key=lambda p: abs(p.at - value)), self.basis.information
-        along = information.covariance[self.which] / self.std**2
-        x = np.maximum(start.x + along * (value - start.at), self.basis.plant.parameters.lower)
-        x[self.which] = value
-        states = [s + f @ (x - start.x) for s, f in zip(start.states, information.follow, strict=True)]
-        try:
-            found = self._fit(x, states, rounds=min(20, self.rounds))
-        except InvalidInput:
-            self.rounds, self.settled = self.rounds - 1, True
-            return None
-        self.rounds, self.settled = self.rounds - max(len(found.history), 1), found.converged
-        if not found.converged:
-            return None
-        self.points.append(self._point(found))
-        return self.points[-1]
+        """Return the fit with the coordinate at `value`, as firmly held as it takes; None where none can be found."""
+        start = min(self.points, key=lambda p: abs(p.at - value))
+        x = self.along.aimed(start.x, value)
+        follow = zip(start.states, self.along.basis.information.follow, strict=True)
+        states, point = [s + f @ (x - start.x) for s, f in follow], start
+        for firmness in WALK.firmness:
+            if self.rounds <= 0:
+                raise _TooLong
+            target = self.along.target(value, firmness)
+            try:
+                found = self._fit(x, states, rounds=min(20, self.rounds), target=target)
+            except InvalidInput:
+                self.rounds, self.settled = self.rounds - 1, True
+                return None
+            self.rounds -= max(len(found.history), 1)
+            x, states, self.settled = found.x, found.states, found.converged
+            point = self._point(found, found.cost - target.residual(x) ** 2)
+            if self.settled and not self.short(point, value):
+                break
+        self.points += [point] * self.settled
+        return point if self.settled else None
 
-    def side(self, sign: float) -> float:
-        """Return the x at the end of the interval below (-1) or above (1) the optimum; inf where there is none."""
+    def short(self, point: _Point, value: float) -> bool:
+        """Whether a point stays short of the value that it was drawn to, seen from the optimum."""
+        origin = self.points[0].at
+        return bool((value - point.at) * np.sign(value - origin) > WALK.reached * abs(value - origin))
+
+    def side(self, sign: float) -> tuple[float, End]:
+        """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
         self.rounds = WALK.most_rounds
+        along, bound = self.along, self.along.bound if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
-        origin, bound = inside.at, self.bound if sign < 0.0 else np.inf
-        value = origin + sign * self.std * float(np.sqrt(quantile(self.basis.information.freedom)))
+        origin = inside.at
+        value = origin + sign * along.std * float(np.sqrt(quantile(self.level, along.basis.information.freedom)))
         for _ in range(WALK.tries):
             value = max(value, bound) if sign < 0.0 else value
             if value == inside.at:  # at the bound, and allowed
-                return value
+                return value, "bound"
             tried = self.at(value)
-            if tried is None:
+            if tried is None or sign * (tried.at - inside.at) < -WALK.reached * along.std:  # or on the wrong side
                 value = 0.5 * (value + inside.at)
                 continue
             if abs(tried.excess) < WALK.close:
-                return tried.at
+                return tried.at, "crossed"
+            short = self.short(tried, value)
             inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
+            if (value == bound or short) and tried is inside:
+                return bound if value == bound else tried.at, "bound"
             if outside is None:  # the root of the rise, taken as linear, meets the limit there
                 root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / WALK.longest)
                 value = origin + max(1.0 / root, 1.05) * (inside.at - origin)
@@ -246,13 +371,22 @@ class _ProfileSearch:
                 part = inside.excess / (inside.excess - outside.excess)
                 value = inside.at + float(np.clip(part, 0.05, 0.95)) * (outside.at - inside.at)
         if outside is None and self.settled:
-            return sign * np.inf
+            return sign * np.inf, "open"
         if outside is None:
             raise _TooLong
-        known = WALK.loose * min(self.std, abs(outside.at - origin))
+        known = WALK.loose * min(along.std, abs(outside.at - origin))
         if outside.excess > WALK.loose and abs(outside.at - inside.at) > known:
             raise _TooLong
-        return outside.at
+        return outside.at, "crossed"
+
+    def fill(self, points: int) -> None:
+        """Add points of the curve between the optimum and the farthest one on either side."""
+        values = np.array([p.at for p in self.points])
+        for end in (values.min(), values.max()):
+            for value in np.linspace(values[0], end, points + 2)[1:-1]:
+                self.rounds = WALK.most_rounds
+                if value != values[0]:
+                    self.at(float(value))
 
 
 def all_intervals(
@@ -275,10 +409,10 @@ def all_intervals(
     for number, label in enumerate(labels):
         at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
         heard = None if report is None else with_entries(report, at)
-        which = every.index(label)
-        found = profiled(basis, which, begun=begun, budget=budget, report=heard)
+        along = Coordinate(basis, label)
+        found = profiled(along, LEVEL, begun=begun, budget=budget, report=heard)
         if found.kind == "profile":
-            result[label] = _with_model_error(basis, which, found)
+            result[label] = _with_model_error(along, found)
         if found.gain > WALK.better:
             remarks.append(Finding(Kind.BETTER_OPTIMUM, Severity.LIMIT, {"name": label, "gain": found.gain}))
         elif found.kind == "covariance":
@@ -286,17 +420,19 @@ def all_intervals(
         yield result, remarks
 
 
-def _with_model_error(basis: Basis, which: int, found: Profile) -> Interval:
+def _with_model_error(along: Coordinate, found: Profile) -> Interval:
     """Return the interval of a profile, made wider by the model's errors; it stays within the parameter's bound."""
-    information, x, parameter = basis.information, float(basis.fit.x[which]), basis.plant.parameters.all[which]
-    gradient = np.eye(basis.fit.x.size)[[which]] * parameter.derivative(x)
+    information, x, parameter = along.basis.information, along.at(along.basis.fit.x), along.parameters.all[along.which]
+    gradient, usual = along.slope[None] * parameter.derivative(x), quantile(found.level, information.freedom)
     whole, declared = information.spread(gradient), information.declared.model_spread(gradient)
-    freedom, usual = float(freedom_with(information.freedom, whole, declared)[0]), quantile(information.freedom)
-    wider = float(np.sqrt(quantile(freedom) / usual))
-    model, value = float(information.model_spread(gradient)[0]) * float(np.sqrt(usual)), parameter.value(x)
+    freedom = float(freedom_with(information.freedom, whole, declared)[0])
+    wider = float(np.sqrt(quantile(found.level, freedom) / usual))
+    model, value = float(information.model_spread(gradient)[0]) * float(np.sqrt(usual)), along.value(x)
     low = value - wider * float(np.hypot(value - found.low, model))
     high = value + wider * float(np.hypot(found.high - value, model))
-    return Interval(max(low, parameter.value(float(basis.plant.parameters.lower[which]))), high, "profile")
+    least = along.value(along.bound)
+    ends: tuple[End, End] = ("bound" if low <= least else found.ends[0], found.ends[1])
+    return Interval(max(low, least), high, "profile", ends, found.level)
 
 
 def skewed(basis: Basis) -> list[int]:
@@ -314,7 +450,7 @@ def skewed(basis: Basis) -> list[int]:
     return order[(known & tied)[order]][: WALK.most].tolist()  # type: ignore[no-any-return]
 
 
-def threshold(freedom: float, above: float) -> float:
+def threshold(level: float, freedom: float, above: float) -> float:
     """Return the rise, over the residual variance, at which a value so many deviations `above` its bound is refused.
 
     `freedom` is of the residual variance; `above` is inf where there is no bound.
@@ -328,11 +464,11 @@ def threshold(freedom: float, above: float) -> float:
     from scipy.optimize import brentq
     from scipy.special import ndtr
 
-    usual, normal, above = quantile(freedom), quantile(np.inf), max(above, 1e-9)
+    usual, normal, above = quantile(level, freedom), quantile(level, np.inf), max(above, 1e-9)
 
     def excess(limit: float) -> float:
-        """Return by how much more often than in 95 % the truth is held with a limit."""
-        return float(ndtr(np.sqrt(limit)) - ndtr(-0.5 * (above**2 + limit) / above)) - LEVEL
+        """Return by how much more often than `level` the truth is held with a limit."""
+        return float(ndtr(np.sqrt(limit)) - ndtr(-0.5 * (above**2 + limit) / above)) - level
 
     if above**2 >= normal or not excess(above**2) < 0.0 < excess(normal):  # the latter by rounding, just below it
         return usual

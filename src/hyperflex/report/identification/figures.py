@@ -39,7 +39,7 @@ class FittedChannels:
         End of the fitted samples, s.
     """
 
-    def __init__(self, recording: Recording, found: Identification) -> None:
+    def __init__(self, recording: Recording, found: Identification, chosen: tuple[int, ...] = ()) -> None:
         angles, rms = found.unit == "rad", found.residual_rms
         channels = recording.angles() if angles else recording
         self.found, self.t, self.measured, self.fit_t = found, channels.t, channels.data, found.residual_t
@@ -53,7 +53,7 @@ class FittedChannels:
         some = {count - 1, int(np.argmax(np.linalg.norm(sizes, axis=1)))}
         some |= {0, count // 2} if angles else {(count - 1) // 2}
         picked = sorted(some) if rms.size > FEW else range(count)
-        self.chosen = tuple(wide * k + side for k in picked for side in range(wide))
+        self.chosen = chosen or tuple(wide * k + side for k in picked for side in range(wide))
         every = [f"link {k}" for k in range(count)], [f"marker {k}, {axis}" for k in range(count) for axis in "xy"]
         self.names = tuple(every[0 if angles else 1])
 
@@ -230,6 +230,28 @@ def multiples_figure(view: FittedChannels, columns: int = 4) -> Figure:
             axis.locator_params(nbins=4)
         for axis in axes[len(view.names) :]:
             axis.set_axis_off()
+    return figure
+
+
+def shapes_figure(view: FittedChannels, instants: int = 5) -> Figure:
+    """Draw markers and fit in the plane at several instants of the fitted time."""
+    fitted = view.fitted.reshape(view.fit_t.size, -1, 2)
+    measured = fitted + view.found.residuals.reshape(fitted.shape)
+    whole = np.flatnonzero(~np.isnan(fitted).any(axis=(1, 2)))
+    rows = whole if whole.size else np.arange(view.fit_t.size)
+    picked = rows[np.unique(np.linspace(0, rows.size - 1, instants).round().astype(int))]
+    low, high = np.nanmin(fitted, axis=(0, 1)), np.nanmax(fitted, axis=(0, 1))
+    wide, tall = high - low
+    ends = np.stack([low, high], axis=1) + 0.05 * float(max(wide, tall)) * np.array([-1.0, 1.0])
+    height = float(np.clip(tall / max(wide, 1e-9), 0.6, 2.2)) * (_WIDTH / picked.size)
+    with new_figure(_WIDTH, 0.7 + height) as figure:
+        axes = figure.subplots(1, picked.size, squeeze=False, sharex=True, sharey=True)[0]
+        for axis, row in zip(axes, picked, strict=True):
+            axis.plot(*fitted[row].T, "-", color=BLUE, lw=1.2)
+            axis.plot(*measured[row].T, "o", ms=4.0, mfc="none", mec=INK, mew=0.8)
+            axis.set(aspect="equal", title=f"{view.fit_t[row]:.3g} s", xlabel="x, m", xlim=ends[0], ylim=ends[1])
+            axis.locator_params(nbins=4)
+        axes[0].set_ylabel("y, m")
     return figure
 
 

@@ -15,6 +15,7 @@ from hyperflex.report.identification.figures import (
     multiples_figure,
     prediction_figure,
     residual_figure,
+    shapes_figure,
 )
 from hyperflex.report.identification.tables import (
     fit_table,
@@ -62,21 +63,14 @@ def identification_page(
 ) -> dict[str, Path]:
     """Write the page alone: one HTML file with its figures inside. Arguments as of :func:`write_identification`.
 
-    Returns the file ``page``.
+    What was interrupted has tables alone, to end soon. Returns the file ``page``.
     """
-    title = f"{recording.name or 'A recording'}, identified"
-    write_page(path, title, lead(recording, found), str(found.grade), identification_sections(recording, found, guess))
-    return {"page": Path(path)}
-
-
-def identification_sections(recording: Recording, found: Identification, guess: Rope | None = None) -> list[Section]:
-    """Return the sections of the page; what was interrupted has tables alone, to end soon."""
     if found.ended is Status.INTERRUPTED:
         when = f"after {len(found.history)} iterations" if found.history else "during its first iteration"
         drawn = [Section("How the fit went", text=(f"It was interrupted {when}; figures were not drawn.",))]
     else:
         drawn = _drawn(FittedChannels(recording, found))
-    return [
+    sections = [
         _assessment(found),
         *_found(found, guess),
         *drawn,
@@ -84,6 +78,9 @@ def identification_sections(recording: Recording, found: Identification, guess: 
         Section("How it was fitted", table=fit_table(found)),
         _rope(found),
     ]
+    title = f"{recording.name or 'A recording'}, identified"
+    write_page(path, title, lead(recording, found), str(found.grade), sections)
+    return {"page": Path(path)}
 
 
 def _drawn(view: FittedChannels) -> list[Section]:
@@ -147,7 +144,11 @@ def _fit(view: FittedChannels, many: bool) -> Section:
     which = "First, middle and last link" if view.found.unit == "rad" else "Middle and last marker"
     held = "" if view.found.held_out is None else "; red: what was held out"
     some = f"{which}, and the one that fits worst. " if many else ""
-    pictures = _pictures((fit_figure(view), f"{some}Each window is fitted with its own initial state{held}."))
+    shapes = shapes_figure(view) if view.found.unit == "m" else None
+    pictures = _pictures(
+        (fit_figure(view), f"{some}Each window is fitted with its own initial state{held}."),
+        (shapes, "Markers (rings) and fit (line) at some instants."),
+    )
     links = (("all", f"All {len(view.names)} channels"),) if many else ()
     return Section("Fit over data", pictures=pictures, links=links)
 
