@@ -181,7 +181,7 @@ def test_pegs_but_the_target_of_a_cast_are_obstacles(hyperflex, ready, tmp_path)
     assert (asked["target"], asked["obstacles"]) == (PEG, (other, floor))
     code, _, err = hyperflex("cast", *words, "--target", "0", "1", "--radius", "0.05")
     assert (asked["target"].x, asked["target"].radius, asked["obstacles"], code) == (0.0, 0.05, (other, floor), 0)
-    assert f"--target moves the first of [pegs] from ({PEG.x:g}, {PEG.y:g}) m" in plain(err)
+    assert f"--target moves the first of [[pegs]] from ({PEG.x:g}, {PEG.y:g}) m" in plain(err)
     asked = ready("whip")
     assert hyperflex("whip", *words, "--target", 0.3, -0.9)[0] == 0
     assert asked["obstacles"] == (PEG, other, floor)

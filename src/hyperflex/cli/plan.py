@@ -269,10 +269,10 @@ def cast(
 ) -> None:
     """Plan a cast that winds the rope round a peg and holds.
 
-    The target is given by options, or as the first of [pegs] in the set-up file. All other pegs, [walls] and [grounds]
-    of the file are obstacles, which the rope must not touch. The table [behind], with the keys of [pegs], holds pegs
-    behind which the rope must run: in the end it touches each of them between the arm and the target. An earlier plan's
-    file can be given as set-up; its criteria count unless options say otherwise.
+    The target is given by options, or as the first of [[pegs]] in the set-up file. All other pegs, [[walls]] and
+    [[grounds]] of the file are obstacles, which the rope must not touch. Each table [[behind]], with the keys of
+    [[pegs]], is a peg behind which the rope must run: in the end it touches it between the arm and the target. An
+    earlier plan's file can be given as set-up; its criteria count unless options say otherwise.
 
     A rope is wound with --turns turns, counted from the arm's tip to its end, and holds if it slips by less than 5 mm
     in 2 s. A cast fails if the rope passes through itself, its arm or the motor's shaft.
@@ -290,7 +290,7 @@ def cast(
     first: Peg | None = problem.targets["peg"]
     peg = aim.target({} if first is None else asdict(first))
     if first is not None and (peg.x, peg.y) != (first.x, first.y):
-        moved = f"--target moves the first of [pegs] from ({first.x:g}, {first.y:g}) m, where no obstacle is left"
+        moved = f"--target moves the first of [[pegs]] from ({first.x:g}, {first.y:g}) m, where no obstacle is left"
         output.note(f"{moved}. Obstacles come after it")
     uncertainty = None
     if robust:
@@ -325,8 +325,8 @@ def _report_plan(plan: "planning.CastPlan") -> None:
 def whip(target: Annotated[Given, TipTarget], task: Task, *, time_budget: TimeBudget = 30.0) -> None:
     """Plan a whip whose tip passes a point at a peak of its speed.
 
-    The target is given by options, or as the table [target] of the set-up file with the same names and units. [pegs],
-    [walls] and [grounds] of the file are obstacles, which the rope must not touch.
+    The target is given by options, or as the table [target] of the set-up file with the same names and units. [[pegs]],
+    [[walls]] and [[grounds]] of the file are obstacles, which the rope must not touch.
 
     The plan is verified in simulation, also with links of half the length; the impact on a small peg at the target is
     simulated too. The command writes the same files as cast, with pictures of the rope at the peak (peak.png) and of
@@ -350,8 +350,8 @@ def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget 
     """Plan strokes after which the tip enters a slot between walls.
 
     The slot is a gap between two thin walls in one line. It is given by options, or as the table [slot] of the set-up
-    file with the same names and units. [pegs], [walls] and [grounds] of the file are obstacles, which the rope must not
-    touch.
+    file with the same names and units. [[pegs]], [[walls]] and [[grounds]] of the file are obstacles, which the rope
+    must not touch.
 
     The plan is verified in simulation with the walls, also with 2.5 times the links. The success probability assumes
     standard deviations of 2 mm for the slot's position and of 2 ms for the times of the strokes. The command writes the
@@ -385,8 +385,8 @@ def reach_map(
     For a target that is red on the picture no plan was found in time: a longer --time-budget may find one, above all
     with a long rope.
 
-    A set-up file is read as by cast: the targets are like the first of [pegs], by default of radius 0.03 m; all other
-    pegs, [walls] and [grounds] are obstacles.
+    A set-up file is read as by cast: the targets are like the first of [[pegs]], by default of radius 0.03 m; all other
+    pegs, [[walls]] and [[grounds]] are obstacles.
 
     Ctrl-C ends it; the map so far is written, marked as incomplete.
     """

@@ -65,7 +65,7 @@ def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None,
     arm : Arm, optional
         Arm from which the rope hangs; without one the rope hangs from the origin.
     ratio : float
-        Longest link in radii of the rope's axis on the peg (peg radius plus rope radius), > 0; inf: no link is divided.
+        Longest link in radii of the rope's axis on the peg (peg radius plus rope radius), > 0.
 
     Returns
     -------
@@ -197,7 +197,7 @@ def with_links(rope: Rope, n_links: int) -> Rope:
 
 def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Integers:
     """Return the number of pieces (n,) of each link in :func:`refine_rope`; ``np.repeat(q0, cuts(...))``: angles."""
-    ratio = checks.number("ratio", ratio, sign="positive", infinite=True)
+    ratio = checks.number("ratio", ratio, sign="positive")
     rope, pegs = checks.instance("rope", rope, Rope), checked_obstacles(pegs)
     if arm is not None:
         checks.instance("arm", arm, Arm)

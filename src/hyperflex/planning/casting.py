@@ -13,7 +13,7 @@ from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import Stop, interruptible, stoppable
-from hyperflex.model import Arm, MotorLimits, Peg, Rope, Setup
+from hyperflex.model import Arm, MotorLimits, Peg, Rope, Setup, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
 from hyperflex.planning.ensemble import estimate_success_probability
@@ -83,7 +83,7 @@ class CastRequest:
             problem, touch = _swinging(problem, self.conditions, target)
         # Refuses, before any search, what cannot touch a peg
         Setup(self.rope, arm=self.arm, pegs=problem.beside(target))
-        problem.pieces_near((target,))  # or not be wound round it
+        cuts(self.rope, (target, *self.criteria.behind), arm=self.arm)  # or not be wound round it
         check_start(problem)
         limited = self.conditions.time_limit is not None
         return (problem if limited else replace(problem, time=search_time(problem, target))), touch

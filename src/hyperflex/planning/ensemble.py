@@ -14,7 +14,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.budget import Budget
-from hyperflex.checks import Flags, Integers
+from hyperflex.checks import Flags
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Peg, divided
@@ -214,19 +214,19 @@ def estimate_success_probability(
     options = options or SearchOptions()
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, problem, peg, seed=[STREAM, options.seed])
-    estimate = _Estimate(problem, moves, problem.pieces_near((peg,), options.coarse), aside)
+    estimate = _Estimate(problem, moves, pieces_in_contact(problem, peg, options.coarse), aside)
     return count_successes(estimate, scenarios, time_budget, options)
 
 
+def pieces_in_contact(problem: Problem, peg: Peg, coarse: float) -> int:
+    """Return into how many pieces links are cut, so that the longest has so many radii of target and rope at most."""
+    return max(1, math.ceil(float(problem.rope.length.max()) / (coarse * (peg.radius + problem.rope.radius))))
+
+
 def scenario_scores(
-    problem: Problem,
-    moves: Moves,
-    scenarios: Sequence[Scenario],
-    pieces: Integers,
-    budget: Budget,
-    stiction: float = 0.0,
+    problem: Problem, moves: Moves, scenarios: Sequence[Scenario], pieces: int, budget: Budget, stiction: float = 0.0
 ) -> WindingScores:
-    """Simulate moves in scenarios, links cut into pieces (n,); `stiction` as of :class:`RolloutBatch`."""
+    """Simulate moves in scenarios, each link cut into pieces; `stiction` as of :class:`RolloutBatch`."""
     motion = moves.motion(problem.limits)
     motions = [each.executed_motion(motion) for each in scenarios]
     chain, cut = problem.cut(pieces), [divided(each.rope, pieces) for each in scenarios]
@@ -240,13 +240,13 @@ def strikes_in_plane(problem: Problem, scenarios: Sequence[Scenario], aside: flo
     return np.array([math.isinf(most) or abs(each.tilt) * aside <= most for each in scenarios])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Estimate:
     """Counts the scenarios in which moves succeed; it can be sent to an executor."""
 
     problem: Problem
     moves: Moves
-    pieces: Integers
+    pieces: int
     aside: float = 0.0
 
     def __call__(self, scenarios: Sequence[Scenario], budget: Budget | None = None) -> int:

@@ -215,8 +215,7 @@ class SearchOptions:
     pieces : int
         Pieces of each link in the checks with shorter links; thirds found more errors than halves.
     coarse : float
-        Longest link that may touch the target in a rollout, in radii of the target and the rope: longer ones are
-        divided, as those of verified runs are (:func:`hyperflex.refine_rope`).
+        Longest link in contact, in radii of the target and the rope: longer ones are divided.
     deviations : (usual, most)
         Deviation of the rope with shorter links after a stroke, root mean square in rope lengths. Swings count as
         predictable up to the usual deviation, or up to twice that of the most predictable swing, if this is at most
@@ -255,7 +254,7 @@ class SearchOptions:
     back: int = option(3, "Strokes before the first strike at which the next pass begins.", sign="positive")
     pieces: int = option(3, "Pieces of each link in the checks with shorter links.", sign="positive")
     coarse: float = option(
-        2.0, "Longest link that may touch the target, in radii of target and rope.", sign="positive", infinite=True
+        2.0, "Longest link in contact, in radii of the target and the rope.", sign="positive", infinite=True
     )
     deviations: tuple[float, float] = option(
         (0.005, 0.02), "Usual and greatest deviation of shorter links.", sign="nonnegative", infinite=True

@@ -1,7 +1,6 @@
 """What is planned for: a rope on an arm, the motor's limits, what must not be touched, the start, and the criteria."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -12,7 +11,7 @@ from hyperflex.checks import Array, Integers
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.model import FINE, Arm, MotorLimits, Obstacle, Peg, Rope, cuts, divided, gap_of, named
+from hyperflex.model import Arm, MotorLimits, Obstacle, Peg, Rope, divided, gap_of, named
 from hyperflex.planning.options import Conditions, WindCriteria
 from hyperflex.simulation import refuse_rope
 
@@ -131,13 +130,6 @@ class Problem:
     def beside(self, target: Peg) -> tuple[Obstacle, ...]:
         """Return all that the rope may come upon: the target, pegs that it is to run behind, and obstacles."""
         return (target, *self.criteria.behind, *self.obstacles)
-
-    def pieces_near(self, pegs: Sequence[Obstacle], ratio: float = FINE) -> Integers:
-        """Return the pieces (n,) of each link with which links near pegs are short enough; see :func:`refine_rope`.
-
-        Near `pegs` and those that the rope is to run behind; the longest is `ratio` radii of the rope's axis on them.
-        """
-        return cuts(self.rope, (*pegs, *self.criteria.behind), arm=self.arm, ratio=ratio)
 
     def cut(self, pieces: int | Integers) -> "Problem":
         """Return the same with each link of the rope cut into pieces, as many of each or (n,)."""

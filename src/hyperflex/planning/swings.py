@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.budget import Budget
-from hyperflex.checks import Array, Integers
+from hyperflex.checks import Array
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.moves import MIN_MOVE, Moves
 from hyperflex.planning.options import SearchOptions
@@ -33,7 +33,7 @@ class State(NamedTuple):
     q: Array
     qd: Array
 
-    def cut(self, pieces: int | Integers) -> "State":
+    def cut(self, pieces: int) -> "State":
         """Return the state of a chain with each link cut into pieces."""
         return State(self.t, np.repeat(self.q, pieces), np.repeat(self.qd, pieces))
 

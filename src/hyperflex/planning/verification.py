@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array, Flags
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, FINE, Peg, Rope, Setup, Wall
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, FINE, Peg, Rope, Setup, Wall, cuts
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import Clearance, obstacle_clearance, rope_clearance
 from hyperflex.planning.problem import Problem
@@ -69,8 +69,9 @@ def verified_setup(
     to be touched, are there as well.
     """
     checks.instance("accuracy", accuracy, Accuracy)
-    arm, beside = problem.arm, (*pegs, *problem.criteria.behind, *problem.obstacles)
-    fine = problem.cut(problem.pieces_near(pegs, accuracy.ratio))
+    pegs = (*pegs, *problem.criteria.behind)
+    arm, beside = problem.arm, (*pegs, *problem.obstacles)
+    fine = problem.cut(cuts(problem.rope, pegs, arm=arm, ratio=accuracy.ratio))
     given: dict[str, Any] = {"q0": fine.q0, "qd0": fine.qd0} if fine.q0 else {}
     rope = limit_bend(fine.rope)
     tol, contact_step, _ = accuracy

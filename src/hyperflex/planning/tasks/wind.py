@@ -11,7 +11,7 @@ from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Peg
-from hyperflex.planning.ensemble import scenario_scores, strikes_in_plane, verify_members
+from hyperflex.planning.ensemble import pieces_in_contact, scenario_scores, strikes_in_plane, verify_members
 from hyperflex.planning.moves import PUMPING, Moves
 from hyperflex.planning.options import SearchOptions
 from hyperflex.planning.outcome import CastOutcome
@@ -89,9 +89,9 @@ class WindTask(Task):
     ) -> None:
         self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
         self.sides = free_sides(problem, problem.beside(peg))
-        self._cuts = problem.pieces_near((peg,), options.coarse)
-        pieces = max(options.pieces, int(self._cuts.max()) + 1)
-        self.contact, self.finer = problem.cut(self._cuts), problem.cut(pieces)
+        cuts = self._cuts = pieces_in_contact(problem, peg, options.coarse)
+        pieces = max(options.pieces, cuts + 1)
+        self.contact, self.finer = problem.cut(cuts), problem.cut(pieces)
         chains = problem, problem.cut(pieces)
         made = list[Swing]()
         for moves, now in seen:
