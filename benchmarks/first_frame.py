@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from benchmarks import log, machine
-from benchmarks.looks import HardRenderer, HardScene
 
 import hyperflex as hf
 from hyperflex import files
@@ -36,7 +35,9 @@ from hyperflex.vision import (
     NoRope,
     Occluder,
     Reason,
+    Renderer,
     RopeMotion,
+    Scene,
     find_rope,
     srgb_tone,
 )
@@ -107,7 +108,7 @@ def shot(
         "coloured on textured": (strong[rng.integers(4)], rng.uniform(80.0, 170.0) + rng.normal(0, 8, 3)),
     }[look]
     width = float(np.exp(rng.uniform(np.log(1.5), np.log(9.0))))  # px
-    scene = HardScene(
+    scene = Scene(
         [],
         rope_width=0.0 if absent is Reason.NOTHING else width / scale,
         rope_colour=np.clip(colour, 5.0, 250.0),
@@ -122,10 +123,10 @@ def shot(
         occluders=_before(moves, stamp, width / scale, colour, absent, motion(seed, index // POSES + 1)[1]),
         seed=int(rng.integers(1 << 30)),
     )
-    image = _by_mujoco(camera, moves, scene, stamp) if by_mujoco else HardRenderer(camera, moves, scene).image(stamp)
+    image = _by_mujoco(camera, moves, scene, stamp) if by_mujoco else Renderer(camera, moves, scene).image(stamp)
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(75, 96))]
     image = np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, quality)[1], cv2.IMREAD_COLOR), np.uint8)
-    truth = HardRenderer(camera, moves, HardScene(np.linspace(0.0, length, 200))).truth([stamp])
+    truth = Renderer(camera, moves, Scene(np.linspace(0.0, length, 200))).truth([stamp])
     curve, blur = truth.pixels[0], float(np.hypot(*truth.streaks[0].T).max())
     pivot, size = curve[0] + rng.normal(0.0, 2.0, 2), float(np.hypot(*np.diff(curve, axis=0).T).sum())
     return Shot(image, curve, size * (1.0 + 0.02 * rng.normal()), pivot, look, width, blur)
@@ -153,12 +154,12 @@ def _before(
     return tuple(things)
 
 
-def _by_mujoco(camera: Camera, moves: RopeMotion, scene: HardScene, stamp: float) -> Image:
-    from tests.oracles.mujoco_eye import Eye, HardScene
+def _by_mujoco(camera: Camera, moves: RopeMotion, scene: Scene, stamp: float) -> Image:
+    from tests.oracles.mujoco_eye import Eye, Look
 
     away = float(camera.axes[1][2])
     origin, focal = camera.project([[0.0, 0.0]])[0], float(camera.matrix[0, 0])
-    look = HardScene(
+    look = Look(
         tuple(np.asarray(scene.rope_colour)), 0.5 * scene.rope_width, float(scene.shine > 0.0), tuple(scene.background),
         scene.wall_texture, scene.shadow[2] > 0.0, scene.noise,
     )  # fmt: skip

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from benchmarks.looks import HardRenderer, HardScene
 from scipy import stats
 
 import hyperflex as hf
@@ -19,6 +18,7 @@ from hyperflex.vision import (
     Occluder,
     Renderer,
     RopeMotion,
+    Scene,
     Truth,
     random_occlusion,
 )
@@ -75,7 +75,7 @@ class HardVideo:
         """What takes the pictures."""
         rng = np.random.default_rng((self.seed, 2))
         places = [(float(x), float(y)) for x, y in rng.uniform([-2.0, -2.1], [2.0, 0.1], (12, 2))]
-        scene = HardScene(
+        scene = Scene(
             self.arc_lengths,
             marker_diameter=DIAMETER,
             marker_colours=RED,
@@ -86,7 +86,7 @@ class HardVideo:
             blackouts=() if self.blackout is None else ((self.blackout, self.blackout + BLACK),),
             seed=self.seed,
         )
-        return HardRenderer(self.camera, motion, scene)
+        return Renderer(self.camera, motion, scene)
 
 
 @dataclass(frozen=True, eq=False)

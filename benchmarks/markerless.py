@@ -34,7 +34,6 @@ from typing import Any
 import cv2
 import numpy as np
 from benchmarks import log, machine
-from benchmarks.looks import HardRenderer, HardScene
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
@@ -48,7 +47,9 @@ from hyperflex.vision import (
     Camera,
     Frame,
     Occluder,
+    Renderer,
     RopeMotion,
+    Scene,
     VideoReader,
     VideoWriter,
     find_rope,
@@ -155,7 +156,7 @@ def motion_of(case: Case, seed: int) -> RopeMotion:
     return RopeMotion.from_trajectory(run)
 
 
-def scene_of(case: Case, seed: int) -> HardScene:
+def scene_of(case: Case, seed: int) -> Scene:
     """The contents of the picture."""
     rng, fronts = np.random.default_rng((seed, 6)), []
     if case.hidden:  # it moves in from below, and covers the free end after a second
@@ -166,7 +167,7 @@ def scene_of(case: Case, seed: int) -> HardScene:
         fronts.append(Occluder((u - way, -2.3), (u + way, 0.2), WIDTH, DARK, (speed, 0.0)))
     looks: dict[str, Any] = {"wall_texture": 8.0, "shadow": (0.06, -0.04, 0.3)}  # levels; m, and the share of the light
     looks["exposure_steps"] = ((0.3 * case.duration, 0.8), (0.6 * case.duration, 1.1))
-    return HardScene(
+    return Scene(
         np.zeros(0),
         rope_width=case.width,
         rope_colour=DARK if case.contrast is None else WALL - case.contrast,
@@ -190,9 +191,7 @@ def run(name: str, seed: int, folder: Path) -> dict[str, Any]:
     stamps = START + np.arange(0.0, case.duration, 1.0 / case.rate)
     path, scene = folder / f"{re.sub('[^a-z0-9]+', '-', name.lower())}-{seed}.mp4", scene_of(case, seed)
     if not path.exists():
-        seen = (
-            film(camera, motion, scene, stamps) if case.eye else map(HardRenderer(camera, motion, scene).image, stamps)
-        )
+        seen = film(camera, motion, scene, stamps) if case.eye else map(Renderer(camera, motion, scene).image, stamps)
         with VideoWriter(path, camera.image_size, case.quality) as video:
             for image, stamp in zip(seen, stamps, strict=True):
                 video.write(image, stamp)
@@ -274,14 +273,14 @@ def reported(wrong: str, seed: int, folder: Path) -> dict[str, Any]:
     case, rng = Case(cast=wrong.startswith("mirrored")), np.random.default_rng((seed, 9))
     motion, scale = motion_of(case, seed), 800.0 if "view" in wrong else SCALE
     camera = Camera.facing((1280, 720), pixels_per_metre=scale, origin=(640.0, 60.0), exposure=case.exposure)
-    scene = HardScene(
+    scene = Scene(
         np.zeros(0),
         rope_width=0.0 if wrong == "no rope" else WIDTH,
         rope_colour=DARK,
         occluders=(Occluder((0.0, 0.0), (0.5, -1.7), WIDTH, DARK),) if wrong == "two ropes" else (),
         seed=seed,
     )
-    renderer, cable = HardRenderer(camera, motion, scene), rope(LINKS, WRONG[wrong])
+    renderer, cable = Renderer(camera, motion, scene), rope(LINKS, WRONG[wrong])
     given = {"motion": SWINGS, "arm": ARM} if case.cast else {}
     estimator = RopeFilter(cable, curve_arc_lengths(cable), camera=camera, **given)
     path = folder / "wrong.mp4"

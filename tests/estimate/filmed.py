@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from benchmarks.looks import HardRenderer, HardScene
 
 from hyperflex.checks import Array
-from hyperflex.vision import Camera, RopeMotion, Truth
+from hyperflex.vision import Camera, Renderer, RopeMotion, Scene, Truth
 from tests.estimate.runs import free_swing
 
 ARCS = np.linspace(0.25, 2.0, 8)  # m
@@ -30,5 +29,5 @@ def film_swing(
 ) -> Truth:
     """Write the video, its frames as much later as given, s; return the truth."""
     motion = RopeMotion.from_trajectory(free_swing(seed, 4.0))
-    renderer = HardRenderer(camera or facing(), motion, HardScene(ARCS, marker_diameter=0.035, **scene))
+    renderer = Renderer(camera or facing(), motion, Scene(ARCS, marker_diameter=0.035, **scene))
     return renderer.write(path, 0.05 + np.arange(count) / 30.0 + late)

@@ -4,14 +4,16 @@ import itertools
 
 import numpy as np
 import pytest
-from benchmarks.looks import Bar, HardRenderer, HardScene
 
 import hyperflex as hf
 from hyperflex.estimate import Observations, RopeFilter
 from hyperflex.vision import (
+    Bar,
     BarDetector,
     Camera,
+    Renderer,
     RopeMotion,
+    Scene,
     VideoReader,
     frame_times,
     link_angles,
@@ -31,8 +33,8 @@ def filmed(path, duration=3.0):
     """Write a video of a double pendulum that turns over; return its truth, and a detector of its bars."""
     run = hf.simulate(PENDULUM, duration=duration, q0=[2.2, 2.6], t_eval=np.arange(0.0, duration, 0.002))
     bars = Bar(0.205, 0.384, 0.038, BLUE), Bar(0.0, 0.205, 0.038, DARK)
-    scene = HardScene([], bars=bars, rope_width=0.0, background=(124.0, 144.0, 164.0))
-    renderer = HardRenderer(CAMERA, RopeMotion(run.t, run.q, run.qd, PENDULUM.length), scene)
+    scene = Scene([], bars=bars, rope_width=0.0, background=(124.0, 144.0, 164.0))
+    renderer = Renderer(CAMERA, RopeMotion(run.t, run.q, run.qd, PENDULUM.length), scene)
     renderer.write(path, frame_times(0.0, duration - 0.05, 30.0))
     clicks = CAMERA.project(renderer.motion.places(np.zeros(1), [0.1025, 0.2945])[0])
     return run, BarDetector.from_clicks(frames(path, 1)[0].image, clicks)

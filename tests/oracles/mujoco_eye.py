@@ -10,9 +10,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from benchmarks.looks import HardScene
 
-from hyperflex.vision import Camera, RopeMotion
+from hyperflex.vision import Camera, RopeMotion, Scene
 from tests.reference.dense import Real
 
 NEAR = 0.9  # m from the swing plane to the wall behind it
@@ -121,9 +120,7 @@ cutoff="80" exponent="0"/>
         self._context.free()
 
 
-def film(
-    camera: Camera, motion: RopeMotion, scene: HardScene, stamps: Iterable[float], count: int = 60
-) -> Iterator[Any]:
+def film(camera: Camera, motion: RopeMotion, scene: Scene, stamps: Iterable[float], count: int = 60) -> Iterator[Any]:
     """Yield pictures of a plain rope by MuJoCo, of what camera and scene say: a capsule for each of `count` parts.
 
     Between two of the instants that make up an exposure, the rope moves by 1.5 px at most.

@@ -4,15 +4,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from benchmarks.looks import HardRenderer, HardScene
 
 from hyperflex.vision import (
     Camera,
     NoRope,
     Occluder,
     Reason,
+    Renderer,
     RopeLook,
     RopeMotion,
+    Scene,
     find_rope,
     srgb_tone,
 )
@@ -35,7 +36,7 @@ def bent(lean=0.4, bend=0.5, rate=0.0):
 
 def shown(motion, **scene):
     """Return a picture of a rope 10 mm, 2.6 px, wide, and its curve, px."""
-    image = HardRenderer(CAMERA, motion, HardScene([], **{"rope_width": 0.01, **scene})).image(0.0)
+    image = Renderer(CAMERA, motion, Scene([], **{"rope_width": 0.01, **scene})).image(0.0)
     return image, CAMERA.project(motion.places([0.0], ARCS)[0])
 
 

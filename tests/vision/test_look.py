@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from benchmarks.looks import HardRenderer, HardScene
 
-from hyperflex.vision import Camera, RopeLook
+from hyperflex.vision import Camera, Renderer, RopeLook, Scene
 from hyperflex.vision.look import places_across
 from tests.refusals import refuses
 from tests.vision.ropes import swinging
@@ -25,7 +24,7 @@ LOOKS = {
 def filmed(times=(0.5,), **scene):
     """Return pictures of a rope 24 mm, 3.6 px, wide, and its curve in the first."""
     motion = swinging(speed=2.0)
-    renderer = HardRenderer(CAMERA, motion, HardScene([], rope_width=0.024, **scene))
+    renderer = Renderer(CAMERA, motion, Scene([], rope_width=0.024, **scene))
     return [renderer.image(t) for t in times], CAMERA.project(motion.places(times[:1], ARCS)[0])
 
 

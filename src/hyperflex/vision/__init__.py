@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.markers import Blobs, Gate, MarkerDetector
     from hyperflex.vision.renderer.motion import RopeMotion
     from hyperflex.vision.renderer.renderer import (
+        Bar,
         Occluder,
         Renderer,
         Scene,

@@ -24,6 +24,25 @@ Hidden = Callable[[float], Flags]  # time, s -> which markers (K,) are covered
 RED, DARK = (40.0, 30.0, 210.0), (45.0, 45.0, 45.0)
 
 
+class Bar(NamedTuple):
+    """A straight bar along the rope, as the links of a pendulum are.
+
+    Attributes
+    ----------
+    start, end : float
+        Arc lengths of its ends, m.
+    width : float
+        m; its ends are round.
+    colour : (float, float, float)
+        Blue, green, red, 0 to 255.
+    """
+
+    start: float
+    end: float
+    width: float
+    colour: Colour
+
+
 class Occluder(NamedTuple):
     """A bar in front of the rope.
 
@@ -62,12 +81,25 @@ class Scene:
         m; 0: it is not seen.
     rope_colour : (3,) array_like
         Blue, green, red.
+    rope_texture : float
+        Relative standard deviation of the brightness of pieces of the rope, each twice as long as the rope is wide.
+    shine : float
+        Brightness of a highlight along the rope, levels, like that of a wire: on the side of the light, which comes
+        from the upper left, and weaker where the rope points towards it.
+    shadow : (float, float, float)
+        Of the rope on the wall: how far to the right and up, m, and the share of the light that is missing in it.
+    bars : tuple of Bar
+        Drawn over the rope and below the markers.
     background : (3,) array_like
         Blue, green, red of the wall.
+    wall_texture : float
+        Standard deviation of the wall's grain, levels, in sizes from a pixel to a sixteenth of the picture.
     clutter : int
         Number of things on the wall: discs and bars, a quarter of them in the first marker's colour, or the rope's.
     light_drift, drift_period : float
         By which part the light varies, and how slowly, s; the colours' balance varies by a quarter of that.
+    exposure_steps : tuple of (float, float)
+        Of an automatic exposure: from which time on, s, the picture is by which factor brighter.
     noise : float
         Standard deviation of a channel, levels.
     tone : (256,) array_like, optional
@@ -76,6 +108,8 @@ class Scene:
         Before everything.
     hidden : callable, optional
         Of a time, s, to which markers (K,) are covered by something dark that goes along; see :func:`random_occlusion`.
+    blackouts : tuple of (float, float)
+        From when to when nothing of the rope is seen, s.
     seed : int
         Of clutter and noise.
 
@@ -89,14 +123,21 @@ class Scene:
     marker_colours: ArrayLike = RED
     rope_width: float = 0.006
     rope_colour: ArrayLike = DARK
+    rope_texture: float = 0.0
+    shine: float = 0.0
+    shadow: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bars: tuple[Bar, ...] = ()
     background: ArrayLike = (175.0, 185.0, 190.0)
+    wall_texture: float = 0.0
     clutter: int = 0
     light_drift: float = 0.0
     drift_period: float = 10.0
+    exposure_steps: tuple[tuple[float, float], ...] = ()
     noise: float = 2.0
     tone: Array | None = None
     occluders: tuple[Occluder, ...] = ()
     hidden: Hidden | None = None
+    blackouts: tuple[tuple[float, float], ...] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -110,25 +151,24 @@ class Scene:
             "clutter": checks.count("clutter", self.clutter, least=0),
             "drift_period": checks.number("drift_period", self.drift_period, sign="positive", unit="s"),
         }
-        for name in ("rope_width", "light_drift", "noise"):
+        for name in ("rope_width", "rope_texture", "shine", "wall_texture", "light_drift", "noise"):
             checked[name] = checks.number(name, getattr(self, name), sign="nonnegative")
         for name in ("rope_colour", "background"):
             checked[name] = checks.array(name, getattr(self, name), (3,), sign="nonnegative")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
-    def bare_wall(self, rng: np.random.Generator, shape: tuple[int, int]) -> Array:
-        """Return the wall (*shape, 3) without clutter and shade."""
-        return np.tile(np.asarray(self.background, dtype=np.float64), (*shape, 1))
-
     def wall(self, image_size: tuple[int, int]) -> npt.NDArray[np.float32]:
-        """Return the background (height, width, 3) with its clutter, a soft shade over it."""
+        """Return the background (height, width, 3) with its grain and clutter, a soft shade over it."""
         import cv2
 
         width, height = image_size
         rng = np.random.default_rng((self.seed, 1))
-        image = self.bare_wall(rng, (height, width))
+        base = np.asarray(self.background, dtype=np.float64)
+        image = np.tile(base, (height, width, 1))
         own = np.vstack([np.asarray(self.marker_colours).reshape(-1, 3), self.rope_colour])[0]
+        if self.wall_texture:
+            image += self.wall_texture * _grain(rng, (height, width))
         for k in range(self.clutter):
             colour = own if k % 4 == 0 else rng.uniform(40.0, 220.0, 3)
             place = rng.uniform(0.0, 1.0, 2) * [width, height]
@@ -148,11 +188,29 @@ class Scene:
         phase = 2.0 * np.pi * t / self.drift_period
         gain = 1.0 - 0.5 * self.light_drift * (1.0 - np.cos(phase))
         balance = 1.0 + 0.25 * self.light_drift * np.sin(0.7 * phase) * np.array([1.0, 0.0, -1.0])
-        return np.asarray(gain * balance)
+        step = next((factor for since, factor in self.exposure_steps[::-1] if since <= t), 1.0)
+        return np.asarray(step * gain * balance)
+
+    def is_black(self, t: float) -> bool:
+        """Whether nothing of the rope is seen at a time, s."""
+        return any(start <= t < end for start, end in self.blackouts)
 
     def covered(self, t: float) -> Flags:
         """Return which markers (K,) are covered at a time, s."""
-        return np.zeros(self.arc_lengths.size, bool) if self.hidden is None else self.hidden(t)
+        return np.full(self.arc_lengths.size, self.is_black(t)) if self.hidden is None else self.hidden(t)
+
+
+def _grain(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
+    """Return noise (*shape, 3) of standard deviation 1, in sizes that double; colours vary by a third."""
+    import cv2
+
+    sizes = 2.0 ** np.arange(int(np.log2(min(shape) / 16)) + 1)
+    total = np.zeros((*shape, 3))
+    for size in sizes.tolist():
+        coarse = tuple(int(np.ceil(side / size)) for side in shape)
+        part = rng.standard_normal((*coarse, 1)) + rng.standard_normal((*coarse, 3)) / 3.0
+        total += cv2.resize(part, shape[::-1], interpolation=cv2.INTER_CUBIC)
+    return np.asarray(total / total.std())
 
 
 def random_occlusion(count: int, share: float, duration: float, *, until: float, seed: int = 0) -> Hidden:
@@ -216,12 +274,13 @@ class Truth:
     arc_lengths: Array
 
 
-class Layer(NamedTuple):
+class _Layer(NamedTuple):
     """Capsules that join to one shape."""
 
     arcs: Array  # (C, 2) m, of their ends
     radius: float  # m
     colour: ArrayLike  # (3,), or (C, 3)
+    shine: float = 0.0  # levels, of a highlight on the side of the light
 
 
 class Renderer:
@@ -250,11 +309,13 @@ class Renderer:
     NODE = 1e-3  # s, between the instants from which the motion within a frame is interpolated
     ITERATIONS = 8  # of the row in which a marker is seen and the time of that row
     COVER, COVER_SIZE = (70.0, 75.0, 75.0), 1.5  # colour and size (of the marker's) of what hides a marker
+    LIGHT = (-0.6, -0.8)  # direction to the light in the picture, right and down
+    HIGHLIGHT = 0.4  # width of the highlight over the rope's; its middle is at most half of the rope's radius aside
 
     def __init__(self, camera: Camera, motion: RopeMotion, scene: Scene, sub_exposures: int = 8) -> None:
         self.camera, self.motion, self.scene = camera, motion, scene
         self.sub_exposures = checks.count("sub_exposures", sub_exposures)
-        self._wall = self.lit(scene.wall(camera.image_size))
+        self._wall = self._light(scene.wall(camera.image_size))
         self._rng = np.random.default_rng((scene.seed, 2))
         width, height = (
             camera.image_size
@@ -269,7 +330,7 @@ class Renderer:
         other.motion = motion
         return other
 
-    def lit(self, levels: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def _light(self, levels: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Return the light of levels of the scene."""
         tone = self.scene.tone
         return np.asarray(levels if tone is None else np.interp(levels, linear_tone(), tone), np.float32)
@@ -279,8 +340,13 @@ class Renderer:
         import cv2
 
         width, height = self.camera.image_size
-        levels = self.behind(stamp)
-        for part, seen in self.exposures(stamp, self.layers(stamp), self.scene.occluders):
+        levels = self._wall.copy()
+        *shift, dark = self.scene.shadow
+        if dark:
+            rope = [] if self.scene.is_black(stamp) else self._rope()[:1]
+            for part, shade in self._exposures(stamp, rope, (), shift):
+                levels[part] *= 1.0 - np.float32(dark) * shade[:, :, 3:]
+        for part, seen in self._exposures(stamp, self._layers(stamp), self.scene.occluders):
             levels[part] *= 1.0 - seen[:, :, 3:]
             levels[part] += seen[:, :, :3]
         levels *= self.scene.light(stamp).astype(np.float32)
@@ -289,10 +355,6 @@ class Renderer:
         du, dv = self._rng.integers(0, 64, 2)
         levels += self._noise[dv : dv + height, du : du + width]
         return np.asarray(cv2.convertScaleAbs(np.maximum(levels, 0.0)), dtype=np.uint8)
-
-    def behind(self, stamp: float) -> npt.NDArray[np.float32]:
-        """Return the light (height, width, 3) of what is behind the rope in a frame; it may be changed."""
-        return self._wall.copy()
 
     def truth(self, stamps: ArrayLike) -> Truth:
         """Return the truth of frames with these time stamps (T,), s."""
@@ -307,7 +369,7 @@ class Renderer:
         begin, end = (exposed(side * camera.exposure)[2] for side in (-0.5, 0.5))
         visible: Flags = np.asarray(((pixels >= 0.0) & (pixels <= np.array(camera.image_size) - 1.0)).all(axis=2))
         for stamp, place, seen in zip(instants.tolist(), places, visible, strict=True):
-            seen &= ~scene.covered(stamp) & ~self._behind(place, stamp)
+            seen &= ~scene.covered(stamp) & ~self._behind(place, stamp) & (not scene.is_black(stamp))
         return Truth(instants, times, places, pixels, end - begin, visible, scene.arc_lengths)
 
     def write(self, path: PathLike, stamps: ArrayLike, quality: int = 18) -> Truth:
@@ -347,31 +409,49 @@ class Renderer:
             result |= np.linalg.norm(places[:, :2] - start - share[:, None] * along, axis=1) < 0.5 * bar.width
         return result
 
-    def rope(self) -> list[Layer]:
-        """Return the rope, from back to front; nothing if it is not seen."""
+    def _rope(self) -> list[_Layer]:
+        """Return the rope, in pieces of different brightness, and the highlight along it."""
         scene, joints = self.scene, self.motion.joint_arc_lengths
-        arcs = np.stack([joints[:-1], joints[1:]], axis=1)
-        return [Layer(arcs, 0.5 * scene.rope_width, scene.rope_colour)] if scene.rope_width else []
+        if scene.rope_width == 0.0:
+            return []
+        links, arcs = np.stack([joints[:-1], joints[1:]], axis=1), joints
+        if scene.rope_texture:
+            counts = np.ceil(np.diff(joints) / (2.0 * scene.rope_width)).astype(int)
+            pieces = [
+                np.linspace(start, end, count, endpoint=False)
+                for (start, end), count in zip(links.tolist(), counts.tolist(), strict=True)
+            ]
+            arcs = np.concatenate([*pieces, joints[-1:]])
+        rng = np.random.default_rng((scene.seed, 3))
+        brightness = 1.0 + scene.rope_texture * rng.standard_normal((len(arcs) - 1, 1))
+        colours, radius = np.clip(brightness * np.asarray(scene.rope_colour), 0.0, 255.0), 0.5 * scene.rope_width
+        rope = _Layer(np.stack([arcs[:-1], arcs[1:]], axis=1), radius, colours)
+        highlight = _Layer(links, self.HIGHLIGHT * radius, scene.rope_colour, scene.shine)
+        return [rope, highlight] if scene.shine else [rope]
 
-    def layers(self, stamp: float) -> list[Layer]:
-        """Return the drawn shapes of the rope and its markers, from back to front."""
-        scene, layers = self.scene, self.rope()
+    def _layers(self, stamp: float) -> list[_Layer]:
+        """Return the drawn shapes of the rope, from back to front."""
+        scene = self.scene
+        if scene.is_black(stamp):
+            return []
+        layers = self._rope()
+        layers += [_Layer(np.array([[bar.start, bar.end]]), 0.5 * bar.width, bar.colour) for bar in scene.bars]
         radius = 0.5 * scene.marker_diameter
         for arc, colour, covered in zip(
             scene.arc_lengths, np.asarray(scene.marker_colours), scene.covered(stamp), strict=True
         ):
             marker = np.full((1, 2), arc)
-            layers.append(Layer(marker, radius, colour))
-            layers += [Layer(marker, self.COVER_SIZE * radius, self.COVER)] if covered else []
+            layers.append(_Layer(marker, radius, colour))
+            layers += [_Layer(marker, self.COVER_SIZE * radius, self.COVER)] if covered else []
         return layers
 
-    def exposures(
-        self, stamp: float, layers: list[Layer], fronts: tuple[Occluder, ...] = (), shift: ArrayLike = (0.0, 0.0)
+    def _exposures(
+        self, stamp: float, layers: list[_Layer], fronts: tuple[Occluder, ...], shift: ArrayLike = (0.0, 0.0)
     ) -> Iterator[tuple[slice, npt.NDArray[np.float32]]]:
         """Yield the rows in which something is seen, and its colour times cover, and cover, in them; or nothing."""
         if not layers and not fronts:
             return
-        capsules, times = self.capsules(stamp, layers, fronts, shift)
+        capsules, times = self._capsules(stamp, layers, fronts, shift)
         width, height = self.camera.image_size
         cover = np.zeros((height, width, 4) if self._upright else (width, height, 4), np.float32)
         expose(capsules, times, cover)
@@ -381,8 +461,8 @@ class Renderer:
             part = slice(rows[0], rows[-1] + 1)
             yield part, seen[part]
 
-    def capsules(
-        self, stamp: float, layers: list[Layer], fronts: tuple[Occluder, ...], shift: ArrayLike
+    def _capsules(
+        self, stamp: float, layers: list[_Layer], fronts: tuple[Occluder, ...], shift: ArrayLike
     ) -> tuple[Capsules, RowTimes]:
         """Return the shapes in pixels at several instants about a frame, and the exposure times of its rows."""
         camera = self.camera
@@ -398,10 +478,18 @@ class Renderer:
             places = np.concatenate([places, np.pad(ends, ((0, 0), (0, 0), (0, 1)))], axis=1)
         pixels = camera.project(places.reshape(-1, 3)).reshape(nodes, -1, 2, 2)
         scales = np.sqrt(np.abs(np.linalg.det(camera.linearize(places[nodes // 2])[1][:, :, :2])))
-        drawn = [*layers, *(Layer(np.zeros((1, 2)), 0.5 * front.width, front.colour) for front in fronts)]
+        drawn = [*layers, *(_Layer(np.zeros((1, 2)), 0.5 * front.width, front.colour) for front in fronts)]
         sizes = [len(layer.arcs) for layer in drawn]
         radii = np.repeat([layer.radius for layer in drawn], sizes) * scales.reshape(-1, 2).mean(axis=1)
         colours = np.concatenate([np.broadcast_to(layer.colour, (len(layer.arcs), 3)) for layer in drawn])
+        shine = np.repeat([layer.shine for layer in drawn], sizes)
+        if shine.any():
+            along = (pixels[:, :, 1] - pixels[:, :, 0]) @ np.array([1.0, 1.0j])
+            normal = 1j * along / np.maximum(np.abs(along), 1e-9)
+            facing = normal.real * self.LIGHT[0] + normal.imag * self.LIGHT[1]
+            aside = (shine > 0.0) * 0.5 * radii / self.HIGHLIGHT * facing * normal
+            pixels += np.stack([aside.real, aside.imag], axis=-1)[:, :, None]
+            colours = np.minimum(colours + (shine * facing[nodes // 2] ** 2)[:, None], 255.0)
         if not self._upright:
             pixels = pixels[..., ::-1]
         rows = camera.image_size[1 if self._upright else 0]
@@ -413,7 +501,7 @@ class Renderer:
         samples = max(self.sub_exposures, int(fastest / 1.5)) if camera.exposure > 0.0 else 1
         times = RowTimes(first, -slope if backwards else slope, camera.exposure * step, samples)
         ends = np.ascontiguousarray(pixels.reshape(nodes, -1, 4))
-        return Capsules(ends, radii, np.repeat(np.arange(len(drawn)), sizes), self.lit(colours)), times
+        return Capsules(ends, radii, np.repeat(np.arange(len(drawn)), sizes), self._light(colours)), times
 
 
 def frame_times(
