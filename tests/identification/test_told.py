@@ -159,12 +159,22 @@ def test_ratios_of_which_none_is_known_are_not_to_be_used():
     assert found.message == text(found.findings[0])
 
 
-def test_a_poor_prediction_counts_where_its_band_is_too_narrow_for_it():
+def test_predictions_are_compared_as_far_as_their_band_is_narrow():
+    """Once it has grown beyond a fifth of what keeping still errs by, what lies behind does not count."""
     t = np.linspace(0.1, 1.0, 10)
-    predicted, starts, rms = t[:, None] + 3.0, np.zeros(1), np.array([3.0])
-    for std, said in ((0.01, [Kind.PREDICTION_POOR]), (3.0, [])):
-        held = HeldOut(rms, rms[:, None], starts, 0.5, 1.0, t, t[:, None], predicted, np.full((10, 1), std))
-        assert [each.kind for each in _of_prediction(held, ())] == said
+    measured = np.append(t, t)[:, None]
+    predicted = measured + np.where(np.append(t, t) > 0.55, 3.0, 0.0)[:, None]
+    std = np.full((20, 1), 0.01)
+    std[5] = 0.5  # of the first prediction alone
+    starts = np.array([0.0, 1.0])
+    rms = np.array([1.0])
+    held = HeldOut(rms, np.ones((2, 1)), starts, 0.5, 1.0, np.append(t, t + 1.0), measured, predicted, std)
+    kept = held.foreseeable
+    np.testing.assert_allclose(kept.t, np.append(t[:5], t + 1.0))
+    assert kept.rms[0] == pytest.approx(3.0 * np.sqrt(5 / 15))
+    assert [each.kind for each in _of_prediction(held, ())] == [Kind.PREDICTION_POOR]
+    std[15] = 0.5
+    assert list(_of_prediction(replace(held, std=std), ())) == []
 
 
 def test_a_prediction_outside_its_band_names_what_a_refit_explains_most_with():

@@ -15,7 +15,7 @@ from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
 from hyperflex.report.identification.figures import FittedChannels, correlations, prediction_figure
 from hyperflex.report.identification.page import identification_page, write_identification
-from hyperflex.report.identification.tables import described, numbers, parameters_table, ratios_table, ties
+from hyperflex.report.identification.tables import described, numbers, parameters_table, predicted, ratios_table, ties
 from hyperflex.report.units import rounded
 from hyperflex.status import Status
 from tests.report.conftest import GUESS
@@ -120,6 +120,28 @@ def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
     assert "<b>failed</b>" in text
     titles = [axis.get_title("left") for axis in prediction_figure(FittedChannels(recording, found), failed).axes]
     assert titles[1] == "measured minus predicted: failed where dark"
+
+
+def test_the_errors_of_the_predictable_and_of_all_predicted_samples_are_named_everywhere(tmp_path, swing):
+    """0.1 rad where predictions are foreseeable, 0.7 rad in the other half, whose band is wide: 0.5 rad in all."""
+    recording, found = swing
+    held = found.held_out
+    late = held.t > held.starts[held.began] + 0.5 * held.ahead
+    error, std = np.where(late, 0.7, 0.1)[:, None], np.where(late, 1e3, 1e-3)[:, None]
+    shown, std = held.measured + error, np.broadcast_to(std, held.measured.shape)
+    rms = np.full(2, np.sqrt(np.mean(error**2)))
+    doubtful = changed(found, held_out=dataclasses.replace(held, rms=rms, predicted=shown, std=std))
+    assert doubtful.held_out.error == pytest.approx(0.1)
+    assert doubtful.held_out.error_of_all == pytest.approx(0.5, rel=0.01)  # half of the samples, except one
+    told = doubtful.summary()["held_out"]
+    assert (told["foreseeable_error"], told["rms"][0]) == pytest.approx((0.1, rms[0]))
+    assert told["foreseeable_part"] == pytest.approx(0.5, abs=0.03)
+    assert f"{1e3 * rms[0]:.2f}, {1e3 * rms[1]:.2f}; 100.00 in the foreseeable 5" in str(doubtful)
+    value, note = predicted(doubtful)
+    words = f"{value} {note}".replace("\N{NO-BREAK SPACE}", " ")
+    assert words.startswith("100 mrad in the foreseeable 5")
+    assert words.endswith(" mrad in all")
+    assert note in page(tmp_path, (recording, doubtful))
 
 
 @pytest.mark.usefixtures("unseen")

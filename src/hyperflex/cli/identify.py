@@ -185,7 +185,7 @@ def _blocks(found: "identification.Identification", whole: str) -> Iterator[Bloc
     unit = report.readable_unit(found.unit, found.residual_rms)
     rows = [("ended", str(found.status)), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
-        rows.append((f"prediction error over {held.ahead:g} s, rms", report.predicted(found)))
+        rows.append((f"prediction error over {held.ahead:g} s, rms", " ".join(report.predicted(found)).rstrip()))
     yield from found.report().splitlines()
     chosen = [
         identification.text(each)

@@ -16,6 +16,7 @@ from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Inform
 BAND = NormalDist().inv_cdf(0.5 * (1.0 + LEVEL))  # standard deviations on either side that hold 95 %
 # part of the values within the 95 % band: fewer are there where deviations are 2.9 times too small
 INSIDE = 0.5
+WIDE = 0.2  # part of what keeping still would err by: where the band of a prediction is wider, chaos has begun
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +59,13 @@ class HeldOut:
     def understated(self) -> float:
         """How many times as large as stated the errors are, if less than half of the values are where 95 % should be.
 
-        The median of the errors over their standard deviations tells; 1 where more are inside.
+        The median of the errors over their standard deviations tells; 1 where more are inside. As far as foreseeable.
         """
-        known = ~np.isnan(self.measured) & (self.std > 0.0)
-        if not known.any() or not self.inside < INSIDE:
+        seen = self.foreseeable
+        known = ~np.isnan(seen.measured) & (seen.std > 0.0)
+        if not known.any() or not seen.inside < INSIDE:
             return 1.0
-        return NORMAL * float(np.median(np.abs(self.measured - self.predicted)[known] / self.std[known]))
+        return NORMAL * float(np.median(np.abs(seen.measured - seen.predicted)[known] / seen.std[known]))
 
     @property
     def persistence(self) -> float:
@@ -79,9 +81,35 @@ class HeldOut:
         return np.searchsorted(self.starts, self.t, side="left") - 1
 
     @property
+    def foreseeable(self) -> "HeldOut":
+        """The same without what lies, in each prediction, behind the first value whose band is WIDE.
+
+        In a chaotic motion the errors of state and parameters grow there as fast as those that a wrong model makes.
+        """
+        wide = np.where(np.isnan(self.std), 0.0, BAND * self.std).max(axis=1) > WIDE * self.persistence
+        keep = ~np.concatenate([np.logical_or.accumulate(wide[self.began == k]) for k in range(self.starts.size)])
+        seen, predicted = self.measured[keep], self.predicted[keep]
+        return replace(
+            self, rms=_rms(predicted - seen), t=self.t[keep], measured=seen, predicted=predicted, std=self.std[keep]
+        )
+
+    @property
     def error(self) -> float:
+        """Prediction error, rms over all channels, rad or m, as far as predictions are foreseeable, if they are at all.
+
+        Terminal and page report it, with that of all samples (`error_of_all`) where these are more; inf if one failed.
+        """
+        return (self if self.failed.size or self.foreseen == 0.0 else self.foreseeable).error_of_all
+
+    @property
+    def error_of_all(self) -> float:
         """Prediction error, rms over all channels and samples, rad or m; inf if a prediction failed."""
         return float(np.sqrt(np.mean(self.rms**2)))
+
+    @property
+    def foreseen(self) -> float:
+        """Part of the predicted samples that is foreseeable."""
+        return self.foreseeable.t.size / max(self.t.size, 1)
 
     @property
     def failed(self) -> Array:

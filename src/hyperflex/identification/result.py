@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import LISTED, InvalidInput, listed
 from hyperflex.files import PathLike
 from hyperflex.identification.declarations.score_tests import ScoreTest
-from hyperflex.identification.findings import Finding, Grade, Kind, Severity, grade, report, text
+from hyperflex.identification.findings import Finding, Grade, Kind, Severity, grade, percent, report, text
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
@@ -211,6 +211,7 @@ class Identification:
         if (held := self.held_out) is not None:
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
             result["held_out"] |= {"rms": held.rms, "window_rms": held.window_rms, "inside_band": held.inside}
+            result["held_out"] |= {"foreseeable_part": held.foreseen, "foreseeable_error": held.error}
         result["score_tests"] = {
             each.name: {"gain": each.gain, "values": each.values, "refitted": each.refitted}
             for each in self.score_tests
@@ -270,7 +271,8 @@ class Identification:
             lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if (held := self.held_out) is not None:
             errors = listed([f"{1e3 * x:.2f}" for x in held.rms])
-            lines.append(f"  prediction error over {held.ahead:g} s, m{self.unit}  {errors}")
+            seen = f"; {1e3 * held.error:.2f} in the foreseeable {percent(held.foreseen)}" * (held.foreseen < 1.0)
+            lines.append(f"  prediction error over {held.ahead:g} s, m{self.unit}  {errors}{seen}")
         return "\n".join(lines)
 
 

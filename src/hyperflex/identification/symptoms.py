@@ -170,6 +170,7 @@ def _of_prediction(held_out: HeldOut | None, tests: Sequence[ScoreTest]) -> Iter
         values = {"failed": held_out.failed.size, "count": held_out.starts.size, "times": held_out.failed.tolist()}
         yield Finding(Kind.PREDICTION_FAILED, Severity.WRONG, values)
         return
+    held_out = held_out.foreseeable
     error, still = held_out.error, held_out.persistence
     if error > PERSISTENCE * still > 0.0 and not held_out.inside >= AS_STATED:
         yield Finding(Kind.PREDICTION_POOR, Severity.WRONG, {"part": error / still})

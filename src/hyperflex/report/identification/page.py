@@ -102,7 +102,9 @@ def _assessment(found: Identification) -> Section:
         (amount(found.residual_rms_all, found.unit), "residual of the fit (rms over all channels)"),
     ]
     if (held := found.held_out) is not None:
-        tiles.append((predicted(found), f"error of predicting {held.ahead:g} s that were not fitted (rms)"))
+        words, note = predicted(found)
+        held = held.foreseeable
+        tiles.append((words, f"error of predicting {held.ahead:g} s that were not fitted (rms) {note}".rstrip()))
         if np.isfinite(held.inside):
             half = amount(BAND * float(np.sqrt(np.nanmean(held.std**2))), found.unit)
             words = f"of these predictions lie in the band that should contain 95 %, within ±\u00a0{half}"

@@ -41,12 +41,13 @@ class Number:
     start: float
 
 
-def predicted(found: Identification) -> str:
-    """Return how much predictions err."""
+def predicted(found: Identification) -> tuple[str, str]:
+    """Return how much predictions err as far as they are foreseeable, and a note on all, if these are more."""
     held = found.held_out
     if held is None or not np.isfinite(held.error):
-        return "none" if held is None else "failed"
-    return amount(held.error, found.unit)
+        return ("none" if held is None else "failed"), ""
+    part = f"in the foreseeable {100.0 * held.foreseen:.0f} %, {amount(held.error_of_all, found.unit)} in all"
+    return amount(held.error, found.unit), part if held.foreseen < 1.0 else ""
 
 
 def described(label: str, words: str = "") -> str:
