@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hyperflex as hf
+from hyperflex.identification.fit import averaged
 from hyperflex.identification.measurements import DENSEST, Measurements, measure, merged
 from hyperflex.identification.uncertainty.noise import Piece, channel_correlation
 from tests.identification.twins import EXACT
@@ -14,19 +15,19 @@ T = np.arange(5000) / RATE
 MOTION = 0.6 * np.sin(2.0 * np.pi / PERIOD * T + 0.3)[:, None] * [1.0, 0.5]
 
 
-def off(recording: hf.Recording) -> np.ndarray:
-    """Differences between values and the motion, except the first and last, where derivatives are one-sided."""
+def off(recording: hf.Recording, spread: np.ndarray) -> np.ndarray:
+    """Differences between values and the motion's means, except the first and last, where derivatives are one-sided."""
     there = 0.6 * np.sin(2.0 * np.pi / PERIOD * recording.t + 0.3)[:, None] * [1.0, 0.5]
-    return (recording.data - there)[3:-3]
+    return (recording.data - averaged(there, recording.t, spread))[3:-3]
 
 
 @pytest.mark.parametrize("merging", ["mean", "median"])
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_values_are_those_of_the_motion_at_their_times(merging, missing):
-    """Means of four are 40 microrad off, and would be 2 mrad where a sample misses; noise is a milliradian."""
+    """The motion at their times would be 40 microrad off, and 2 mrad where a sample misses; noise is a milliradian."""
     seen = np.where(np.random.default_rng(0).random(MOTION.shape) < missing, np.nan, MOTION)
-    found, share = merged(hf.Recording(T, seen), 4, merging)
-    assert np.nanmax(np.abs(off(found))) < (2e-4 if missing else 5e-5)
+    found, share, spread = merged(hf.Recording(T, seen), 4, merging)
+    assert np.nanmax(np.abs(off(found, spread))) < (2e-4 if missing else 1e-6)
     assert (share[~np.isnan(found.data)] >= 0.25).all()
 
 
@@ -34,9 +35,9 @@ def test_noise_falls_by_the_root_of_the_samples():
     noise = np.full(MOTION.shape, 1e-3)
     noise[::4] = 2e-3  # one of four is worse: it counts a quarter
     seen = MOTION + noise * np.random.default_rng(1).standard_normal(MOTION.shape)
-    found, _ = merged(hf.Recording(T, seen, noise=noise), 4)
+    found, _, spread = merged(hf.Recording(T, seen, noise=noise), 4)
     np.testing.assert_allclose(found.noise, 1e-3 / np.sqrt(3.25))
-    assert np.sqrt(np.mean(off(found) ** 2)) == pytest.approx(1e-3 / np.sqrt(3.25), rel=0.05)  # 2,500 values
+    assert np.sqrt(np.mean(off(found, spread) ** 2)) == pytest.approx(1e-3 / np.sqrt(3.25), rel=0.05)  # 2,500 values
 
 
 def test_white_noise_stays_white():
@@ -53,16 +54,16 @@ def test_outliers_do_not_reach_their_neighbours_with_a_robust_loss():
     seen = MOTION.copy()
     seen[::20] += 1.0
     for merging, most in (("median", 1e-3), ("mean", np.inf)):
-        found, _ = merged(hf.Recording(T, seen), 4, merging)
-        assert np.abs(off(found)).max() < most
-    assert np.abs(off(found)).max() > 0.2
+        found, _, spread = merged(hf.Recording(T, seen), 4, merging)
+        assert np.abs(off(found, spread)).max() < most
+    assert np.abs(off(found, spread)).max() > 0.2
 
 
 def test_frames_that_miss_do_not_join_what_lies_apart():
     keep = (T < 3.003) | (T > 4.001)
-    found, share = merged(hf.Recording(T[keep], MOTION[keep]), 4)
+    found, share, spread = merged(hf.Recording(T[keep], MOTION[keep]), 4)
     assert not ((found.t > 3.01) & (found.t < 4.0)).any()
-    assert np.abs(off(found)).max() < 2e-4
+    assert np.abs(off(found, spread)).max() < 1e-4
     assert share.min() < 1.0
 
 

@@ -79,13 +79,27 @@ class Loss:
         return first + 2.0 * (residual / self.limit) ** 2 * second
 
 
+def averaged(values: Array, t: Array, spread: Array | None) -> Array:
+    """Return values (m, ...) of a motion at times t (m,), s, as means over samples about these; see `Window.spread`.
+
+    Its curvature is by differences of neighbours. That of measured values would be noise, and colour the residuals.
+    """
+    if spread is None or t.size < 3:
+        return values
+    shape = (-1, *[1] * (values.ndim - 1))
+    step = np.diff(t).reshape(shape)
+    bend = 2.0 * np.diff(np.diff(values, axis=0) / step, axis=0) / (step[1:] + step[:-1])
+    return np.asarray(values + spread.reshape(shape) * np.concatenate([bend[:1], bend, bend[-1:]]))
+
+
 @dataclass(frozen=True)
 class Window:
     """Measurements over a short time, with a first guess of the state.
 
     t (m,) s; y (m, C) rad or m, with 0 in gaps; weight (m, C), 1 / rad or 1 / m, 0 in gaps; guess (2n,) of the state at
     t[0]; prior (r, 2n): linear combinations of the state that are 0, in units of their standard deviations. others:
-    further guesses, of shapes that look alike.
+    further guesses, of shapes that look alike. spread (m,), s^2: half the mean square time from t of the samples whose
+    mean a value is.
     """
 
     t: Array
@@ -94,6 +108,7 @@ class Window:
     guess: Array
     prior: Array
     others: tuple[Array, ...] = ()
+    spread: Array | None = None
 
     @property
     def values(self) -> int:
@@ -113,8 +128,13 @@ class Window:
 
     def residual(self, plant: Plant, x: Array, state: Array) -> Array | None:
         """Return weighted prediction errors (m C,), 0 in gaps; None where the rollout from `state` (2n,) fails."""
-        seen = plant.predict(x, self.t, state)
+        seen = self.predicted(plant, x, state)
         return None if seen is None else ((seen - self.y) * self.weight).ravel()
+
+    def predicted(self, plant: Plant, x: Array, state: Array) -> Array | None:
+        """Return the predicted values (m, C); None where the rollout from `state` (2n,) fails."""
+        seen = plant.predict(x, self.t, state)
+        return None if seen is None else averaged(seen, self.t, self.spread)
 
     def prior_cost(self, state: Array) -> float:
         """Return the sum of squares of a state's residuals under the prior."""
@@ -234,7 +254,7 @@ class Linear:
 
 
 def linearise(plant: Plant, window: Window, x: Array, state: Array, residual: Array, loss: Loss) -> Linear:
-    """Return a window's linear model at its residual (m C,)."""
+    """Return a window's linear model at its residual (m C,); of means its derivatives are those at their times."""
     weight = loss.weight(residual)
     seen = plant.jacobian(x, window.t, state)
     if seen is None:  # a window on the brink: leave it as it is in this round

@@ -29,7 +29,7 @@ STILL = 0.001  # rad, a recording that moves less holds no dynamics
 STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
 UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
-# samples a window; of more, neighbours become their mean, which lessens a swing by less than a ten-thousandth
+# samples a window; of more, neighbours become one, between which a swing is a parabola to a millionth of itself
 DENSEST = 200
 # samples a window, where the recording allows it
 FEWEST_SAMPLES = 8
@@ -62,7 +62,7 @@ class Measurements:
 
     sides: other angles that would show as the same channels. merging: how neighbouring samples become one. precision:
     of the values (T, C), over that of the best, where their noise is not known: a marker that errs turns a short link
-    farther, and samples may miss in values that several have become.
+    farther, and samples may miss in values that several have become. spread (T,): of the times of these, see Window.
     """
 
     channels: Recording
@@ -71,6 +71,7 @@ class Measurements:
     sides: tuple[Recording, ...] = ()
     merging: Merging = "mean"
     precision: Array | float = 1.0
+    spread: Array | None = None
 
     def step(self, length: float) -> int:
         """Return how many samples become one, so that a window of `length` (s) holds at most ``DENSEST``."""
@@ -82,10 +83,10 @@ class Measurements:
         if step == 1 or self.channels.t.size < 3 * step:  # too short for differences between groups
             return self
         every = (self.channels, self.shape, *self.sides)
-        (channels, share), *angles = (merged(each, step, self.merging) for each in every)
-        shape, *sides = (each for each, _ in angles)
+        (channels, share, spread), *angles = (merged(each, step, self.merging) for each in every)
+        shape, *sides = (each for each, *_ in angles)
         precision = self.precision * (share if channels.noise is None else 1.0)
-        return replace(self, channels=channels, shape=shape, sides=tuple(sides), precision=precision)
+        return replace(self, channels=channels, shape=shape, sides=tuple(sides), precision=precision, spread=spread)
 
     def windows(self, length: float, step: int | None = None) -> tuple[list[Window], int]:
         """Cut the samples into windows [start, start + `length`), s; return them and the number left out.
@@ -108,7 +109,8 @@ class Measurements:
                 continue
             guess, *others = (first_state(own, each[rows]) for each in (angles, *sides))
             others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > ASIDE]
-            windows.append(Window(own, y[rows], weight[rows], guess, self.prior, tuple(others)))
+            spread = None if whole.spread is None else whole.spread[rows]
+            windows.append(Window(own, y[rows], weight[rows], guess, self.prior, tuple(others), spread))
         return windows, len(cuts) - len(windows)
 
     def between(self, start: float, end: float) -> "Measurements":
@@ -117,17 +119,18 @@ class Measurements:
         return replace(self, channels=channels, shape=shape, sides=tuple(sides))
 
 
-def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[Recording, Array]:
+def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[Recording, Array, Array | None]:
     """Return a recording with each `step` neighbouring samples as one, and the part of them (m, C) that is there.
 
     Its times (m,) are the means of theirs. Its values are the means, weighted by the noise, or the medians, of the
-    samples less what moves within the group about its mean: a line, by differences between groups. So a sample that is
-    missing shifts no value. A mean lessens all that swings at one frequency by one factor, which changes the states of
-    a fit but hardly its parameters. What may jump, as a torque does where a motion switches, is not merged: the
-    ``first`` sample stands for all.
+    samples less what moves within the group about its mean: a line and a parabola, by differences between groups. So a
+    sample that is missing shifts no value. A mean is off the motion at its time by the second derivative times half the
+    mean square of the samples' times about it, the third that is returned (m,), s^2. Values are not corrected by that:
+    differences of noisy values would make their noise coloured. What may jump, as a torque does where a motion
+    switches, is not merged: the ``first`` sample stands for all, and the third is None.
     """
     if merging == "first":
-        return recording.decimate(step), np.ones((-(-recording.t.size // step), recording.data.shape[1]))
+        return recording.decimate(step), np.ones((-(-recording.t.size // step), recording.data.shape[1])), None
     t, data = recording.t, recording.data
     group = np.floor((t - t[0]) / float(np.median(np.diff(t))) + 0.5) // step  # no longer than that where frames miss
     first = np.flatnonzero(np.diff(group, prepend=-1.0))
@@ -143,6 +146,7 @@ def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[
     times, samples = grouped(t), grouped(data)
     time = np.nanmean(times, axis=1)
     off = (times - time[:, None])[:, :, None]
+    spread = 0.5 * np.nanmean(off**2, axis=1)
     weight = np.where(np.isnan(samples), 0.0, 1.0 if recording.noise is None else grouped(recording.noise) ** -2.0)
     total = weight.sum(axis=1)
     inside: Array | float = 0.0
@@ -153,10 +157,12 @@ def merged(recording: Recording, step: int, merging: Merging = "mean") -> tuple[
         else:
             values = np.nansum(weight * (samples - inside), axis=1) / np.where(total > 0.0, total, np.nan)
         smooth = np.column_stack([np.interp(time, time[~np.isnan(x)], x[~np.isnan(x)]) for x in values.T])
-        inside = off * np.gradient(smooth, time, axis=0)[:, None]
+        slope = np.gradient(smooth, time, axis=0)
+        bend = np.gradient(slope, time, axis=0)
+        inside = off * slope[:, None] + (0.5 * off**2 - spread[:, None]) * bend[:, None]
     noise = None if recording.noise is None else np.where(total > 0.0, total, 1.0) ** -0.5
     whole = replace(recording, t=time, data=values, noise=noise, rates=None)
-    return whole, np.minimum(np.count_nonzero(weight, axis=1) / step, 1.0)
+    return whole, np.minimum(np.count_nonzero(weight, axis=1) / step, 1.0), spread[:, 0]
 
 
 def swing_period(rope: Rope) -> float:

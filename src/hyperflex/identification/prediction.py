@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex.budget import Budget
 from hyperflex.checks import Array, Integers
-from hyperflex.identification.fit import NORMAL, Loss, Window, fit_state, linearise, residuals_of
+from hyperflex.identification.fit import NORMAL, Loss, Window, averaged, fit_state, linearise, residuals_of
 from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
 from hyperflex.identification.model import Plant
 from hyperflex.identification.options import FitOptions
@@ -139,13 +139,14 @@ def predict(basis: Basis, measured: Measurements, options: FitOptions, budget: B
         if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST_VALUES:
             continue
         guess = first_state(t[before], angles[before])
-        window = Window(t[before], np.nan_to_num(seen), ~np.isnan(seen) / size, guess, measured.prior)
+        spreads = [None if measured.spread is None else measured.spread[rows] for rows in (before, after)]
+        window = Window(t[before], np.nan_to_num(seen), ~np.isnan(seen) / size, guess, measured.prior, (), spreads[0])
         found = fit_state(plant, x, window, guess, loss=Loss(options.loss))
         y = None if found is None else plant.predict(x, np.append(window.t[0], t[after]), found[0])
         if found is None or y is None:
             y, std = np.full_like(data[after], np.inf), np.full_like(data[after], np.nan)
         else:
-            y = y[1:]
+            y = averaged(y[1:], t[after], spreads[1])
             std = prediction_std(plant, basis.information, window, found, t[after], noise)
         predictions.append((t[after], data[after], y, std, _rms(y - data[after]), float(start)))
     if not predictions:

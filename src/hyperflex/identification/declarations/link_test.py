@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.held import FEW_LINKS, LINKS
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, within
-from hyperflex.identification.fit import Window, fit
+from hyperflex.identification.fit import Window, averaged, fit
 from hyperflex.identification.model import Plant
 from hyperflex.identification.uncertainty.covariance import REFIT, Basis
 from hyperflex.model import Rope
@@ -120,7 +120,7 @@ def _seen(rope: Rope, finer: Plant, window: Window, state: Array) -> Window:
         raise InvalidInput("the finer rope cannot be simulated")
     if isinstance(finer.sensor, Angles):
         y = _chords(y.reshape(y.shape[0], n, PIECES), fine.length.reshape(n, PIECES))
-    return replace(window, y=np.where(window.weight > 0.0, y, 0.0))
+    return replace(window, y=np.where(window.weight > 0.0, averaged(y, window.t, window.spread), 0.0))
 
 
 def _chords(q: Array, length: Array) -> Array:
