@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.boards import film_board
 from docs.commands import commands, settings
 
 import hyperflex as hf
 from hyperflex.demo import twin
 from hyperflex.identification import identify
-from hyperflex.vision import Board
+from hyperflex.vision import Board, film_board
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "video.md"
 LIVE, PLAIN = PAGE.with_name("live.md"), PAGE.with_name("plain.md")

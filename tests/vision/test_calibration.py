@@ -5,9 +5,9 @@ import functools
 import cv2
 import numpy as np
 import pytest
-from benchmarks.boards import DISTORTION, MATRIX, SIZE, board_poses, render_board
 
 from hyperflex.vision import Board, VideoWriter, calibrate_camera, read_camera
+from hyperflex.vision.renderer.boards import DISTORTION, MATRIX, SIZE, board_poses, render_board
 from tests.cli.conftest import hyperflex, hyperflex_json  # noqa: F401 fixtures
 from tests.refusals import refuses
 
@@ -64,7 +64,7 @@ REFUSED = {  # pictures, the board that is declared, and what is said
     "narrower": (few, ((7, 6), 0.03, 0.0225), "not the declared one"),
     "wider": (few, ((9, 6), 0.03, 0.0225), "not the declared one"),
     "smaller markers": (few, ((8, 6), 0.03, 0.02), "another size in their squares.*0.7[2-5]"),
-    "another dictionary": (few, (*SAME, "DICT_5X5_100"), "too few views.*--dictionary"),
+    "another dictionary": (few, (*SAME, "DICT_5X5_100"), "another dictionary.*DICT_4X4"),
     "three views": (lambda: pictures()[:3], SAME, "too few views.*3 in 3 pictures"),
     "no board": (lambda: [np.zeros((480, 640, 3), np.uint8)], SAME, "too few views.*0 in 1"),
     "nothing": (list, SAME, "no picture"),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.first_frame import FoundRope, NoRope, Reason, find_rope
     from hyperflex.vision.look import RopeLook
     from hyperflex.vision.markers import Blobs, Gate, MarkerDetector
+    from hyperflex.vision.renderer.boards import film_board
     from hyperflex.vision.renderer.motion import RopeMotion
     from hyperflex.vision.renderer.renderer import (
         Bar,

@@ -33,6 +33,12 @@ class BoardView(NamedTuple):
     pixels: Array
     legacy: bool = False
 
+    @property
+    def affine(self) -> Array:
+        """The affine map (3, 2) from points and 1 to pixels that fits best."""
+        design = np.column_stack([self.points, np.ones(len(self.points))])
+        return np.asarray(np.linalg.lstsq(design, self.pixels, rcond=None)[0])
+
 
 @dataclass(frozen=True)
 class Board:
@@ -113,12 +119,20 @@ class Board:
         spread = np.linalg.svd(found.points - found.points.mean(axis=0), compute_uv=False)
         return found if spread[1] > self.FLAT * spread[0] else None
 
-    def draw(self, pixels_per_square: int = 60) -> Image:
-        """Return a picture of the board (height, width), for printing, with squares of a side in px."""
+    def draw(self, pixels_per_square: int = 60, *, legacy: bool = False) -> Image:
+        """Return a picture of the board (height, width), for printing and for tests.
+
+        Parameters
+        ----------
+        pixels_per_square : int
+            Side of a square in the picture, px.
+        legacy : bool
+            Draw a ChArUco board as OpenCV did before version 4.6.
+        """
         side = checks.count("pixels_per_square", pixels_per_square, least=8)
         width, height = self.squares
         if self.marker is not None:
-            return np.asarray(self._layout(legacy=False).generateImage((width * side, height * side)), dtype=np.uint8)
+            return np.asarray(self._layout(legacy).generateImage((width * side, height * side)), dtype=np.uint8)
         rows, columns = np.indices((height, width))
         return np.kron(255 * ((rows + columns) % 2), np.ones((side, side))).astype(np.uint8)
 
@@ -179,8 +193,7 @@ class Board:
         points = np.asarray(layout.getChessboardCorners(), dtype=np.float64)[names.ravel(), :2] * [1.0, -1.0]
         view = BoardView(points, np.asarray(seen, dtype=np.float64).reshape(-1, 2), legacy)
         # corners are refined in windows that stay clear of the markers (OpenCV's own are off by 0.2 px rms)
-        slopes = np.linalg.lstsq(points - points.mean(axis=0), view.pixels - view.pixels.mean(axis=0), rcond=None)[0]
-        narrow = float(np.linalg.svd(slopes, compute_uv=False)[1])  # px/m, where it is foreshortened most
+        narrow = float(np.linalg.svd(view.affine[:2], compute_uv=False)[1])  # px/m, where it is foreshortened most
         half = int(np.clip(0.4 * (self.square - marker) * narrow, 2, 11))
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
         start = np.ascontiguousarray(view.pixels[:, None], dtype=np.float32)
@@ -206,7 +219,6 @@ class Board:
 
 
 MIN_VIEWS = 4
-MOST_VIEWS = 100  # a fit of so many takes half a second; more barely improve it
 LEAST_TILT = 10.0  # degrees, between the boards of two views: with less the focal length is poorly determined
 MAX_RMS = 2.0  # px: a larger reprojection error means that the board is not the declared one
 MAX_FOCAL_STD = 0.01  # of the focal length
@@ -278,8 +290,8 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     Parameters
     ----------
     images : iterable of (height, width, 3) uint8
-        All of one size; frames of a video too. Blurred ones and those without the board are skipped; of more than 100,
-        evenly spaced ones are used.
+        All of one size; frames of a video too. Blurred ones and those without the board are skipped; the 30 that differ
+        most are used.
     board : Board
         The board in them.
     progress : callable, optional
@@ -294,9 +306,9 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     Raises
     ------
     InvalidInput
-        With fewer than four views of the board; for mirrored pictures, another board than declared, or markers of
-        another size in their squares; for views that are all parallel, or do not determine the focal length; if nothing
-        fits. A wrong size of both squares and markers cannot be detected: it affects the scale only.
+        With fewer than four views of the board; for a mirrored picture, another board than declared, markers of another
+        size in their squares; for views that are all parallel, or do not determine the focal length; if nothing fits. A
+        wrong size of both squares and markers cannot be detected: it affects the scale only.
 
     Notes
     -----
@@ -312,9 +324,9 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
             "too few views of the board",
             got=f"{found} in {count} pictures",
             allowed=f"at least {MIN_VIEWS}, better 15",
-            fix="Show the whole board, sharp, at different angles and places; check --squares and --dictionary",
+            fix="Show the whole board, sharp and well lit, at different angles and places; check --squares",
         )
-    views, notes = views[:: -(-found // MOST_VIEWS)], []
+    views, notes = _spread_out(views), []
     fit = _fit(views, size, board, timing)
     good = fit.view_rms <= np.maximum(_OUTLIER * np.median(fit.view_rms), 0.3)
     if not good.all() and good.sum() >= MIN_VIEWS:
@@ -331,8 +343,9 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
 def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list[BoardView], tuple[int, int], int]:
     """Return the views of the board, the pictures' size and their number."""
     views: list[BoardView] = []
+    first: list[Image] = []
     size: tuple[int, int] | None = None
-    count, mirrored = 0, False
+    count = 0
     for count, image in enumerate(images, start=1):
         size = size or (image.shape[1], image.shape[0])
         if image.shape[1::-1] != size:
@@ -340,18 +353,54 @@ def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list
         view = board.find(image)
         if view is not None:
             views.append(view)
-        elif count <= 5 and board.marker is not None:  # a chessboard has no sides
-            mirrored |= board.find(np.ascontiguousarray(image[:, ::-1])) is not None
+        elif not views and len(first) < 5:
+            first.append(image)
         if progress is not None:
             progress(count, len(views))
     if size is None:
         raise InvalidInput("there is no picture to calibrate from", fix="Give pictures or a video of the board")
-    if mirrored and not views:
-        raise InvalidInput(
-            "the pictures are mirrored: the board is seen in their mirror image only",
-            fix="Switch the camera's mirroring off (selfie mode), or take a board that is not printed reversed",
-        )
+    if not views:
+        _explain(first, board)
     return views, size, count
+
+
+def _explain(images: Sequence[Image], board: Board) -> None:
+    """Raise InvalidInput if pictures without the board show why it is not seen; a chessboard has no sides."""
+    import cv2
+
+    names = [name for name in dir(cv2.aruco) if name.startswith(("DICT_4X4", "DICT_5X5", "DICT_6X6"))]
+    detectors = {
+        name: cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))) for name in names
+    }
+    for image in [] if board.marker is None else images:
+        if board.find(np.ascontiguousarray(image[:, ::-1])) is not None:
+            raise InvalidInput(
+                "the pictures are mirrored: the board is seen in their mirror image only",
+                fix="Switch the camera's mirroring off (selfie mode), or take a board that is not printed reversed",
+            )
+        counts = {name: len(each.detectMarkers(image)[0]) for name, each in detectors.items()}
+        other = max(names, key=counts.__getitem__)
+        if other != board.dictionary and counts[other] >= 4:
+            raise InvalidInput(
+                "the board has markers of another dictionary", got=board.dictionary, allowed=other, fix="Give that one"
+            )
+
+
+def _spread_out(views: list[BoardView], most: int = 30) -> list[BoardView]:
+    """Return the views that differ most in how the board lies in the picture (farthest point first).
+
+    More than `most` barely improve the fit.
+    """
+    if len(views) <= most:
+        return views
+    extents = [np.array([*np.full(2, np.ptp(view.points, axis=0).max()), 1.0]) for view in views]
+    shapes = np.array([(extent[:, None] * view.affine).ravel() for extent, view in zip(extents, views, strict=True)])
+    chosen = [int(np.argmax([len(view.points) for view in views]))]
+    distance = np.full(len(views), np.inf)
+    while len(chosen) < most:
+        distance = np.minimum(distance, np.linalg.norm(shapes - shapes[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return [views[k] for k in sorted(chosen)]
 
 
 def _fit(views: Sequence[BoardView], size: tuple[int, int], board: Board, timing: dict[str, Any]) -> Calibration:

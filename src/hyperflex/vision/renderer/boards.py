@@ -5,9 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.files import PathLike, as_path, write_bytes
-from hyperflex.vision import Board, Camera, Image, VideoWriter
+from hyperflex.vision.calibration import Board
+from hyperflex.vision.camera import Camera
+from hyperflex.vision.video import Image, VideoWriter
 
 SIZE = (768, 432)  # px, of the synthetic camera
 MATRIX = np.array([[720.0, 0.0, 400.0], [0.0, 724.0, 208.0], [0.0, 0.0, 1.0]])
@@ -33,14 +36,26 @@ def film_board(board: Board, video: PathLike, plane: PathLike, *, views: int = 1
     Notes
     -----
     The camera is the same in all of them: ``camera.matrix`` of a calibration is close to :data:`MATRIX`.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from hyperflex.vision import Board, film_board, read_image
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> board = Board((8, 6), square=0.03, marker=0.022)
+    >>> film_board(board, folder / "board.mp4", folder / "plane.png", views=3)
+    >>> seen = board.find(read_image(folder / "plane.png"))
+    >>> len(seen.points)  # all inner corners
+    35
     """
     import cv2
 
+    checks.instance("board", board, Board, "hyperflex.vision")
+    count = checks.count("views", views, least=3)
     with VideoWriter(video, SIZE) as writer:
-        for k, pose in enumerate(board_poses(board, views)):
+        for k, pose in enumerate(board_poses(board, count)):
             writer.write(render_board(board, *pose, seed=k), 0.5 * k)
-    picture = cv2.imencode(".png", render_board(board, np.zeros(3), BEFORE))[1]
-    write_bytes(as_path(plane, "picture"), picture.tobytes())
+    write_bytes(as_path(plane, "picture"), cv2.imencode(".png", render_board(board, np.zeros(3), BEFORE))[1].tobytes())
 
 
 def render_board(
@@ -54,15 +69,14 @@ def render_board(
 ) -> Image:
     """Return a picture (height, width, 3) of a board whose frame (x right, y down, z into it) has this pose, rad and m.
 
-    `legacy` draws a ChArUco board as OpenCV did before version 4.6; `noise` is the standard deviation of gray levels,
-    drawn by `seed`.
+    `legacy` as of :meth:`Board.draw`; `noise` is the standard deviation of gray levels, drawn by `seed`.
     """
     import cv2
 
     width, height = SIZE
     pixels = np.indices((height, width))[::-1].reshape(2, -1).T
     camera = Camera(SIZE, MATRIX, DISTORTION, rotation=np.asarray(rotation), translation=translation)
-    drawn = cv2.copyMakeBorder(_drawn(board, legacy), *(_SIDE,) * 4, cv2.BORDER_CONSTANT, value=255)
+    drawn = cv2.copyMakeBorder(board.draw(_SIDE, legacy=legacy), *(_SIDE,) * 4, cv2.BORDER_CONSTANT, value=255)
     where = (camera.locate(pixels) / board.square * _SIDE + _SIDE - 0.5).astype(np.float32)
     texture, where = cv2.GaussianBlur(drawn, (0, 0), 0.5), where.reshape(height, width, 2)
     seen = cv2.remap(texture, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=110)
@@ -70,18 +84,6 @@ def render_board(
     seen += np.random.default_rng(seed).normal(0.0, noise, seen.shape)
     levels = np.clip(np.rint(seen), 0, 255).astype(np.uint8)
     return np.repeat(levels[..., None], 3, axis=2)
-
-
-def _drawn(board: Board, legacy: bool) -> Image:
-    if not legacy:
-        return board.draw(_SIDE)
-    import cv2
-
-    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-    layout = cv2.aruco.CharucoBoard(board.squares, board.square, float(board.marker or 0.0), markers)
-    layout.setLegacyPattern(True)
-    width, height = board.squares
-    return np.asarray(layout.generateImage((width * _SIDE, height * _SIDE)), dtype=np.uint8)
 
 
 def board_poses(board: Board, count: int, *, tilt: float = 0.6, seed: int = 1) -> Iterator[tuple[Array, Array]]:
