@@ -118,4 +118,6 @@ def test_obstacles_survive_their_file():
     ropes = hf.Setup(setup.rope).dumps()
     assert hf.Setup.loads(ropes + "[grounds]\nx = 0.0\ny = 1.0\n").pegs == (hf.Ground(0.0, 1.0),)  # one alone
     several = "[[grounds]]\nx = 0.0\ny = 1.0\n[[grounds]]\ny = 1.0\n"
-    refuses("grounds table lacks x", hf.Setup.loads, ropes + several)
+    refuses(r"table 2 of \[\[grounds\]\] lacks x", hf.Setup.loads, ropes + several)
+    listed = "[grounds]\nx = [0.0, 1.0]\ny = [1.0, 1.0]\n"
+    refuses(r"x in the grounds table is a list.*of its own: \[\[grounds\]\]", hf.Setup.loads, ropes + listed)

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from hyperflex.budget import Budget
+from hyperflex.budget import Budget, OutOfTime
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.planner import Candidate, Planner, Task, Verified
 from hyperflex.planning.shooting import shoot
@@ -134,6 +135,27 @@ def test_the_best_rollout_is_verified_to_show_why_it_fails_if_there_is_time():
     assert (found.best.candidate, found.best.message) == (found.rolled[0], "fails")
 
 
+def test_candidates_like_those_that_failed_get_less_and_less_of_the_time():
+    task = Numbers(0, lambda _: False)
+    task.alike = lambda one, other: True
+    assert not planner(task, 600.0).succeeds
+    shares = [spent(task, name) for name in COST]
+    assert shares[0] == pytest.approx(shares[1], abs=4.0)
+    assert 0.0 < shares[2] < 0.5 * shares[1]
+
+
+def test_a_plan_with_half_of_the_margin_is_improved_for_half_as_long():
+    class HalfSpare(Numbers):
+        def verify(self, one, budget):
+            return replace(super().verify(one, budget), margin=0.5)
+
+    task = HalfSpare(10, lambda _: True)
+    assert planner(task, improve=1.0).best.margin == 0.5
+    first = next(k for k, (name, _) in enumerate(task.calls) if name == "verify")
+    at = sum(COST[name] for name, _ in task.calls[: first + 1])
+    assert 1.5 * at - COST["verify"] <= task.now <= 1.5 * at
+
+
 class Point(NamedTuple):
     x: np.ndarray
     t: float
@@ -163,3 +185,18 @@ def test_residuals_are_reduced_and_failed_flights_are_passed_over():
     )
     assert np.abs(first.x - begin.x).max() / scale.max() <= 0.6
     assert none is begin
+
+
+def test_no_step_is_made_without_time():
+    with pytest.raises(OutOfTime):
+        shoot(at(np.zeros(3)), np.ones(3), fly, close=0.0, rounds=9, difference=1e-4, budget=Budget(1e-9))
+
+
+def test_a_search_that_hardly_gains_ends():
+    def floor(one: Point, changes: Sequence[np.ndarray], _: Sequence[float]) -> list[Point | None]:
+        return [Point(x, 0.0, np.append(x, 10.0)) for x in (one.x + each for each in changes)]
+
+    begin = Point(np.ones(2), 0.0, np.array([1.0, 1.0, 10.0]))
+    best, varied = shoot(begin, 0.1 * np.ones(2), floor, rounds=60, difference=1e-4, budget=Budget())
+    assert 0.9 < best.x[0] < 1.0  # one step
+    assert np.abs([each.x - best.x for each in varied]).max() == pytest.approx(1e-5)

@@ -55,7 +55,7 @@ length = {arm!r}  # m, from the shaft to where the rope hangs
 {motion}
 {pegs}"""
 PEGS = """\
-[[pegs]]  # a round obstacle; as often as there are some
+[[pegs]]  # a round obstacle; one such table for each
 x = {x!r}  # m
 y = {y!r}  # m
 radius = {radius!r}  # m

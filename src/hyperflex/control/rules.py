@@ -27,7 +27,7 @@ class Rule(Protocol):
     def next_start(self, now: RopeState, made: int) -> float:
         """Return the start of the next half turn, s, not before `now`, after `made` half turns; inf for none.
 
-        The arm rests.
+        The arm rests. It is called once in each rest.
         """
 
 

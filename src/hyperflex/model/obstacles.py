@@ -304,9 +304,12 @@ def obstacles_of(named: Mapping[str, Any]) -> tuple[Obstacle, ...]:
     found: list[Obstacle] = []
     for name, kind in KINDS.items():
         known, needed = [f.name for f in fields(kind)], [f.name for f in fields(kind) if f.default is MISSING]
-        for row in rows_of(named.get(name, [])):
-            what = f"the {name} table"
+        for number, row in enumerate(rows := rows_of(named.get(name, [])), start=1):
+            what = f"table {number} of [[{name}]]" if len(rows) > 1 else f"the {name} table"
             checks.keys(what, checks.mapping(what, row), known, needed=needed, elsewhere=ELSEWHERE)
+            if lists := [key for key, value in row.items() if isinstance(value, list)]:
+                fix = f"Give each obstacle a table of its own: [[{name}]]"
+                raise InvalidInput(f"{lists[0]} in {what} is a list", got=row[lists[0]], allowed="a number", fix=fix)
             found.append(kind(**row))
     return tuple(found)
 
