@@ -8,7 +8,7 @@ import numpy as np
 from hyperflex.planning import Impact, InsertPlan, WhipPlan
 from hyperflex.report.plan import PlanReport
 from hyperflex.report.scene import Line, Overlay, Plot
-from hyperflex.report.style import Axes, Figure
+from hyperflex.report.style import RED, Axes, Figure
 
 
 class WhipReport(PlanReport[WhipPlan]):
@@ -21,7 +21,7 @@ class WhipReport(PlanReport[WhipPlan]):
     captions: ClassVar = {
         "film": "The planned whip, simulated: arm, rope (ochre), path of the tip (green), target (red ring).",
         "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
-        "passing": "How the tip passes the target: the same close to it.",
+        "passing": "The tip at the target, close up: white, its velocity; red, the required direction.",
     }
 
     def __init__(self, plan: WhipPlan, impact: Impact | None = None) -> None:
@@ -44,10 +44,15 @@ class WhipReport(PlanReport[WhipPlan]):
         half = max(0.12, 1.3 * seen.miss)  # m about the target
         time = 2.0 * half / max(seen.speed, 1e-3)
         near = self.plan.target.point, half
-        return {
-            "peak": self.strobe_of_event(),
-            "passing": self.strobe_at(seen.t, time, time, "ring: the target", near=near, width=6.0),
-        }
+        passing = self.strobe_at(seen.t, time, time, "ring: the target", near=near, width=6.0)
+        target, ways = self.plan.target, [(seen.velocity / seen.speed, "white")]
+        if not target.any_direction:
+            ways.append((np.array([np.cos(target.direction), np.sin(target.direction)]), RED))
+        for way, colour in ways:
+            passing.axes[0].quiver(
+                *target.point, *(0.6 * half * way), color=colour, angles="xy", scale_units="xy", scale=1.0
+            )
+        return {"peak": self.strobe_of_event(), "passing": passing}
 
 
 class InsertReport(PlanReport[InsertPlan]):
