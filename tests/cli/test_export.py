@@ -12,7 +12,7 @@ ROPE = hf.Rope.uniform(length=1.0, mass=0.05, n_links=3, radius=0.003, friction=
 def test_a_set_up_goes_to_mjcf_and_back(hyperflex, hyperflex_json, tmp_path):
     setup = hf.Setup(ROPE.replace(dry_friction=1e-4), hf.arm_swings(), hf.Arm(length=0.1))
     setup.to_toml(tmp_path / "cast.toml")
-    code, _, said = hyperflex("export", tmp_path / "cast.toml", "-o", tmp_path / "cast.xml")
+    code, said, _ = hyperflex("export", tmp_path / "cast.toml", "-o", tmp_path / "cast.xml")
     assert code == 0
     assert "frictionloss" in said
     code, told = hyperflex_json("export", tmp_path / "cast.xml", "-o", tmp_path / "back.toml")

@@ -1,5 +1,6 @@
 """``hyperflex export``: a set-up as MuJoCo's model and back, a run or a recording as MCAP."""
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -32,8 +33,11 @@ def export(
     The file or the options must declare the units and axes of a recording.
     """
     check_destination(out, _WRITTEN.get(source.suffix.lower(), ".mcap"), [source])
-    files.rescued(_writer(source, reading), out)
-    result = {"output": out, "bytes": out.stat().st_size}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        files.rescued(_writer(source, reading), out)
+    notes = [str(each.message) for each in caught if each.category is UserWarning]
+    result = {"output": out, "bytes": out.stat().st_size, "warnings": notes}
     output.show(result, output.rows(f"Exported {source}", result))
 
 
