@@ -46,7 +46,7 @@ hf.simulate(rope, torque=lambda *_: 0.01, arm=motor, duration=0.1, control_rate=
 wound = hf.simulate(rope, swing, arm=arm, duration=0.3, pegs=[peg])
 hf.simulate(dry, swing, arm=arm, duration=0.1, pegs=[free])
 hf.simulate(rope, duration=0.1, state=runs[0].state)
-hf.sideways(runs[1], tilt=0.01).growth()
+hf.sideways(runs[0], tilt=0.01).growth()
 hf.tug_test(wound, peg)
 hf.measure_winding(wound, peg)
 options = hf.SearchOptions(seed=1, skip_feasibility=True)
