@@ -200,13 +200,14 @@ class Trial:
     """A fit with what was free in it, and what is known of it so far.
 
     plain: the fit, with deviations of noise alone. std (4,): of the scales that were declared. choice: how what is free
-    was chosen, if nobody did. spread: covariance by which windows disagree.
+    was chosen, if nobody did. first: its fit of the shortest windows. spread: covariance by which windows disagree.
     """
 
     free: list[str]
     plain: Basis
     std: Array
     choice: dict[str, Any]
+    first: Basis | None = None
     tests: tuple[ScoreTest, ...] = ()
     scores: Scores | None = None
     scatter: tuple[Scatter, ...] = ()
@@ -348,7 +349,7 @@ class _Case:
                 rivals = rivals + [each.name for each in equals if each.law]
             choice, richer = {"usual": usual, "added": added, "rivals": rivals}, trial
             try:
-                for richer in self.fits(_with_word(trial.free, chosen.name), choice):
+                for richer in self.fits(_with_word(trial.free, chosen.name), choice, trial):
                     if richer.ended is not None:  # what has converged and was tested is worth more
                         yield trial.stopped(richer.ended)
             except (InvalidInput, IdentificationError):
@@ -364,8 +365,11 @@ class _Case:
             return False  # of a factor on a guess that is not alike, or on nothing
         return test.significant and name in ALLOWED and not test.freed_with and (name != "com" or test.matters)
 
-    def fits(self, free: Sequence[str], choice: dict[str, Any]) -> Iterator[Trial]:
-        """Yield fits of these parameters, the last with its covariance (of noise alone) and score tests."""
+    def fits(self, free: Sequence[str], choice: dict[str, Any], before: Trial | None = None) -> Iterator[Trial]:
+        """Yield fits of these parameters, the last with its covariance (of noise alone) and score tests.
+
+        A good fit `before` that lacks the last of them alone is continued.
+        """
         shape, loss, delay = self.seen.shape, Loss(self.options.loss), {}
         plant = build_plant(self.recording, self.guess, free, self.setup, self.options.torque_std)
         usual = usual_length(shape, self.guess)
@@ -375,12 +379,13 @@ class _Case:
         wanted = usual if self.options.window is None else self.options.window
         length = min(wanted, WHOLE * self.seen.channels.duration)
         search = MultiStart(plant, self.seen, length, usual, loss, self.budget, self.report)
-        for found in search.fits():
+        continued = self._continued(search, free, before)
+        for found in search.fits() if continued is None else [continued]:
             found = replace(found, settings=found.settings | delay)
             trial = Trial(list(free), found, self.options.scale_std, choice)
             yield trial
         found = self._with_com(search, found)
-        trial = replace(trial, plain=found.estimated(self.budget))
+        trial = replace(trial, first=found, plain=found.estimated(self.budget))
         yield trial
         for longer in self._lengthened(search, trial.plain) if self.options.window is None else ():
             trial = replace(trial, plain=longer)
@@ -389,6 +394,16 @@ class _Case:
         if plain.fit.converged and not (self.faulty and search.is_bad(plain.windows, plain.fit)):  # nothing to test
             tests, scores = score_tests(plain, self.options.gravity_std, self.budget)
             yield replace(trial, scores=scores, tests=by_gain([*tests, *drift_test(plain, scores)]))
+
+    def _continued(self, search: MultiStart, free: Sequence[str], before: Trial | None) -> Basis | None:
+        """Return the continued fit, or None where a fit has to begin anew."""
+        if before is None or before.first is None or before.free != free[:-1] or free[-1] == "delay":
+            return None
+        first, labels, parameters = before.first, before.plain.plant.parameters.labels, search.plant.parameters
+        known = dict(zip(labels, first.fit.x.tolist(), strict=False))  # others may have been added later
+        x = [known.get(each.label, each.first) for each in parameters.all]
+        found = search.continued(replace(first, plant=search.plant), first.windows, np.array(x), first.fit.states)
+        return None if search.is_bad(found.windows, found.fit) or not found.fit.converged else found
 
     def _lengthened(self, search: MultiStart, found: Basis) -> Iterator[Basis]:
         """Yield fits of ever longer windows, as long as these can be followed.
